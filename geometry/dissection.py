@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 #: Least angle (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
 CORNER = 30.0
 
-#: Largest slope (degrees) of a side of a face with four sides, and its largest curvature.
+#: Largest slope (degrees) of a side of a face with four sides, and largest angle by which such a side curves.
 OBLIQUE = 40.0
 
 #: A face is cut beside a steep or curved part at half the width of that part plus this share of the face's height.

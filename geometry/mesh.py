@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from geometry.free_section import FreeSection
 from geometry.mesh_size import MeshSize
-from geometry.names import AXIS, TRANSDUCER, whole
+from geometry.names import AXIS, TRANSDUCER, parent_place
 from geometry.panels import Panel, divided
 from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
@@ -165,7 +165,7 @@ def _check_names(mesh: skfem.MeshQuad, section: Section | FreeSection) -> None:
         ("regions", mesh.subdomains or {}, section.regions),
         ("boundaries", mesh.boundaries or {}, section.boundary_names()),
     ):
-        filled = {name for name, indices in found.items() if len(indices) and whole(name) == name}
+        filled = {name for name, indices in found.items() if len(indices) and parent_place(name) == name}
         if filled != set(expected):
             raise MeshError(
                 f"{kind} missing from the mesh: {sorted(set(expected) - filled)}; not of the section: "

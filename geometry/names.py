@@ -88,11 +88,11 @@ def moved_by(place: str, shapes: Iterable[str]) -> str:
     return f"{place}{MOVED}{'+'.join(shapes)}"
 
 
-def across_columns(place: str) -> str:
+def parent_part(place: str) -> str:
     """Name of the part of which `place` is one column, or some cells of one, or `place` itself."""
     return place.split(MOVED)[0].split(COLUMN)[0]
 
 
-def whole(place: str) -> str:
+def parent_place(place: str) -> str:
     """Name of the region or boundary of which `place` is a part, or `place` itself."""
     return place.split(MOVED)[0].split(PART)[0].split(COLUMN)[0]

@@ -21,7 +21,7 @@ COUPLANT = "couplant"
 FLUID_ROLES = (CAVITY, COUPLANT)
 
 #: Least distance of a radius where a layer may end from another line, as a share of the section's radius; a closer one
-#: counts as that line. Doubled, the end of such a layer is placed twice as roughly.
+#: counts as that line. Doubled, more of them do.
 CLOSEST = 0.005
 
 

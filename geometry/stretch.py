@@ -19,11 +19,11 @@ from geometry.names import COLUMN, LEVEL, part_name
 from geometry.parts import largest_shape
 from geometry.section import cut_section
 
-#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are shorter.
+#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are a ninth shorter.
 KEPT = 0.1
 
 
-def between(chip: Chip, name: str) -> tuple[float, float]:
+def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
     """Limits (m or rad) of a dimension of `chip` that the cells of one mesh allow.
 
     For a radius they are the next breaks of the section; for a shape the limits of its layer; else, and if there is no
@@ -42,14 +42,14 @@ def between(chip: Chip, name: str) -> tuple[float, float]:
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
 
-def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
+def admissible_range(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
     """Admissible range (m or rad) of a dimension of `chip`: within the given bounds and nine tenths of the way to the
     next break.
 
     Raises:
         KeyError: the chip has no dimension of that name.
     """
-    value, (before, behind) = chip.dimensions()[name].value, between(chip, name)
+    value, (before, behind) = chip.dimensions()[name].value, mesh_limits(chip, name)
     return (max(low, value - (1.0 - KEPT) * (value - before)), min(high, value + (1.0 - KEPT) * (behind - value)))
 
 
@@ -67,7 +67,7 @@ class Piece:
     column: tuple[float, float] | None
 
 
-def tied(*chips: Chip) -> dict[str, str]:
+def canonical_names(*chips: Chip) -> dict[str, str]:
     """Canonical name of every radius of some chips: the first among the names of radii of one length in any chip, which
     move together."""
     first: dict[str, str] = {}
@@ -84,7 +84,7 @@ def tied(*chips: Chip) -> dict[str, str]:
 
 def moving_together(chip: Chip, name: str) -> tuple[str, ...]:
     """The lengths of `chip` that change with the one called `name`: for a radius, all that coincide with it."""
-    first = tied(chip)
+    first = canonical_names(chip)
     return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
 
 

@@ -9,8 +9,8 @@ A :class:`Registry` lists its materials (``names()``) and loads one by name (``l
 are SI; losses follow the time factor e^{-i w t}: a *negative* imaginary stiffness or modulus and a *positive* imaginary
 permittivity.
 
-How to add a material
----------------------
+Adding a material
+-----------------
 1. Write ``data/<material>/<source_year>.toml`` (or the same inside a folder of your own, given to ``Registry``)::
 
        kind = "isotropic solid"            # or "piezoelectric", "fluid"

@@ -12,7 +12,7 @@ from geometry.dimension import SAME_LENGTH
 from geometry.mesh import MeshError, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
-from geometry.stretch import between, movable, split, tied
+from geometry.stretch import admissible_range, canonical_names, mesh_limits, split
 from workbench.files.errors import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
@@ -46,7 +46,7 @@ def test_a_stretched_mesh_is_the_new_mesh_where_the_elements_are_uniform(name: s
 
 @pytest.mark.parametrize("names", [RIMS, ["cavity.radius"], WALLS, ["bond.thickness"]])
 def test_a_length_stretches_up_to_its_neighbours_and_no_further(names: list[str]) -> None:
-    low, high = between(CHIP, names[0])
+    low, high = mesh_limits(CHIP, names[0])
     assert low < CHIP.dimensions()[names[0]].value < high
     assert math.isfinite(high) == (names in (RIMS, ["cavity.radius"]))
     step = 0.1 * (CHIP.dimensions()[names[0]].value - low)
@@ -59,27 +59,27 @@ def test_a_length_stretches_up_to_its_neighbours_and_no_further(names: list[str]
 
 @pytest.mark.parametrize("name", [RIMS[0], "cavity.radius", WALLS[0], "bond.thickness"])
 def test_a_length_moves_nine_tenths_of_the_way_to_its_neighbour_and_within_bounds(name: str) -> None:
-    value, (before, behind) = CHIP.dimensions()[name].value, between(CHIP, name)
-    low, high = movable(CHIP, name)
+    value, (before, behind) = CHIP.dimensions()[name].value, mesh_limits(CHIP, name)
+    low, high = admissible_range(CHIP, name)
     assert (low - before) == pytest.approx(0.1 * (value - before), rel=1e-12)
     assert (behind - high) == pytest.approx(0.1 * (behind - value), rel=1e-12) or behind == high == math.inf
     together = RIMS if name in RIMS else WALLS if name in WALLS else [name]
     for length in (low, min(high, 1.0)):
         moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(together, length), unusual=together))
     near = 0.999 * value, 1.001 * value
-    assert movable(CHIP, name, *near) == near
-    assert movable(CHIP, name, near[0]) == (near[0], high)
+    assert admissible_range(CHIP, name, *near) == near
+    assert admissible_range(CHIP, name, near[0]) == (near[0], high)
     with pytest.raises(KeyError):
-        movable(CHIP, "sidewall.height")
+        admissible_range(CHIP, "sidewall.height")
 
 
 def test_radii_of_one_length_are_tied_under_the_first_of_their_names() -> None:
-    found = tied(CHIP)
+    found = canonical_names(CHIP)
     assert found == {**dict.fromkeys(RIMS, RIMS[0]), **dict.fromkeys(WALLS, WALLS[0]), "cavity.radius": "cavity.radius"}
     # Lengths apart by more than breaks are told apart by are two; by less, one.
     for step, first in ((10.0 * SAME_LENGTH, RIMS[1]), (0.1 * SAME_LENGTH, RIMS[0])):
         longer = CHIP.with_dimensions({RIMS[1]: CHIP.dimensions()[RIMS[1]].value + step})
-        assert tied(longer)[RIMS[1]] == first
+        assert canonical_names(longer)[RIMS[1]] == first
 
 
 def test_the_parts_of_a_place_make_it_up_and_lie_where_they_say() -> None:

@@ -150,14 +150,14 @@ def operators(filled: Problem) -> FullOperators:
 
 
 def mine(operators: FullOperators) -> list[int]:
-    return [q for q, i in enumerate(operators.integrals) if i.facing]
+    return [q for q, i in enumerate(operators.integrals) if i.opposite]
 
 
 def test_every_wall_moves_and_couples_as_the_formula_says(operators: FullOperators, filled: Problem) -> None:
     # u_r = a r below and b r above, p = c r^2 / 2: slips (a - C) r and (b - C) r with C = c / (rho w^2). The pressure
     # is held at zero on the rim, so c only enters inside: take what the free rim leaves, by a second state.
     omega, values = OMEGA[1], layer(1.0) | {"gel.density": filled.values["gel.density"]}
-    g = np.array([i.coefficient(np.array([omega]), values)[0] if i.facing else 0.0 for i in operators.integrals])
+    g = np.array([i.coefficient(np.array([omega]), values)[0] if i.opposite else 0.0 for i in operators.integrals])
     own, across = coefficient(0)(OMEGA[1:2], values)[0], coefficient(3)(OMEGA[1:2], values)[0]
     mesh = operators.mesh.mesh
     r, z = np.asarray(Basis(mesh, ElementQuad2(), intorder=1).doflocs)
@@ -232,7 +232,7 @@ def test_a_layer_that_tilts_as_a_whole_is_not_sheared(operators: FullOperators, 
     # The shear is (a - 2 c) r, the slips are (a + 2 c) r z: in a thin layer x^T A x = G d (a - 2 c)^2 2 pi R^4 / 4.
     omega, values = OMEGA[1:2], layer(1e6, thickness=50e-6) | {"gel.density": filled.values["gel.density"]}
     size = abs(values["gel.density"]) * OMEGA[1] / 1e6 * 50e-6**2  # (k d)^2, 2e-5: the mass of the layer
-    g = np.array([i.coefficient(omega, values)[0] if i.facing else 0.0 for i in operators.integrals])
+    g = np.array([i.coefficient(omega, values)[0] if i.opposite else 0.0 for i in operators.integrals])
     r, z = np.asarray(Basis(operators.mesh.mesh, ElementQuad2(), intorder=1).doflocs)
     z = z - (2e-3 + 25e-6)
     c, radius = 3.0, 3e-3
@@ -271,7 +271,7 @@ def test_walls_that_do_not_face_each_other_are_refused(
 def test_an_operator_of_the_other_wall_needs_one(filled: Problem) -> None:
     class Alone(CouplantShear):
         def integrals(self) -> tuple[Integral, ...]:
-            return tuple(replace(i, facing="", facing_solid="") for i in super().integrals())
+            return tuple(replace(i, opposite="", opposite_solid="") for i in super().integrals())
 
     alone = Alone(TERM.region, TERM.material, TERM.lower, TERM.upper, TERM.below, TERM.above)
     with pytest.raises(ModelError, match=r"nothing faces 'couplant.transducer'"):

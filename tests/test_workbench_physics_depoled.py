@@ -115,7 +115,7 @@ def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
 def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
     class Outside(DepoledRim):
         def integrals(self) -> tuple[Integral, ...]:
-            return tuple(replace(each, beyond=1.2) for each in super().integrals())
+            return tuple(replace(each, radius_fraction=1.2) for each in super().integrals())
 
     with pytest.raises(ModelError, match=r"'transducer' beyond 1\.2 of its outer radius: expected a share below 1"):
         assemble(small_disc.mesh, (*small_disc.terms, Outside("transducer", "pzt", Rim("rim"))))

@@ -118,4 +118,4 @@ def test_the_rim_takes_no_power(filled: Problem) -> None:
         solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
         losses = solution.dissipation()
         assert np.abs(losses.sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9
-        assert (losses[:, [i.beyond > 0.0 for i in solution.operators.integrals]] == 0.0).all()
+        assert (losses[:, [i.radius_fraction > 0.0 for i in solution.operators.integrals]] == 0.0).all()

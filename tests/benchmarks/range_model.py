@@ -26,7 +26,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
-from geometry.stretch import movable  # noqa: E402
+from geometry.stretch import admissible_range  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.fem.solve import System, one_thread  # noqa: E402
 from workbench.model.numbers import placed  # noqa: E402
@@ -44,7 +44,7 @@ def ranges_of(chip: Chip, problem: Problem, arguments: argparse.Namespace) -> di
 
     known = {name: each.value for name, each in chip.dimensions().items()}
     found = {name: about(known[name], arguments.lengths) for name in THICK}
-    found |= {name: movable(chip, name, *about(known[name], arguments.radii)) for name in WIDE}
+    found |= {name: admissible_range(chip, name, *about(known[name], arguments.radii)) for name in WIDE}
     for key, value in problem.values.items():
         material, _, constant = key.rpartition(".")
         if material.startswith(("pla/", "soda_lime_glass/")) and constant.endswith("modulus"):

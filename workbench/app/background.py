@@ -1,4 +1,4 @@
-"""What takes long: work beside the page, one of a kind at a time, that says how far it is and can be stopped."""
+"""Long work beside the page, one of a kind at a time, that reports its progress and can be stopped."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from workbench.files.errors import InputError
 from workbench.physics.term import ModelError
 from workbench.reduced.ranges import OutOfRange
 
-#: Says what is being done.
+#: Reports the present activity in words.
 Say = Callable[[str], None]
 #: Whether to stop.
 Stopped = Callable[[], bool]
-#: Work: told how to say what it does and how to learn that it is to stop, it returns its last words.
+#: Work: a function of a reporter of progress and of a test whether to stop, which returns its last words.
 Work = Callable[[Say, Stopped], str]
 
-#: What a computation may end with through no defect of the program, as on the command line.
+#: Exceptions that may end a computation without a defect of the program, as on the command line.
 FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError)
 
-#: Seconds between two looks at a process, and those it has to end once it was asked to.
+#: Seconds between two checks of a process, and seconds it has to end after it was asked to.
 _LOOK, _GRACE = 0.2, 5.0
 
 
 class Background:
     """Works by their kind ("model", "fit"), each in a thread of its own.
 
-    ``changed`` is called, from any thread, with a kind, what it says, and whether it is still at work.
+    ``changed`` is called, from any thread, with a kind, its words, and whether it is still at work.
     """
 
     def __init__(self, changed: Callable[[str, str, bool], None]) -> None:
@@ -41,7 +41,7 @@ class Background:
         self._pool = ThreadPoolExecutor(thread_name_prefix="live view")
 
     def start(self, kind: str, work: Work) -> Future[None] | None:
-        """Begin; None where one of that kind is still at work."""
+        """Start work; None if one of that kind is still at work."""
         with self._lock:
             if kind in self._running:
                 return None
@@ -72,7 +72,7 @@ class Background:
         except FAILURES as error:
             last = f"{type(error).__name__}: {error}"
         except BaseException as error:
-            # A defect: to be seen on the page, and in the terminal by who waits for the future.
+            # A defect: shown on the page, and in the terminal by the holder of the future.
             last = f"defect: {error!r}"
             raise
         finally:
@@ -82,8 +82,8 @@ class Background:
 
 
 def run_command(arguments: Sequence[str], stopped: Stopped, log: Path) -> int | None:
-    """Run ``workbench`` with `arguments` as a process of its own, its words in `log`; its exit status, None where it
-    was stopped."""
+    """Run ``workbench`` with `arguments` as a process of its own, its output in `log`; its exit status, None if it was
+    stopped."""
     command = [sys.executable, "-P", "-m", "workbench.cli", *arguments]
     with log.open("w", encoding="utf-8") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
         while True:
@@ -98,7 +98,7 @@ def run_command(arguments: Sequence[str], stopped: Stopped, log: Path) -> int | 
 
 
 def last_lines(log: Path) -> Iterator[str]:
-    """The lines of a log that say something, last first."""
+    """The lines of a log that are not blank, last first."""
     for line in reversed(log.read_text(encoding="utf-8", errors="replace").splitlines()):
         if line.strip():
             yield line.strip()

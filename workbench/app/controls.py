@@ -1,5 +1,4 @@
-"""What can be moved in the live view: numbers of a chip with their ranges, their tolerances and the units they are told
-in."""
+"""Numbers of a chip that can be moved in the live view, with their ranges, their tolerances and their shown units."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ from dataclasses import dataclass, replace
 from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
@@ -18,18 +17,18 @@ from workbench.model.dimensions import flexible_within
 from workbench.model.numbers import LOSS, Number, ParameterName, real_part
 from workbench.model.problem import Problem
 
-#: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
-#: lengths has about twice as many unknowns.
+#: Default relative range of a number to either side. Twice as wide, a range model of six lengths has about twice as
+#: many unknowns.
 REACH = 0.05
-#: Nothing is moved beyond its range to more than this times what the chip's file says, or to less than one over this:
-#: the mesh is stretched, and its elements were made for that length. A length may go as far as a fit searches.
+#: Largest factor between a moved number and the chip's file, beyond its range: the mesh is stretched, and its elements
+#: were made for that length. A length may go as far as a fit searches.
 FARTHEST = 2.0
-#: The range in units of a stated tolerance, where that is more. Of an assumed one it holds the limits.
+#: The range in units of a stated tolerance, if that is wider. For an assumed tolerance it holds the limits.
 TOLERANCES = 2.0
 #: Significant digits of a length in a saved chip file: a nanometre of a millimetre.
 SAVED_DIGITS = 6
 
-#: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
+#: Separator of the ends of a range, as in "substrate.thickness=0.8mm..0.9mm".
 ENDS = ".."
 
 #: Thinner layers than this (m) are told in micrometres.
@@ -83,14 +82,16 @@ class Control(Number):
         return f"{self.shown(number, digits)} {self.shown_unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
-        """The same with a range that holds `number` (SI) well within."""
+        """A copy with a range that holds `number` (SI) well within."""
         width = max(self.high - self.low, 0.0)
         return replace(self, low=min(self.low, number - 0.25 * width), high=max(self.high, number + 0.25 * width))
 
 
 def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[Control, ...]:
-    """What can be moved of `chip`: what is `wanted`, ``NAME`` or ``NAME=LOW..HIGH``; by default all thicknesses, the
-    radius of the cavity, the sound speed of what fills it, and the shear modulus of the first other solid.
+    """The controls of `chip` for the names `wanted`, ``NAME`` or ``NAME=LOW..HIGH``.
+
+    By default they are all thicknesses, the radius of the cavity, the sound speed of its filling, and the shear modulus
+    of the first other solid.
 
     Args:
         problem: of the chip in its state, without lengths among its values.
@@ -99,7 +100,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
             does not hold the present number, or passes another radius.
     """
-    first, lengths = tied(chip), chip.dimensions()
+    first, lengths = canonical_names(chip), chip.dimensions()
     felt = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
@@ -140,14 +141,14 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         low, high = value - reach, value + reach
         if number.is_dimension:
             known = number.known
-            low, high = movable(chip, name, min(low, known.low), max(high, known.high))
+            low, high = admissible_range(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if number.is_dimension and movable(chip, name, low, high) != (low, high):
+    if number.is_dimension and admissible_range(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
-        low, high = movable(chip, name, low, high)
+        low, high = admissible_range(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
                          "vanishes and no radius passes another")
     if not low < high or not low <= value <= high:
@@ -179,7 +180,7 @@ def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:
 
 
 def is_inside(ranges: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> bool:
-    """Whether `values` lie in `ranges`, but for rounding."""
+    """Whether `values` lie in `ranges`, within rounding."""
     return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
                for name, (low, high) in ranges.items())
 

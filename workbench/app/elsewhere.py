@@ -10,25 +10,24 @@ from collections.abc import Callable, Generator
 from multiprocessing.connection import Connection
 from typing import Any
 
-#: How much such a process stands back for others, in the steps of ``nice``: the page is answered first.
+#: Niceness of such a process: the page is answered first.
 _NICE = 10
-#: Seconds between two looks whether to stop.
+#: Seconds between two checks whether to stop.
 _LOOK = 0.2
 
-#: What work sends its results with, one after the other.
+#: The function with which work sends its results, one after the other.
 Send = Callable[[Any], None]
 
 
 def elsewhere(
     work: Callable[..., None], *arguments: Any, stopped: Callable[[], bool] = lambda: False
 ) -> Generator[Any, None, None]:
-    """What ``work(send, *arguments)`` sends, as soon as it is sent. The process ends with this iterator, which ends
-    once `stopped`.
+    """Run ``work(send, *arguments)`` in another process, and yield its results as soon as they are sent.
 
-    Function, arguments and what is sent can be pickled.
+    The process ends with this iterator, which ends once `stopped`. Function, arguments and results can be pickled.
 
     Raises:
-        Exception: whatever the work raises.
+        Exception: any exception of the work.
         RuntimeError: the process ended without a word.
     """
     context = multiprocessing.get_context("spawn")
@@ -56,20 +55,20 @@ def elsewhere(
 
 
 def stand_back() -> None:
-    """Let others go first, from now on, and warn of nothing: it is all known to who asked."""
+    """Give other processes priority from now on, and give no warnings: the parent has given them all."""
     warnings.simplefilter("ignore")
     with contextlib.suppress(OSError):
         os.nice(_NICE)
 
 
 def _run(there: Connection, work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """What the process does: every result with the word "sent", then "end" or "error"."""
+    """Main function of the process: it sends every result with the word "sent", then "end" or "error"."""
     stand_back()
     last: tuple[str, Any] = ("end", None)
     try:
         work(lambda found: there.send(("sent", found)), *arguments)
     except Exception as error:
-        # Whatever it is, it is for who asked.
+        # Any exception is for the parent.
         last = ("error", error)
     with contextlib.suppress(BrokenPipeError):
         there.send(last)

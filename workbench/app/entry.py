@@ -9,7 +9,7 @@ from workbench.app.controls import Control
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 
-#: A number with the decimal comma of many languages, and what stands behind it.
+#: A number with the decimal comma of many languages, and the text after it.
 _COMMA = re.compile(r"\s*([+-]?\d*),(\d+)(\s*[^\d,.\s].*)?\s*")
 
 
@@ -37,8 +37,9 @@ def typed_number(text: object, control: Control, field: str) -> float:
 
 
 def typed_tolerance(text: object, control: Control) -> float | None:
-    """The tolerance (SI) that was typed for a `control`; None, for what its file states or its role lets assume, where
-    nothing was typed or the assumed one stands.
+    """The tolerance (SI) that was typed for a `control`; None if nothing was typed or the assumed one stands.
+
+    None means the tolerance of the file, or the one assumed by the role.
 
     Raises:
         InputError: as for :func:`typed_number`.
@@ -50,5 +51,5 @@ def typed_tolerance(text: object, control: Control) -> float | None:
 
 
 def slider_number(number: float) -> float:
-    """A number as a slider has it: to seven digits."""
+    """A number as a slider holds it: to seven digits."""
     return float(f"{number:.7g}")

@@ -18,7 +18,7 @@ from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fing
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a model is made of: see `workbench.reduced.ranges.range_model`."""
+    """The input of a model: see `workbench.reduced.ranges.range_model`."""
 
     chip: Chip
     state: str
@@ -31,15 +31,15 @@ class Wanted:
     limit: int = LIMIT
 
 
-#: What makes growing models of what is wanted; closing it ends the work.
+#: A maker of growing models; closing it ends the work.
 Growing = Callable[[Wanted], Generator[RangeModel, None, None]]
 
 
 def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """Growing models, made by whoever asks for the next one.
+    """Growing models, each made when it is requested.
 
     Raises:
-        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
+        InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
     """
     yield from growing_model(
         wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
@@ -47,12 +47,12 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
 
 
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """The same, made by another process, which is ended with this iterator. The models cannot grow here.
+    """Growing models, made by another process, which is ended with this iterator. The models cannot grow here.
 
-    What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
+    They come in the compact form that answers need: the constant parts summed up, a tenth of the whole.
 
     Raises:
-        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
+        InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
         RuntimeError: the process ended without a word.
     """
     plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
@@ -75,6 +75,6 @@ def _grow(send: Send, wanted: Wanted) -> None:
 
 
 def _sendable(model: RangeModel) -> RangeModel:
-    """`model` as it answers, without the full operators and the problem, which the receiver has."""
+    """The `model` in its answering form, without the full operators and the problem, which the receiver has."""
     nothing: Any = None
     return replace(model, problem=nothing, reduced=replace(model.compact, full=nothing))

@@ -1,11 +1,11 @@
-"""Who may ask the live view anything: the browser that was given its address, and no page of anybody else.
+"""Access control of the live view: only the browser that was given its address, and no page of anybody else.
 
 The page listens on this computer's loopback interface, which every user and every web page opened on this computer can
 reach. So each request, and the opening of each websocket, must
 
 * name this address as its host: a foreign name that somebody lets resolve to 127.0.0.1 is refused (DNS rebinding);
-* come from a page of this address, where the browser says from where: a foreign page is refused;
-* carry the token, which is in the address that is printed: in the address, or then in the cookie that this sets.
+* come from a page of this address, if the browser states the origin: a foreign page is refused;
+* carry the token, which is in the address that is printed: in the address, or later in the cookie that this sets.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 #: The only interface the page is served on.
 HOST = "127.0.0.1"
 
-#: What the page may load and connect to: its own server, and pictures that are in the page. Vue makes functions of its
-#: templates, hence the two kinds of script; nothing comes from outside.
+#: Content policy of the page: its own server, and pictures that are in the page. Vue makes functions of its templates,
+#: hence the two kinds of script; nothing comes from outside.
 _POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
            "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; "
            "form-action 'none'; base-uri 'self'")
@@ -41,12 +41,12 @@ def address(port: int, token: str) -> str:
 
 
 def cookie_name(port: int) -> str:
-    """Cookies are shared by all ports of a host, so each has a name of its own."""
+    """The name of the cookie of a port: cookies are shared by all ports of a host."""
     return f"workbench_{port}"
 
 
 def protect(application: Application, token: str) -> None:
-    """Let `application` refuse, with status 403, whoever may not ask; to be called before it starts."""
+    """Make `application` refuse unauthorised requests with status 403; to be called before it starts."""
     from aiohttp import web
 
     @web.middleware
@@ -64,13 +64,13 @@ def protect(application: Application, token: str) -> None:
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["X-Content-Type-Options"] = "nosniff"
 
-    # The first to be asked, whatever is added later.
+    # The first middleware, whatever is added later.
     application.middlewares.insert(0, check)
     application.on_response_prepare.append(add_headers)
 
 
 def refusal(request: Any, token: str) -> str:
-    """Why a request is refused; empty where it is not."""
+    """The reason why a request is refused; empty if it is not."""
     port = _port(request)
     host = f"{HOST}:{port}"
     if len(request.headers.getall("Host", [])) != 1 or request.headers["Host"].lower() != host:
@@ -78,7 +78,7 @@ def refusal(request: Any, token: str) -> str:
     origins = request.headers.getall("Origin", [])
     if any(origin.lower() != f"http://{host}" for origin in origins):
         return "a foreign origin"
-    # A wrong token in the address is not mended by a cookie.
+    # A cookie does not mend a wrong token in the address.
     given = request.query.getall("token", []) or [request.cookies.get(cookie_name(port), "")]
     if len(given) != 1 or not hmac.compare_digest(given[0].encode(), token.encode()):
         return "no token, or a wrong one; open the address that was printed"

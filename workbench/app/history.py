@@ -1,4 +1,4 @@
-"""What was set before, and after what was undone."""
+"""History of the numbers for undo and redo."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class History:
     future: tuple[Numbers, ...] = ()
 
     def then(self, numbers: Numbers) -> History:
-        """The history after `numbers` were set, which leave no future; itself where they are the present ones."""
+        """The history after `numbers` were set, which leave no future; itself if they are the present ones."""
         if dict(numbers) == dict(self.present):
             return self
         return History(dict(numbers), (*self.past, self.present))

@@ -19,22 +19,24 @@ from workbench.reduced.predictor import Prediction
 from workbench.reduced.ranges import RangeModel, Ranges, Response
 from workbench.reduced.reduction import ReducedModel, narrowed
 
-#: Points of its range at which states are taken for one number, and for each of many, besides the centre; and of how
-#: many frequencies of the model one is used.
+#: Number of states, besides the centre, along the range of one number, and for each of many numbers; and the step by
+#: which frequencies of the model are skipped.
 ALONG, AROUND, EVERY = 9, 2, 3
-#: Part of a range to either side that the model about a point is made for.
+#: Share of a range to either side of a point for which the model about it is made.
 NEAR = 0.125
-#: Up to so many unknowns a range model itself answers within some ten milliseconds.
+#: Largest number of unknowns with which a range model itself answers within some ten milliseconds.
 SMALL = 100
-#: Directions smaller than this, relative to the largest, are left out, of states over the root of their charge. On the
-#: reference chip the impedance is then off by 1e-3 at most; at three times as much by 6e-3.
+#: Size of directions, relative to the largest, below which they are left out, for states over the root of their charge.
+#: On the reference chip the impedance is then off by 1e-3 at most; at three times as much by 6e-3.
 NEGLIGIBLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """The part of a range ``model`` that is needed while one number at a time leaves ``centre`` (SI), each of those in
-    ``reach`` within its bounds (SI)."""
+    """The part of a range ``model`` that is needed while one number at a time leaves ``centre`` (SI).
+
+    Each number in ``reach`` stays within its bounds there (SI).
+    """
 
     model: RangeModel
     centre: Mapping[str, float]
@@ -42,7 +44,7 @@ class LocalModel:
     reduced: ReducedModel
 
     def holds(self, model: RangeModel, values: Mapping[str, float]) -> bool:
-        """Whether this stands for `values` of `model`."""
+        """Whether this model stands for `values` of `model`."""
         moved = [name for name, number in values.items() if number != self.centre[name]]
         if model is not self.model or len(moved) > 1:
             return False
@@ -55,7 +57,7 @@ class LocalModel:
 
 
 def in_halves(model: RangeModel, values: Mapping[str, float]) -> Response:
-    """The answer of a range model itself, the halves of its band at once, each in a thread."""
+    """The answer of a range model itself, with the halves of its band solved in two threads."""
     there = placed(model.problem.values, values)
     compact, middle = model.compact, model.frequency.size // 2 + 1
     with ThreadPoolExecutor(2) as pool:
@@ -83,10 +85,10 @@ def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
 def local_model(
     model: RangeModel, centre: Mapping[str, float], reach: Ranges, stopped: Callable[[], bool] = lambda: False
 ) -> LocalModel | None:
-    """The local model about `centre` (SI); None for a :data:`SMALL` range model, where it would be off by more than the
-    range model's tolerance, and once `stopped`.
+    """The local model about `centre` (SI), or None.
 
-    What it is off by is found out between the points that it was made of.
+    None for a :data:`SMALL` range model, for an error above the range model's tolerance, and once `stopped`. The error
+    is measured between the points that the model was made of.
     """
     if model.rank <= SMALL:
         return None

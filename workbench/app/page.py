@@ -1,4 +1,4 @@
-"""What the page shows, as a template of Vue; what moves in it is state that `workbench.app.server` keeps.
+"""The page as a template of Vue; its variable parts are state that `workbench.app.server` keeps.
 
 The spectrum is lines of SVG, and so are axes and marks over the pictures of fields: letters stay sharp, and a new
 spectrum is ten kilobytes. Everything is served by the page's own server.
@@ -106,9 +106,9 @@ _HEADS = """
   assumed by the role of the layer (point at it).</span></div>
 """
 
-#: One number, the one at a place of ``rows``; its value is state of its own, since it is what the slider moves. A field
-#: is a new one whenever its number is another or something was entered in its row, so that what was refused is gone;
-#: while somebody types nothing writes into it.
+#: One number, at an index of ``rows``; its value is state of its own, since the slider moves it. A field is replaced
+#: whenever its number changes or a value was entered in its row, so that refused text disappears; while somebody types
+#: nothing writes into it.
 _ROW = """
 <div class="row">
   <div class="names"><span class="what" :class="{out: rows[I].outside}" :title="rows[I].name">{{ rows[I].label }}</span>
@@ -237,7 +237,7 @@ def template(count: int) -> str:
             f"<div>{_FIGURES}{_SPECTRUM}{_FIELDS}</div></div>")
 
 
-#: What the page reads off the spectrum where the mouse points: the nearest of its frequencies.
+#: Function that reads the spectrum at the mouse pointer: the nearest of its frequencies.
 _READOUT = f"""
 window.trame.utils.live = {{
   readout(event, curve) {{

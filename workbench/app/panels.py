@@ -1,4 +1,4 @@
-"""What the session answers, as the page shows it: texts, lines and places."""
+"""Answers of the session in the form of the page: texts, lines and places."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from workbench.app import plot
 from workbench.app.section_fields import SectionFields
 from workbench.app.spectrum_view import SpectrumView
 
-#: Prefixes of units and what brings a number into the unit with it, smallest unit first.
+#: Prefixes of units and the factors that bring a number into the unit with it, smallest unit first.
 _PREFIXES = (("µ", 1e6), ("m", 1e3), ("", 1.0), ("k", 1e-3), ("M", 1e-6))
-#: Heights (pixels of the page) that a wide picture and one of half the width are shown in at most, the size of the
-#: letters at its axis, and of the strip below the picture that they stand in.
+#: Largest heights (pixels of the page) of a wide picture and of one of half the width, the size of the letters at its
+#: axis, and the height of the strip below the picture that they stand in.
 TALLEST, LETTERS, STRIP = (196.0, 118.0), 11.0, 17.0
 
 
@@ -47,7 +47,7 @@ class DrawnField(Protocol):
 
 
 def curve(view: SpectrumView, scale: plot.PlotScale) -> dict[str, Any]:
-    """The spectrum as lines, with its grid, its tolerance band, and its numbers for who points at it."""
+    """The spectrum as lines, with its grid, its tolerance band, and its numbers for the mouse pointer."""
     spectrum = view.spectrum
     tolerance = "" if view.spread is None else plot.tolerance_band(scale, spectrum, view.spread)
     return {**plot.curves(scale, spectrum), "tolerance": tolerance, "ticks": plot.ticks(scale),
@@ -55,7 +55,7 @@ def curve(view: SpectrumView, scale: plot.PlotScale) -> dict[str, Any]:
 
 
 def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
-    """The figures of merit, and how sure they are."""
+    """The figures of merit with their uncertainties."""
     measured = {row.metric: row for row in view.comparison.rows} if view.comparison is not None else {}
 
     def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0,
@@ -93,8 +93,7 @@ def _told(number: float, unit: str) -> str:
 
 
 def described(section: SectionFields, *, stated: bool) -> str:
-    """Where the fields are, how the chip is driven, and what that gives; `stated` is whether the chip names the
-    particle."""
+    """Description of the fields: frequency, drive and results; `stated` is whether the chip names the particle."""
     fields = section.fields
     words = f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}, {1e3 * fields.power:.3g} mW"
     if section.traps is None:
@@ -113,7 +112,7 @@ def embedded(png: bytes) -> str:
 
 
 def picture(drawn: DrawnField) -> dict[str, Any]:
-    """A picture as the page shows it, in a box as wide as the picture has dots."""
+    """A picture in the form of the page, in a box as wide as the picture has dots."""
     left, right, bottom, top = drawn.window
     width = plot.WIDTH if drawn.tall == 1.0 else 0.5 * plot.WIDTH
     dots = width / (right - left)
@@ -125,7 +124,7 @@ def picture(drawn: DrawnField) -> dict[str, Any]:
     def y(z: float) -> float:
         return round((top - z) * dots * drawn.tall, 1)
 
-    # Letters keep their size where the picture is shown smaller than its box.
+    # Letters keep their size if the picture is shown smaller than its box.
     wide = drawn.tall == 1.0
     tallest = TALLEST[0 if wide else 1]
     shrunk = max(1.0, height / (tallest - STRIP))
@@ -143,6 +142,6 @@ def picture(drawn: DrawnField) -> dict[str, Any]:
 
 
 def next_picture(drawing: Iterator[DrawnField]) -> dict[str, Any] | None:
-    """The next picture as the page shows it; None behind the last one."""
+    """The next picture in the form of the page; None after the last one."""
     drawn = next(drawing, None)
     return None if drawn is None else picture(drawn)

@@ -1,7 +1,7 @@
 """The spectrum as the lines of a picture: |Z| above, its phase below, both over frequency.
 
 Everything is in the units of a box of :data:`WIDTH` by :data:`HEIGHT` with its origin at the top left, which the page
-shows in whatever size it has room for.
+scales to its room.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ WIDTH, HEIGHT = 920.0, 246.0
 LEFT, RIGHT = 60.0, 908.0
 MAGNITUDE, PHASE = (6.0, 158.0), (170.0, 222.0)
 
-#: Ends of |Z| are moved outwards to steps of this share of a decade, so that the picture does not breathe while a
+#: Steps, as a share of a decade, to which the ends of |Z| are moved outwards, so that the picture stays still while a
 #: number is moved.
 _STEP = 0.25
-#: Over fewer decades than this, twos and fives are labelled between the powers of ten.
+#: Number of decades below which twos and fives are labelled between the powers of ten.
 _FEW = 2.6
-#: Between so many and twice as many frequencies are labelled.
+#: Least number of labelled frequencies; the largest is twice that.
 _LABELS = 5
 
 
 @dataclass(frozen=True)
 class PlotScale:
-    """Where frequencies (Hz), impedances (ohm) and phases (degrees) are in the picture."""
+    """Places of frequencies (Hz), impedances (ohm) and phases (degrees) in the picture."""
 
     band: tuple[float, float]
     magnitude: tuple[float, float]
@@ -59,7 +59,7 @@ class PlotScale:
         return np.asarray(PHASE[1] - (PHASE[1] - PHASE[0]) * (np.asarray(degrees) + 90.0) / 180.0)
 
     def frequency_at(self, share: float) -> float:
-        """The frequency (Hz) at a `share` of the picture's width, at the nearer end where that is beside the panel."""
+        """The frequency (Hz) at a `share` of the picture's width, at the nearer end if that is beside the panel."""
         low, high = self.band
         inside = (share * WIDTH - LEFT) / (RIGHT - LEFT)
         return low + (high - low) * min(max(inside, 0.0), 1.0)
@@ -84,7 +84,7 @@ def tolerance_band(scale: PlotScale, spectrum: Spectrum, spread: Real) -> str:
 
 
 def dots(scale: PlotScale, frequency: Real, impedance: NDArray[np.complex128]) -> list[dict[str, float]]:
-    """Where single impedances (n,) are, in both panels."""
+    """Places of single impedances (n,) in both panels."""
     rows = zip(scale.x(frequency), scale.y(np.abs(impedance)), scale.phase(np.angle(impedance, deg=True)), strict=True)
     return [{"x": round(float(x), 1), "y": round(float(y), 1), "p": round(float(p), 1)} for x, y, p in rows]
 
@@ -111,7 +111,7 @@ def _ohm(magnitude: float) -> str:
 
 
 def readout(spectrum: Spectrum) -> Mapping[str, list[float]]:
-    """The numbers of a spectrum for who points at it: MHz, ohm, degrees."""
+    """The numbers of a spectrum for the mouse pointer: MHz, ohm, degrees."""
     return {"frequency": [round(float(f) / 1e6, 6) for f in spectrum.frequency],
             "magnitude": [float(f"{z:.5g}") for z in spectrum.magnitude],
             "phase": [round(float(p), 2) for p in spectrum.phase_deg]}

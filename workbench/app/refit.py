@@ -16,17 +16,17 @@ from workbench.fitting.prepare import prepare
 from workbench.model.numbers import Stated, placed
 from workbench.results.spectrum import Spectrum
 
-#: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within a
-#: minute. A film reaches its third optimum to either side. ``workbench fit`` tries 32.
+#: Largest number of further descents if the recording stays unexplained: a fit that somebody waits for is to end within
+#: a minute. A film reaches its third optimum to either side. ``workbench fit`` tries 32.
 TRIES = 12
-#: Standard uncertainties that a constant may go from where it starts, as in `workbench.fitting.parameter`.
+#: Largest distance of a constant from its start, in standard uncertainties, as in `workbench.fitting.parameter`.
 _REACH = 5.0
 
 
 @dataclass(frozen=True)
 class Refit:
-    """What a fit found: ``values`` and standard ``errors`` (SI) by name, the mean error of |Z| (per cent) ``before``
-    and ``after``, and ``findings`` in words."""
+    """Result of a fit: ``values`` and standard ``errors`` (SI) by name, the mean error of |Z| (per cent) ``before`` and
+    ``after``, and ``findings`` in words."""
 
     values: Mapping[str, float]
     errors: Mapping[str, float]
@@ -39,11 +39,11 @@ def refit(
     send: Send, present: Present, values: Mapping[str, float], uncertainties: Mapping[str, float], measured: Spectrum,
     name: str,
 ) -> None:
-    """Fit the numbers of which `values` (SI) are the present ones to a recording of that `name`, from these and from
-    the chip's own; send what is being done, in words, and at last a :class:`Refit`.
+    """Fit numbers to a recording of that `name`, from their present `values` (SI) and from the chip's own.
 
-    What was known before of a free length is the tolerance in the `present` chip, or what its role lets assume; of a
-    free constant the standard one among `uncertainties` (SI), or what its material states.
+    The activity is sent in words, and at last a :class:`Refit`. The prior of a free length is the tolerance in the
+    `present` chip, or the one assumed by its role; that of a free constant is the standard one among `uncertainties`
+    (SI), or that of its material.
 
     Raises:
         InputError: too few points in the band, or a recording that cannot be of this device.
@@ -57,7 +57,7 @@ def refit(
         return tuple(replace(each, problem=each.problem.with_values(placed(each.problem.values, present.constants)))
                      for each in recordings)
 
-    # What all points of the recording share is free beside what was asked for, and no answer.
+    # Quantities that all points of the recording share are free too, and are no answer.
     start = np.array([min(max(values.get(each.name, each.start), each.low), each.high) for each in free])
     found = joint.fit_parameters(holding(prepared.recordings), free, coarse=holding(prepared.coarse),
                                  starts={"live view": start}, tries=TRIES, bands=0,
@@ -70,10 +70,9 @@ def refit(
 
 
 def known_to(parameter: Parameter, uncertainty: float | None) -> Parameter:
-    """A material's `parameter` that is known to a standard `uncertainty` (SI), and may go to five of them; itself
-    where that is None.
+    """A material's `parameter` with a standard `uncertainty` (SI) and a range of five of them; itself if that is None.
 
-    A loss keeps its bounds, and so does what may not change its sign.
+    A loss keeps its bounds, and so does a parameter that may not change its sign.
     """
     if uncertainty is None:
         return parameter

@@ -15,7 +15,7 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from geometry.names import CAVITY
 from geometry.section import cut_section
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.kinds import Fluid, Material
 from workbench.acoustics.fields import Fields, fields
 from workbench.acoustics.forces import particle_forces
@@ -58,17 +58,18 @@ def section_fields(
 
 
 def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:
-    """`chip` with the lengths among `values` (SI); radii of one length move together, under the first of their names.
+    """A copy of `chip` with the lengths among `values` (SI); radii of one length move together, under their canonical
+    name.
 
-    A length that is what it was keeps its tolerance and its note.
+    An unchanged length keeps its tolerance and its note.
     """
-    first = tied(chip)
+    first = canonical_names(chip)
     return chip.with_dimensions({
         name: values[first.get(name, name)] for name in chip.dimensions() if first.get(name, name) in values})
 
 
 def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
-    """The `mesh` of `chip` with its nodes where `moved` has them.
+    """The `mesh` of `chip` with its nodes moved to those of `moved`.
 
     Raises:
         MeshError: the breaks of the two do not correspond.
@@ -81,7 +82,7 @@ def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
 
 
 def with_numbers(material: Material, values: Mapping[str, float]) -> Material:
-    """`material` with those of its numbers that are among `values` (SI, by parameter name)."""
+    """A copy of `material` with those of its numbers that are among `values` (SI, by parameter name)."""
     parameters = material.parameters()
     own = {name: number for name, number in values.items() if ParameterName.parse(name).owner == material.name}
     named = placed({f"{material.name}.{key}": number for key, number in parameters.items()}, own)

@@ -1,8 +1,8 @@
-"""The live view on the page: what is asked there goes to the session, what it answers goes there.
+"""The live view on the page: its requests go to the session, the answers go back.
 
-Answers are worked out in two threads. One answers with spectra: while it does, the newest question waits and older ones
-are dropped, so that the page follows a slider as fast as the model answers. The other draws fields, and makes what the
-next answers are faster with, when nothing was moved for :data:`PAUSE`; it gives up what it has begun at the next move.
+Answers are worked out in two threads. One answers with spectra: while it does, the newest request waits and older ones
+are dropped, so that the page follows a slider as fast as the model answers. The other draws fields, and prepares faster
+answers, once nothing was moved for :data:`PAUSE`; it gives up unfinished work at the next move.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from workbench.app.works import KINDS, REPORT, Works
 from workbench.files.errors import InputError
 from workbench.reduced.ranges import OutOfRange
 
-#: Seconds after which a number that was moved is taken to rest: it is then one step that can be undone.
+#: Seconds after which a moved number counts as at rest: it is then one step that can be undone.
 RESTS = 0.5
 
 #: Seconds without a move after which fields are drawn. Doubled, fields come that much later; at zero, each spectrum of
@@ -55,8 +55,8 @@ class LiveView:
     """A session on a page of its own server. Serve it by :meth:`serve`; ``address`` opens the page."""
 
     def __init__(self, session: Session, drawing: Drawing, folder: Path, *, campaign: Path | None = None) -> None:
-        """Chip files and reports go to `folder`, which is made when it is needed; `campaign` is what a diagnosis is of,
-        instead of the one recording."""
+        """Chip files and reports go to `folder`, which is made when needed; `campaign` replaces the one recording in a
+        diagnosis."""
         from trame.app import get_server
 
         self.session, self.drawing, self.folder = session, drawing, folder
@@ -69,13 +69,13 @@ class LiveView:
         self._view: SpectrumView | None = None
         self._dots: tuple[Mapping[str, float], list[tuple[float, complex]]] = ({}, [])
         self._saved: set[Path] = set()
-        # What is to be answered: the spectrum; later the fields, then what makes the next answer faster.
+        # Pending requests: the spectrum; later the fields, then preparations of faster answers.
         self._asked, self._later = asyncio.Event(), asyncio.Event()
         self._moved = self._picked = self._idle = False
         self._moved_at = 0.0
         self._rest: asyncio.TimerHandle | None = None
         self._grow_again, self._waiting = False, ""
-        # Its own options are none of the command's.
+        # The server must not read the options of the command.
         os.environ.setdefault("TRAME_ARGS", "--server --nosignalhandlers")
         os.environ["WSLINK_READY_MSG"] = ""
         self._server = get_server(self.token, client_type="vue3")
@@ -90,7 +90,7 @@ class LiveView:
     async def serve(self, port: int = 0, ready: Callable[[str], None] = lambda _address: None) -> None:
         """Serve the page on this computer alone until cancelled; `ready` is called with its address.
 
-        `port` 0 is any that is free.
+        `port` 0 is any free one.
 
         Raises:
             OSError: the port is taken.
@@ -138,11 +138,11 @@ class LiveView:
 
         guard.protect(wslink.app, self.token)
         wslink.app.router.add_get(f"/{REPORT}", report)
-        # Where trame's page first asks for its websocket.
+        # The address at which trame's page first asks for its websocket.
         wslink.app.router.add_post("/paraview/", launched)
 
     # ----------------------------------------------------------------------------------------------------------------
-    # What the page says.
+    # Requests of the page.
 
     def _listen(self) -> None:
         for name, act in {"undo": self._undo, "redo": self._redo, "reset": self._reset, "enter": self._enter,
@@ -155,7 +155,7 @@ class LiveView:
             self._state.change(f"x_{index}")(lambda index=index, **_state: self._move(index))
 
     def _move(self, index: int) -> None:
-        """A slider was moved."""
+        """Handle a moved slider."""
         control, told = self.session.controls[index], self._state[f"x_{index}"]
         try:
             if told == slider_number(self.session.values[control.name] * control.factor):
@@ -168,7 +168,7 @@ class LiveView:
         self._follow_move()
 
     def _enter(self, name: str, text: str) -> None:
-        """A number was typed."""
+        """Handle a typed number."""
         self._entries[str(name)] += 1
         try:
             self.session.move(name, typed_number(text, self.session.control(name), name))
@@ -188,7 +188,7 @@ class LiveView:
         self._rest = self._loop.call_later(RESTS, self._rested)
 
     def _rested(self) -> None:
-        """A number rests: one step more that can be undone, and ranges that hold it."""
+        """Handle a number at rest: one step more that can be undone, and ranges that hold it."""
         self.session.settle()
         with self._state:
             names = self.session.widen()
@@ -211,7 +211,7 @@ class LiveView:
         self._changed()
 
     def _tolerate(self, name: str, text: str) -> None:
-        """A tolerance was typed."""
+        """Handle a typed tolerance."""
         self._entries[str(name)] += 1
         try:
             self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
@@ -241,7 +241,7 @@ class LiveView:
         self._draw()
 
     def _save(self, name: str) -> None:
-        """Save the chip under a plain name in the folder; nothing that was there before is overwritten."""
+        """Save the chip under a plain name in the folder; no older file is overwritten."""
         path = self.folder / str(name)
         try:
             if path.name != name or path.suffix != ".toml" or name.startswith("."):
@@ -270,13 +270,13 @@ class LiveView:
             self._background.start(kind, getattr(self.works, kind))
 
     def _grow(self) -> None:
-        """A model of the present ranges; where one is being made of others, after that."""
+        """Make a model of the present ranges, after one that is being made of others."""
         if self._background.start("model", self.works.model) is None:
             self._grow_again = True
             self._background.stop("model")
 
     # ----------------------------------------------------------------------------------------------------------------
-    # What happens in the background; called from its threads.
+    # Reports of the background; called from its threads.
 
     def _heard(self, kind: str, text: str, running: bool) -> None:
         self._loop.call_soon_threadsafe(self._tell, kind, text, running)
@@ -304,7 +304,7 @@ class LiveView:
             self._grow()
 
     # ----------------------------------------------------------------------------------------------------------------
-    # What the page shows.
+    # State of the page.
 
     def _begin(self) -> None:
         session, state = self.session, self._state
@@ -337,7 +337,7 @@ class LiveView:
         self._later.set()
 
     def _changed(self) -> None:
-        """Numbers are others than the page shows."""
+        """Update the page after a change of the numbers."""
         with self._state:
             self._show_rows()
             self._show_numbers()
@@ -368,7 +368,7 @@ class LiveView:
         self._say(str(error), error=True)
 
     def _scale(self, view: SpectrumView | None = None) -> plot.PlotScale:
-        """The scale of what is shown, or of `view`."""
+        """The scale of the shown curves, or of `view`."""
         view = self._view if view is None else view
         shown = [] if view is None else [view.spectrum.magnitude]
         if self.session.recording is not None:
@@ -397,22 +397,22 @@ class LiveView:
         self._state.full_dots = plot.dots(self._scale(), frequency.real, impedance) if found else []
 
     async def _answering(self, pool: ThreadPoolExecutor) -> None:
-        """Answer with the newest spectrum that is asked for."""
+        """Answer with the newest requested spectrum."""
         while True:
             await self._asked.wait()
             self._asked.clear()
             await self._told(self._answer_spectrum(pool))
-            # What was moved in the meantime is still to be answered.
+            # Moves of the meantime are still to be answered.
             self._moved = self._asked.is_set()
             self._later.set()
 
     async def _drawing(self, pool: ThreadPoolExecutor) -> None:
-        """Draw the fields, and then make ready what the next answers are faster with, while nothing is moved."""
+        """Draw the fields, and then prepare faster answers, while nothing is moved."""
         while True:
             await self._later.wait()
             pause = self._moved_at + PAUSE - self._loop.time()
             if self._moved:
-                # The spectrum comes first, and rouses this again.
+                # The spectrum comes first, and wakes this up again.
                 self._later.clear()
             elif pause > 0.0:
                 await asyncio.sleep(pause)
@@ -426,13 +426,13 @@ class LiveView:
                 self._later.clear()
 
     async def _told(self, answer: Awaitable[None]) -> None:
-        """Wait for an answer; what it fails with is told on the page."""
+        """Wait for an answer; a failure is shown on the page."""
         try:
             await answer
         except (NotReady, OutOfRange) as waiting:
             self._waiting = str(waiting)
             with self._state:
-                # What was refused stays to be read.
+                # The reason of a refusal stays visible.
                 if not self._state.message_is_error:
                     self._say(self._waiting)
         except FAILURES as error:
@@ -443,7 +443,7 @@ class LiveView:
         return self._moved
 
     async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
-        """The spectrum and its figures; what tolerances do to them comes after, where it takes as long."""
+        """Show the spectrum and its figures; the effect of tolerances comes after, if it takes as long."""
         view = await self._loop.run_in_executor(pool, partial(self.session.spectrum, hurried=True))
         await self._show_spectrum(pool, view)
         if not view.complete and not self._asked.is_set():
@@ -464,7 +464,7 @@ class LiveView:
             self._show_dots()
 
     async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
-        """Draw the fields; given up at the next move, after which they are asked for again."""
+        """Draw the fields; given up at the next move, after which they are requested again."""
         section = await self._loop.run_in_executor(pool, self.session.section, self._shown())
         told: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
         if self._moved:
@@ -484,7 +484,7 @@ class LiveView:
             self._state.update(told)
 
     async def _prepare(self, pool: ThreadPoolExecutor) -> None:
-        """Make one thing ready; until there is nothing left, or a move."""
+        """Prepare one thing; until there is nothing left, or a move."""
         self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
 
     def _show_recording(self, scale: plot.PlotScale) -> None:

@@ -1,4 +1,4 @@
-"""The present numbers of a chip that is moved by hand, and what they give: spectrum, figures, fields, and how sure.
+"""The present numbers of a chip that is moved by hand, and their results: spectrum, figures, fields, and accuracy.
 
     session = Session(read_chip("chip.toml"), "filled", controls(chip, problem))
     for said in session.grow():
@@ -22,7 +22,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
-from geometry.stretch import movable, moving_together
+from geometry.stretch import admissible_range, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
 from workbench.app.controls import REACH, Control, controls, is_inside, wraps
@@ -42,21 +42,21 @@ from workbench.model.problem import build, fill
 from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
 from workbench.results.spectrum import Spectrum
 
-#: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
+#: Number of frequencies of the band in an answered spectrum; twice as many take twice as long.
 POINTS = 121
 #: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
 TOLERANCE = 1e-2
-#: A range whose upper end is more than this times the lower one is modelled in stages: first for `REACH` to either side
-#: of the file's number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of
-#: 1.7 would have no first stage.
+#: Ratio of the ends of a range above which it is modelled in stages: first for `REACH` to either side of the file's
+#: number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of 1.7 would have
+#: no first stage.
 WIDE = 1.5
-#: Most full solves of a model of a whole wide range; what it is off by then is said. Doubled, the model of a large chip
-#: takes some five minutes.
+#: Largest number of full solves of a model of a whole wide range; its remaining error is shown. Doubled, the model of a
+#: large chip takes some five minutes.
 WIDE_LIMIT = 150
 #: Stages of models, in words.
 NEAR, WHOLE = "near the numbers of the file", "all ranges"
 
-#: The particle whose potential is drawn where the chip's state names none: a material, and its radius (m).
+#: The particle whose potential is drawn if the chip's state names none: a material, and its radius (m).
 BEAD = ("polystyrene", 5e-6)
 
 
@@ -66,7 +66,7 @@ class NotReady(RuntimeError):
 
 @dataclass(frozen=True)
 class Present:
-    """A chip with its lengths, and the ``constants`` (SI) of its materials that are others than these say."""
+    """A chip with its lengths, and the changed ``constants`` (SI) of its materials."""
 
     chip: Chip
     state: str
@@ -87,8 +87,8 @@ class Present:
 class Session:
     """A chip in one of its states whose numbers are moved.
 
-    ``controls`` are what can be moved, and how far; ``problem`` is that of the chip as its file has it; ``particle``
-    the one whose potential is drawn, ``particle_stated`` whether the file names it.
+    ``controls`` are the numbers that can be moved, with their ranges; ``problem`` is that of the chip as its file
+    states it; ``particle`` the one whose potential is drawn, ``particle_stated`` whether the file names it.
     """
 
     def __init__(
@@ -107,14 +107,14 @@ class Session:
         recording_name: str = "recording",
         growing: Growing = growing_here,
     ) -> None:
-        """A session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
+        """Prepare a session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
         (`workbench.app.controls.controls`); `growing` makes its models.
 
         Raises:
-            InputError: something in the chip, its materials, or what is wanted.
+            InputError: a mistake in the chip, its materials, or the wanted numbers.
         """
         self.chip, self.state = chip, chip.state(state).name
-        # What it shows is what a simulation of the saved chip gives.
+        # A simulation of the saved chip gives the shown results.
         self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
@@ -164,7 +164,7 @@ class Session:
             return bool(self._history.future)
 
     def move(self, name: str, number: float) -> None:
-        """Set one number (SI), on the way to where it will rest (:meth:`settle`).
+        """Set one number (SI) that is still moving; :meth:`settle` ends the move.
 
         Raises:
             InputError: no such number, or one that no chip can have.
@@ -183,7 +183,7 @@ class Session:
         """Set several numbers (SI) as one step.
 
         Raises:
-            InputError: as of :meth:`move`.
+            InputError: as in :meth:`move`.
         """
         with self._lock:
             self._check(values)
@@ -191,25 +191,26 @@ class Session:
             self.settle()
 
     def undo(self) -> None:
-        """Back to the numbers of the step before."""
+        """Go back to the numbers of the step before."""
         with self._lock:
             self.settle()
             self._history = self._history.undone()
             self._values = dict(self._history.present)
 
     def redo(self) -> None:
-        """On to the numbers of the step that was undone last."""
+        """Go on to the numbers of the step that was undone last."""
         with self._lock:
             self._history = self._history.redone()
             self._values = dict(self._history.present)
 
     def reset(self, name: str | None = None) -> None:
-        """One number, or all of them, as the chip's file has them."""
+        """Set one number, or all of them, to the values of the chip's file."""
         with self._lock:
             self.put({each.name: each.value for each in self.controls if name in (None, each.name)})
 
     def tolerate(self, name: str, tolerance: float | None) -> None:
-        """Set the tolerance (SI) of one number; None for what its file states or its role lets assume, 0 for exact.
+        """Set the tolerance (SI) of one number; None for the one stated by the file or assumed by the role, 0 for
+        exact.
 
         Raises:
             InputError: no such number, or a tolerance below zero.
@@ -251,14 +252,14 @@ class Session:
         return moved_chip(self.chip, self.values)
 
     def moved_constants(self) -> dict[str, float]:
-        """The constants of materials (SI) that are not what the materials say; a chip's file does not hold them."""
+        """The moved constants of materials (SI); a chip's file does not hold them."""
         with self._lock:
             return {name: self._values[name] for name, each in self._controls.items()
                     if not each.is_dimension and self._values[name] != each.value}
 
     def save(self, path: Path) -> None:
-        """Write the chip with its present lengths, rounded (`Control.saved`), as a chip file; constants that were moved
-        are told in its description, since they belong to the materials.
+        """Write the chip with its present lengths, rounded (`Control.saved`), as a chip file. Its description lists
+        moved constants, since they belong to the materials.
 
         Raises:
             OSError: it cannot be written.
@@ -279,11 +280,11 @@ class Session:
                 raise InputError("live view", name, number, f"a finite number in {control.shown_unit or 'no unit'}")
             low, high = control.farthest
             if control.is_dimension:
-                low, high = movable(self.chip, name, low, high)
+                low, high = admissible_range(self.chip, name, low, high)
             if not low <= number <= high:
                 raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
                                  f"{control.told(high)}, to which the mesh can be stretched")
-        # Refuses lengths that do not make a chip.
+        # It raises for lengths that do not make a chip.
         moved_chip(self.chip, {**self._values, **values})
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -302,7 +303,7 @@ class Session:
             for name in names:
                 wider = self._controls[name].reaching(self._values[name])
                 if wider.is_dimension:
-                    low, high = movable(self.chip, name, wider.low, wider.high)
+                    low, high = admissible_range(self.chip, name, wider.low, wider.high)
                     wider = replace(wider, low=low, high=high)
                 self._controls[name] = wider
             return names
@@ -310,10 +311,10 @@ class Session:
     def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
         """Make models of the present ranges, each larger than the last, until one is within the tolerance.
 
-        Ranges that are :data:`WIDE` are first taken near the numbers of the file, then each whole by itself, then all
-        whole, as far as that is needed: a stage that does not hold the present numbers, or that a model holds already,
-        is left out or given up, and all are whole only where no other stage will do. Yields what is known of each
-        model as soon as it answers, in words; ends before the next one once `stopped`.
+        :data:`WIDE` ranges are first taken near the numbers of the file, then each whole by itself, then all whole, as
+        far as needed: a stage that does not hold the present numbers, or that a model holds already, is left out or
+        given up, and all are whole only if no other stage suffices. It yields a description of each model as soon as it
+        answers, and ends before the next one once `stopped`.
 
         Raises:
             InputError: a range that no chip can have.
@@ -330,7 +331,7 @@ class Session:
                 return
 
     def _stages(self) -> dict[str, Ranges]:
-        """The ranges that models are made of, by what they are in words, in the order in which they are made."""
+        """The ranges that models are made of, by their description, in the order in which they are made."""
         whole, near, wide = self._whole(), {}, []
         for each in self.controls:
             low, high = whole[each.name]
@@ -358,7 +359,8 @@ class Session:
             return any(each.error <= each.tolerance and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
-        """Models of `ranges` from at most `limit` full solves, in words; given up once numbers are elsewhere."""
+        """Make models of `ranges` from at most `limit` full solves, described in words; given up once numbers are
+        outside."""
         wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
                         self.accuracy, limit)
         models = self._growing(wanted)
@@ -376,7 +378,7 @@ class Session:
 
     def _take(self, model: RangeModel) -> None:
         """Answer from `model` wherever it is the best; forget those that it replaces."""
-        # Worked out here rather than by who asks first.
+        # Computed here, not by the first request.
         _ = model.compact
         with self._lock:
             # One of narrower ranges answers there until this one has been found to be as good.
@@ -385,7 +387,7 @@ class Session:
             self._models = (*kept, model)
 
     def _best(self, values: Mapping[str, float]) -> RangeModel:
-        """The model with these `values` in its ranges that was off least when it was checked.
+        """The model with these `values` in its ranges whose last checked error was least.
 
         Raises:
             NotReady: there is none yet.
@@ -401,11 +403,12 @@ class Session:
         return min(reversed(fit), key=lambda each: each.error)
 
     # ----------------------------------------------------------------------------------------------------------------
-    # What they give.
+    # The answers.
 
     def spectrum(self, *, hurried: bool = False) -> SpectrumView:
-        """The spectrum of the present numbers, and its figures of merit; `hurried` without what tolerances do to them,
-        where no small model makes that quick (:meth:`completed`).
+        """The spectrum of the present numbers, and its figures of merit.
+
+        A `hurried` one lacks the effect of tolerances unless a small model makes that quick (:meth:`completed`).
 
         Raises:
             NotReady, OutOfRange: no model answers for them yet.
@@ -421,7 +424,7 @@ class Session:
         return replace(found, complete=not hurried)
 
     def completed(self, view: SpectrumView) -> SpectrumView:
-        """A spectrum that was hurried, with what the tolerances do to it."""
+        """A hurried spectrum, completed with the effect of the tolerances."""
         deviations = {each.name: each.deviation for each in self.controls}
         return spectrum_view(view.response, deviations, view.error, self.recording)
 
@@ -437,7 +440,7 @@ class Session:
         return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
 
     def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
-        """Make one of the small models that the next answer may come from, unless both are there; whether one was made.
+        """Make one of the small models for the next answer, unless both are there; whether one was made.
 
         They are for any one number near the present ones, and for the number that was moved last, anywhere in its
         range. Given up once `stopped`, since somebody waits for a spectrum.
@@ -472,7 +475,7 @@ class Session:
         return complex(np.conj(found.impedance[0]))
 
     def present(self, values: Mapping[str, float] | None = None) -> Present:
-        """The chip with its present numbers, or with `values` (SI) only, for who works on it elsewhere."""
+        """The chip with its present numbers, or with `values` (SI) only, for work in another process."""
         with self._lock:
             held = self.values if values is None else values
             constants = {name: number for name, number in held.items() if not self._controls[name].is_dimension}

@@ -1,4 +1,4 @@
-"""A spectrum of moved numbers and what follows: figures of merit, what tolerances do to them, how it compares."""
+"""A spectrum of moved numbers and its results: figures of merit, the effect of tolerances, the comparison."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class SpectrumView:
-    """The spectrum of the present numbers, and what follows from it.
+    """The spectrum of the present numbers, and its results.
 
-    ``figures`` are f0 (Hz), Z_min (ohm) and Q by name (`workbench.design.figures`), empty where the band has no
-    resonance, and ``no_resonance`` says why. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of
-    |Z|, relative, all standard and to first order; empty and None where nothing has a tolerance. ``error`` is what the
-    model was off by where full solves checked it last (infinite where none has), ``estimate`` what it estimates to be
-    off by here. ``comparison`` is with the recording, if there is one that overlaps. ``complete`` is whether what
-    tolerances do was looked at.
+    ``figures`` are f0 (Hz), Z_min (ohm) and Q by name (`workbench.design.figures`), empty if the band has no resonance,
+    and ``no_resonance`` gives the reason. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of |Z|,
+    relative, all standard and to first order; empty and None if no number has a tolerance. ``error`` is the model's
+    error at its last check by full solves (infinite without one), ``estimate`` its own estimate here. ``comparison`` is
+    with the recording, if there is one that overlaps. ``complete`` is whether the effect of tolerances was computed.
     """
 
     response: Response
@@ -51,8 +50,8 @@ class SpectrumView:
 def spectrum_view(
     response: Response, deviations: Mapping[str, float], error: float, recording: Spectrum | None
 ) -> SpectrumView:
-    """What follows from the spectrum of a model that was off by `error`; `deviations` are standard ones of the numbers
-    (SI, by name), independent of each other."""
+    """The results of the spectrum of a model with this `error`; `deviations` are standard ones of the numbers (SI, by
+    name), independent of each other."""
     names = tuple(name for name, each in deviations.items() if each > 0.0)
     changes = response.gradient(names) * np.array([deviations[name] for name in names]) if names else None
     merit: dict[str, float] = {}
@@ -70,11 +69,11 @@ def spectrum_view(
 
 
 def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) -> dict[str, float]:
-    """Standard deviations of the figures `merit` of a spectrum, whose impedance (n,) changes by `changes` (n, k) with
-    one standard deviation of each of k independent numbers, to first order.
+    """Standard deviations of the figures `merit` of a spectrum, to first order.
 
-    f0 is where the slope of ln |Z| is zero, and the half-power frequencies are where ln |Z| is ln sqrt(2) above its
-    value there: each moves so that this stays true. Between points, Z and its changes are splines of the reflection
+    The impedance (n,) changes by `changes` (n, k) with one standard deviation of each of k independent numbers. f0 is
+    the frequency at which the slope of ln |Z| is zero, and at the half-power frequencies ln |Z| is ln sqrt(2) above its
+    value there; each moves so that this stays true. Between points, Z and its changes are splines of the reflection
     coefficient, as in `Spectrum.interpolant`.
     """
     z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
@@ -99,7 +98,7 @@ def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) 
 
 
 def _spread(impedance: Complex, changes: Complex | None) -> Real | None:
-    """Relative standard deviation (n,) of |Z|, which changes by `changes` (n, k) with one of each of k numbers."""
+    """Relative standard deviation (n,) of |Z|, for `changes` (n, k) of the impedance by one of each of k numbers."""
     return None if changes is None else np.asarray(np.linalg.norm((changes / impedance[:, None]).real, axis=1))
 
 
@@ -109,5 +108,5 @@ def _compared(recording: Spectrum | None, simulated: Spectrum) -> Comparison | N
     try:
         return compare(recording, simulated)
     except ValueError:
-        # Of another band.
+        # The recording has another band.
         return None

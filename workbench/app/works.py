@@ -1,4 +1,4 @@
-"""What the live view does in the background: larger models, full solves, fits, a diagnosis."""
+"""Work of the live view in the background: larger models, full solves, fits, a diagnosis."""
 
 from __future__ import annotations
 
@@ -20,20 +20,22 @@ from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
 from workbench.results.spectrum import write_csv
 
-#: What each kind of work is called on the page.
+#: Name of each kind of work on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
                             "diagnose": "Diagnosis"}
 
-#: Where the page finds the report of a diagnosis.
+#: Path of the report of a diagnosis on the page.
 REPORT = "diagnosis/report.html"
 
-#: Frequencies of the band that are solved in full.
+#: Number of frequencies of the band that are solved in full.
 SOLVED = 41
 
 
 class Works:
-    """The works on a session. ``free`` are the names of numbers that a fit may move; a diagnosis goes to a folder
-    within `folder`, and is of the `campaign` or, without one, of the session's recording."""
+    """The works on a session. ``free`` are the names of numbers that a fit may move.
+
+    A diagnosis goes to a folder within `folder`, and is of the `campaign` or, without one, of the session's recording.
+    """
 
     def __init__(self, session: Session, folder: Path, campaign: Path | None) -> None:
         self._session, self._folder, self.campaign = session, folder, campaign
@@ -46,7 +48,7 @@ class Works:
         return self._folder / REPORT
 
     def model(self, say: Say, stopped: Stopped) -> str:
-        """Models of the present ranges, until one is good enough."""
+        """Make models of the present ranges, until one is good enough."""
         last = "the model is there"
         say("a model is being made")
         for last in self._session.grow(stopped):
@@ -54,7 +56,7 @@ class Works:
         return last
 
     def check(self, frequency: float) -> str:
-        """One full solve where the fields are shown."""
+        """Check the model by one full solve at the frequency of the fields."""
         session = self._session
         reduced = session.impedance(frequency)
         full = self._checks.submit(_impedance, session.present(), frequency).result()
@@ -62,11 +64,11 @@ class Works:
                 f"{100.0 * abs(reduced / full - 1.0):.2g} % there")
 
     def close(self) -> None:
-        """End what is still at work."""
+        """End all work."""
         self._checks.shutdown(wait=False, cancel_futures=True)
 
     def full(self, say: Say, stopped: Stopped, solved: Callable[[float, complex], None]) -> str:
-        """Full solves all over the band on a mesh of the present chip's own; `solved` is called with every one."""
+        """Solve in full all over the band on a mesh of the present chip's own; `solved` is called with every result."""
         say(f"0 of {SOLVED} frequencies")
         found: list[tuple[float, complex]] = []
         model = self._session.spectrum().spectrum.interpolant()
@@ -83,7 +85,7 @@ class Works:
                 f"{100.0 * np.sqrt(np.mean(off**2)):.2g} % rms")
 
     def fit(self, say: Say, stopped: Stopped) -> str:
-        """The freed numbers, from where they are, so that the spectrum is the recording's."""
+        """Fit the freed numbers, from their present values, to the recording."""
         session = self._session
         recording, free = session.recording, [each.name for each in session.controls if each.name in self.free]
         if recording is None or not free:
@@ -110,12 +112,12 @@ class Works:
         try:
             session.put(found.values)
         except InputError as refused:
-            # What took a minute to find is told all the same.
+            # A result that took a minute is reported in any case.
             return f"{told} Not shown, since the sliders cannot follow: {refused}"
         return told
 
     def diagnose(self, say: Say, stopped: Stopped) -> str:
-        """``workbench diagnose`` as a process: of the campaign, or of the one recording."""
+        """Run ``workbench diagnose`` as a process, on the campaign or on the one recording."""
         folder = self.report.parent
         folder.mkdir(parents=True, exist_ok=True)
         campaign = self.one_recording(folder) if self.campaign is None else self.campaign
@@ -128,7 +130,7 @@ class Works:
         return f"done, see {self.report}" if status == 0 else f"failed: {last}"
 
     def one_recording(self, folder: Path) -> Path:
-        """A campaign of the one recording and the present chip; free are the numbers that are ticked, or else all.
+        """A campaign of the one recording and the present chip; the ticked numbers are free, or else all.
 
         Raises:
             InputError: there is no recording.
@@ -140,7 +142,7 @@ class Works:
         write_csv(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
-        # What is not ticked is exact, whatever its file says; the bench is not the chip's.
+        # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.
         lines = ["[campaign]", f'known = "{NAMED}"', "", "[states.recorded]", f'chip = "{chip.name}"',
                  f'state = "{session.state}"', 'recording = "recording.csv"', "", "[known]"]
         typed = session.typed_uncertainties()

@@ -5,6 +5,6 @@
     compensation = read_compensation(setup.standards) # spectra: open, short and load
     level_spectra(run, setup, compensation)[0]        # spectra: the Spectrum, its uncertainty, its flags
 
-A point is two waveforms (sine_fit), their ratio and the resistor (impedance), and what open, short and load say about
-the cable (compensation). Waveforms saved by hand are read by waveforms.
+A point is two waveforms (sine_fit), their ratio and the resistor (impedance), and the correction for the cable by open,
+short and load (compensation). Waveforms saved by hand are read by waveforms.
 """

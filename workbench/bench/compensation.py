@@ -1,15 +1,15 @@
-"""Taking the fixture out: open, short and load.
+"""Removal of the fixture by recordings of open, short and load.
 
-Between the two voltages and the device lie cables, probes and contacts. Whatever they are, as long as they are linear
-and the same for every recording, what is measured is a fractional linear function of the device's impedance, with
-three constants at each frequency: three known devices determine them. With fewer recordings the fixture is taken to be
-simpler (Keysight, Impedance Measurement Handbook, 6th edition, section 4): a short alone is a series impedance, an
-open and a short a series impedance and an admittance behind it, a load a factor.
+Between the two voltages and the device lie cables, probes and contacts. If they are linear and equal for every
+recording, the measured impedance is a fractional linear function of the device's impedance, with three constants at
+each frequency: three known devices determine them. With fewer recordings the fixture is assumed to be simpler
+(Keysight, Impedance Measurement Handbook, 6th edition, section 4): a short alone is a series impedance, an open and a
+short a series impedance and an admittance behind it, a load a factor.
 
     T(x) = (x - s) / (1 - (x - s) / (o - s)),      Z = T(x)            without a load
                                                    Z = Z_L T(x) / T(l) with one
 
-with s, o, l, x as measured on short, open, load and device; s = 0 and o infinite where they were not recorded.
+with s, o, l, x as measured on short, open, load and device; s = 0 and o infinite if they were not recorded.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ from workbench.results.spectrum import Spectrum
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-#: How far (relative to itself) a standard may bend between its recorded points, when its noise is smaller.
+#: Largest relative bend of a standard between its recorded points, if its noise is smaller. Doubled, an interpolated
+#: standard may add up to twice the error.
 _BEND = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A recorded load and what it is: ``resistance`` (ohm) with ``tolerance`` (limits, as a fraction)."""
+    """A recorded load and its true value: ``resistance`` (ohm) with ``tolerance`` (limits, as a fraction)."""
 
     recorded: Spectrum
     resistance: float
@@ -41,7 +42,7 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Recordings of the fixture; ``uncertainty`` of each is that of its noise. None for what was not recorded."""
+    """Recordings of the fixture; ``uncertainty`` of each is that of its noise. A missing recording is None."""
 
     open: Spectrum | None = None
     short: Spectrum | None = None
@@ -53,10 +54,10 @@ class Compensation:
 
 
 def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
-    """The device's own spectrum; the uncertainties of its noise and of the recordings' noise, carried through.
+    """The device's own spectrum, with the uncertainties due to its noise and to the recordings' noise.
 
-    What all recordings share (the reference resistor, the channels' gains) is not in it: it drops out with a load,
-    and is a factor without one.
+    The uncertainty that all recordings share (of the reference resistor and the channels' gains) is not included: it
+    cancels with a load, and is a factor without one.
 
     Raises:
         InputError: a recording does not cover the frequencies, or bends too much between its points.
@@ -86,7 +87,7 @@ def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
 
 
 def _spectrum(measured: Spectrum, value: Complex, noise: Real) -> Spectrum:
-    """The device's spectrum; without an uncertainty where no recording states one."""
+    """The device's spectrum; without an uncertainty if no recording states one."""
     return Spectrum(measured.frequency, value, noise if np.all(noise > 0.0) else None, measured.origin)
 
 
@@ -107,7 +108,8 @@ def _noise(spectrum: Spectrum) -> Real:
 
 
 def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
-    """A standard (n,) ohm and its noise on `frequency`: as recorded where it was, else interpolated if it may be."""
+    """A standard (n,) ohm and its noise on `frequency`: as recorded there, else interpolated if that is accurate
+    enough."""
     places = np.minimum(np.searchsorted(standard.frequency, frequency - 0.005), len(standard.frequency) - 1)
     if np.all(np.abs(standard.frequency[places] - frequency) <= 0.005):  # half the generator's resolution
         return standard.impedance[places], _noise(standard)[places]
@@ -131,8 +133,11 @@ def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
 
 
 def _bend(standard: Spectrum) -> float:
-    """How badly each inner point is predicted by its neighbours: the root mean square over what may be, divided by
-    four, because between points the line misses a quarter of what it does over twice the distance."""
+    """Error of the prediction of each inner point by its neighbours: the root mean square relative to the allowed
+    error.
+
+    It is divided by four, because the error of a line between points is a quarter of its error over twice the distance.
+    """
     if len(standard.frequency) < 3:
         return math.inf
     f, z, noise = standard.frequency, standard.impedance, _noise(standard)
@@ -146,15 +151,15 @@ def _bend(standard: Spectrum) -> float:
 
 @dataclass(frozen=True)
 class Fixture:
-    """A fixture known by its elements rather than point by point: what is measured is
-    ``gain`` Z + j w ``inductance`` (henry). ``uncertainty`` of the gain and of the inductance, standard."""
+    """A fixture known by its elements rather than point by point: the measured impedance is ``gain`` Z + j w
+    ``inductance`` (henry). ``uncertainty`` of the gain and of the inductance, standard."""
 
     gain: complex
     inductance: float
     uncertainty: tuple[float, float]
 
     def remove(self, measured: Spectrum) -> Spectrum:
-        """The device's spectrum."""
+        """The device's spectrum without the fixture."""
         omega = 2.0 * np.pi * measured.frequency
         value = (measured.impedance - 1j * omega * self.inductance) / self.gain
         noise = np.sqrt((_noise(measured) / abs(self.gain)) ** 2 + (omega * self.uncertainty[1] / abs(self.gain)) ** 2
@@ -165,8 +170,8 @@ class Fixture:
 def fixture_from_load(load: Load, *, band: tuple[float, float]) -> Fixture:
     """The gain and the series inductance of a fixture from a known resistor, recorded within `band` (Hz).
 
-    For a recording whose load was not measured at the device's own frequencies: linear least squares over the points
-    of the band, equally weighted, the uncertainties from what is left.
+    It serves a recording whose load was not measured at the device's own frequencies: linear least squares over the
+    points of the band, equally weighted, the uncertainties from the residual.
 
     Raises:
         ValueError: fewer than 4 points in the band.

@@ -1,7 +1,7 @@
-"""From two voltages and a resistor to an impedance, with what is random and what is common to all points kept apart.
+"""From two voltages and a resistor to an impedance, with random and common uncertainty kept apart.
 
 Eq. (25) of Acevedo-Espinosa et al. (RP-UEIS), Z = R dV / dV_R, with the device's voltage taken as the difference of the
-two channels, dV = V - V_R: it is the resistor's own voltage that is a quarter of the whole at a resonance of 2 ohm.
+two channels, dV = V - V_R: the resistor's own voltage is a quarter of the whole at a resonance of 2 ohm.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from workbench.bench.sine_fit import SineFit
 
 @dataclass(frozen=True)
 class PointImpedance:
-    """``value`` (ohm), e^{+j w t}; ``random`` (ohm) its standard uncertainty from noise, of the real and of the
-    imaginary part, each; ``scatter`` the root of the reduced chi-square of the captures against their own
-    uncertainties, or nan for one capture."""
+    """An impedance ``value`` (ohm), e^{+j w t}, with its random uncertainty.
+
+    ``random`` (ohm) is the standard uncertainty from noise, of the real and of the imaginary part, each; ``scatter``
+    the root of the reduced chi-square of the captures against their own uncertainties, or nan for one capture.
+    """
 
     value: complex
     random: float
@@ -28,7 +30,8 @@ class PointImpedance:
 
 
 def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
-    """The mean over captures; of every fit the first amplitude is across device and resistor, the second across it.
+    """The mean impedance of several captures. In every fit the first amplitude is across device and resistor, the
+    second across the resistor.
 
     Raises:
         ValueError: no captures, or the reference channel holds no signal at all.
@@ -40,7 +43,7 @@ def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
         raise ValueError("the voltage across the reference resistor is zero")
     of_total, of_reference = (np.array([fit.uncertainty[k] for fit in fits]) for k in (0, 1))
     values = resistance * (total - reference) / reference
-    # dZ = (R / V_R) dV - (R V / V_R^2) dV_R; both are analytic, so real and imaginary part fare alike.
+    # dZ = (R / V_R) dV - (R V / V_R^2) dV_R; both are analytic, so real and imaginary part have equal uncertainties.
     single = resistance / np.abs(reference) * np.hypot(of_total, np.abs(total / reference) * of_reference)
     # The plain mean, not one weighted by its own uncertainties: captures of one point are equals.
     mean = complex(np.mean(values))
@@ -49,8 +52,8 @@ def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
     if captures == 1:
         return PointImpedance(mean, expected, math.nan)
     spread = float(np.sqrt(np.sum(np.abs(values - mean) ** 2) / (2.0 * (captures - 1))))
-    # Scatter beyond what noise in the records explains (hum, a contact, drift) counts in full. The limit is where
-    # chance leads once in a thousand times, so that it seldom enlarges the uncertainty.
+    # Scatter beyond the noise of the records (hum, a contact, drift) counts in full. Chance exceeds the limit once in a
+    # thousand times, so it seldom enlarges the uncertainty.
     freedom = 2 * (captures - 1)
     limit = float(chdtri(freedom, 1e-3)) / freedom
     excessive = (spread / expected) ** 2 > limit if expected > 0.0 else spread > 0.0
@@ -59,7 +62,7 @@ def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
 
 
 def common_uncertainty(tolerance: float, gain_accuracy: float) -> float:
-    """Relative standard uncertainty that all points share: the resistor's, and the ratio of two channels' gains.
+    """Relative standard uncertainty that all points share: of the resistor, and of the ratio of two channels' gains.
 
     Both are limits, taken as uniform between them (JCGM 100:2008, 4.3.7).
     """

@@ -1,4 +1,4 @@
-"""Which frequency next: a function of the setup and of what has been measured, so that a sweep can be resumed.
+"""The next frequency as a function of the setup and of the points measured so far, so that a sweep can be resumed.
 
 A pass is one way through the frequencies. The first pass at a drive level finds them, every further one visits them
 again, so that up and down, or repeats, can be compared point by point.
@@ -17,24 +17,25 @@ from workbench.bench.setup import FREQUENCY_RESOLUTION, BenchSetup, SweepPlan
 from workbench.results.merit import NoResonance, figures
 from workbench.results.spectrum import Spectrum
 
-#: Share of the points that an adaptive sweep spreads evenly before it looks where the spectrum bends.
+#: Share of the points that an adaptive sweep spreads evenly before it refines where the spectrum bends.
 _EVEN_SHARE = 0.25
 
-#: No two frequencies of an adaptive sweep are closer than this part of the frequency: a resonance of Q = 5000 would
+#: Least distance of two frequencies of an adaptive sweep, relative to the frequency: a resonance of Q = 5000 would
 #: still have ten points.
 _CLOSEST = 2e-5
 
-#: How much more an error counts in the band that decides f0, Z_min and Q.
+#: Weight of an error in the band that decides f0, Z_min and Q, relative to others.
 _EMPHASIS = 20.0
 
-#: How much less the spline through all points misses than the cubic without one of them. For even steps h the cubic is
-#: off by h^4 / 6 of the fourth derivative and the spline by h^4 / 384; steps are not even, so half is relied on.
+#: Ratio of the error of the cubic without one point to that of the spline through all points. For even steps h the
+#: cubic is off by h^4 / 6 of the fourth derivative and the spline by h^4 / 384; steps are not even, so half is relied
+#: on.
 _GAIN_OF_A_POINT = 30.0
 
 
 @dataclass(frozen=True)
 class Target:
-    """What to measure next: ``frequency`` (Hz) at ``level`` (V peak to peak, open circuit), on pass ``pass_number``."""
+    """The next point: ``frequency`` (Hz) at ``level`` (V peak to peak, open circuit), on pass ``pass_number``."""
 
     frequency: float
     level: float
@@ -42,7 +43,7 @@ class Target:
 
 
 class Measured(Protocol):
-    """What the plan needs to know of a point."""
+    """Interface of a measured point for the plan."""
 
     @property
     def frequency(self) -> float: ...
@@ -57,7 +58,7 @@ class Measured(Protocol):
 
 
 def next_target(setup: BenchSetup, measured: Sequence[Measured]) -> Target | None:
-    """The next point, or None when there is none left."""
+    """The next point, or None if there is none left."""
     for level in setup.levels:
         at_level = [point for point in measured if point.level == level]
         first = [point for point in at_level if point.pass_number == 0]
@@ -75,7 +76,7 @@ def next_target(setup: BenchSetup, measured: Sequence[Measured]) -> Target | Non
 
 
 def expected_points(setup: BenchSetup) -> int:
-    """How many points there will be, at most."""
+    """The largest number of points of the run."""
     sweep = setup.sweep
     first = len(sweep.grid()) if sweep.kind == "linear" else sweep.points
     return first * sweep.passes * len(setup.levels)
@@ -96,10 +97,10 @@ def _next_of_first(sweep: SweepPlan, points: Sequence[Measured]) -> float | None
 def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     """The next frequency of an adaptive sweep.
 
-    First points spread evenly. Then, one at a time, the middle of the interval where the other points predict the
-    point at an end of it worst, beyond the noise; see :func:`_missed`. Half a width about the half-power points of the
-    deepest resonance, where f0, Z_min and Q are read, counts for more. When the shape is known to the resolution or to
-    the noise, the points that are left measure those frequencies again.
+    First points are spread evenly. Then points are added one at a time, in the middle of the interval at whose end the
+    other points predict the point worst, beyond the noise; see :func:`_missed`. The band within half a width about the
+    half-power points of the deepest resonance, where f0, Z_min and Q are read, counts for more. Once the shape is known
+    to the resolution or to the noise, the remaining points repeat the existing frequencies.
     """
     even = max(8, round(_EVEN_SHARE * sweep.points))
     start = _settable(np.linspace(sweep.low, sweep.high, even))
@@ -110,12 +111,12 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     if len(points) >= sweep.points:
         return None
     spectrum = combined_points(points)
-    assert spectrum.uncertainty is not None  # combined() always states it
+    assert spectrum.uncertainty is not None  # combined_points() always states it
     low, high = _deepest(spectrum)
     frequency, width = spectrum.frequency, np.diff(spectrum.frequency)
     missed, noise = _missed(spectrum)
     excess = np.where(missed > 3.0 * noise, missed / _GAIN_OF_A_POINT, 0.0)
-    # Of the two intervals beside a point that was missed the longer is at fault.
+    # Of the two intervals beside a badly predicted point, the longer is at fault.
     span = np.concatenate([[np.inf], width[1:] + width[:-1], [np.inf]])
     score = np.maximum(excess[:-1] * (width / span[:-1]) ** 2, excess[1:] * (width / span[1:]) ** 2) * 4.0
     score[(frequency[1:] > low) & (frequency[:-1] < high)] *= _EMPHASIS
@@ -132,7 +133,7 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
 
 
 def _deepest(spectrum: Spectrum) -> tuple[float, float]:
-    """The band (Hz) that decides the figures of merit of the deepest resonance; (0, 0) when there is none."""
+    """The band (Hz) that decides the figures of merit of the deepest resonance; (0, 0) if there is none."""
     try:
         found = figures(spectrum)
     except NoResonance:
@@ -142,19 +143,19 @@ def _deepest(spectrum: Spectrum) -> tuple[float, float]:
 
 
 def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far (relative to Z) the cubic through the two nearest points either side misses each point (n,), zero at the
-    ends, and what noise would do.
+    """Relative error (n,) of the cubic through the two nearest points on either side at each point, zero at the ends,
+    and the error that noise would cause.
 
-    Of the reflection coefficient, as :meth:`workbench.results.spectrum.Spectrum.interpolant` does, because it is
-    bounded.
+    It is that of the reflection coefficient, as in :meth:`workbench.results.spectrum.Spectrum.interpolant`, because
+    that is bounded.
     """
     frequency, impedance = spectrum.frequency, spectrum.impedance
-    assert spectrum.uncertainty is not None  # combined() always states it
+    assert spectrum.uncertainty is not None  # combined_points() always states it
     count = len(frequency)
     z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
     reflection = (impedance - z0) / (impedance + z0)
     inner = np.arange(1, count - 1)
-    first = np.clip(inner - 2, 0, count - 5)  # of five neighbours, of which the point itself is left out
+    first = np.clip(inner - 2, 0, count - 5)  # The first of five neighbours, without the point itself.
     neighbours = first[:, None] + np.arange(4)
     neighbours += neighbours >= inner[:, None]
     nodes = frequency[neighbours]
@@ -186,5 +187,5 @@ def combined_points(points: Sequence[Measured]) -> Spectrum:
 
 
 def _settable(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Frequencies (n,) Hz that the generator can be set to, whole hertz where that is fine enough."""
+    """Frequencies (n,) Hz that the generator can be set to, whole hertz if that is fine enough."""
     return np.round(np.round(frequency) / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION

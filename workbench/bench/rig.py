@@ -1,12 +1,12 @@
-"""The bench in one hand: both instruments, the ranges they are on, and the drive that must not be left on.
+"""The bench as one object: both instruments, their ranges, and the drive that must not be left on.
 
 The generator cannot be asked for its amplitude and has no output switch, so a process that dies leaves its drive on.
-Before the drive is first switched on a marker is written beside the run; it is removed when the drive is known to be
-off again. Whoever opens the port next sends the safe state before any setting, marker or not; the marker is for
-telling people, and for the next run to record what happened.
+Before the drive is first switched on a marker is written beside the run; it is removed once the drive is known to be
+off again. Whoever opens the port next sends the safe state before any setting, marker or not; the marker informs
+people, and lets the next run record the event.
 
-That the drive is off is seen on the oscilloscope, if its last capture at the present drive showed it well. Without such
-a capture, or with an oscilloscope that fails, nobody can tell, and that the generator answered must do.
+The oscilloscope shows that the drive is off, if its last capture at the present drive showed it well. Without such a
+capture, or with an oscilloscope that fails, the reply of the generator has to suffice.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from workbench.instruments.feeltech import open_feeltech
 from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Waveform
 from workbench.instruments.opening import open_bench
 
-#: How often, and how long apart (s), the bench is opened anew to switch the drive off.
+#: Number of attempts to open the bench anew to switch the drive off, and the pause (s) between them.
 _ATTEMPTS_OFF = 5
 _PAUSE_OFF = 1.0
 
@@ -36,14 +36,15 @@ _PAUSE_OFF = 1.0
 _FULL = 7.2
 _SPARSE = 2.6
 
-#: Converter steps, peak to peak, of a capture that shows the drive well; and how much of it may be left when it is off.
+#: Least peak-to-peak size, in converter steps, of a capture that shows the drive well, and the share of it that may
+#: remain when the drive is off.
 _TELLING = 20.0
 _LEFT = 0.5
 
 #: Divisions of a record.
 _DIVISIONS = 10.0
 
-#: Steps of auto-ranging before what there is must do.
+#: Largest number of steps of auto-ranging.
 _RANGINGS = 12
 
 
@@ -52,7 +53,7 @@ class DriveLeftOn(InstrumentError):
 
 
 def marker_path(run: Path) -> Path:
-    """The file that says a drive may be on."""
+    """The file that marks a drive that may be on."""
     return run.with_name(run.name + ".drive-on")
 
 
@@ -66,9 +67,9 @@ class Rig:
         self._sleep = sleep
         self._generator: Generator | None = None
         self._oscilloscope: Oscilloscope | None = None
-        self._state: tuple[float, float] | None = None  # frequency and amplitude the generator stands at
+        self._state: tuple[float, float] | None = None  # frequency and amplitude of the generator
         self._scales: dict[int, float] = {}
-        self._shown: Waveform | None = None  # the total channel as last captured at this state
+        self._shown: Waveform | None = None  # the total channel as last captured in this state
 
     def __enter__(self) -> Rig:
         self.connect()
@@ -82,7 +83,7 @@ class Rig:
             self.disconnect()
 
     def connect(self) -> None:
-        """Open both instruments, drive off. What they were set to is not known, so everything is set anew."""
+        """Open both instruments with the drive off. Their settings are not known, so everything is set anew."""
         self.disconnect()
         try:
             self._generator, self._oscilloscope = open_bench(self.setup.generator, self.setup.oscilloscope)
@@ -105,7 +106,7 @@ class Rig:
                     instrument.close()
 
     def make_safe(self) -> None:
-        """Drive off, through a new connection if need be, and seen to be off where the oscilloscope can tell.
+        """Switch the drive off, through a new connection if need be, and check it with the oscilloscope if possible.
 
         Raises:
             DriveLeftOn: the generator cannot be reached, or does not obey, and was last seen driving; the marker stays.
@@ -139,7 +140,7 @@ class Rig:
         before, self._state = self._state, None
         self._shown = None
         if before is not None and amplitude < before[1]:
-            # Down first: the device may stand less at the new frequency.
+            # The amplitude first: the device may tolerate less at the new frequency.
             generator.set_amplitude(amplitude)
             before = before[0], amplitude
         if before is None or before[0] != frequency:
@@ -153,7 +154,7 @@ class Rig:
         self._sleep(self.setup.acquisition.settle)
 
     def capture(self) -> tuple[Waveform, Waveform]:
-        """One capture across device and resistor, and across the resistor, on whatever ranges are set."""
+        """Capture once across device and resistor, and across the resistor, on the present ranges."""
         _, oscilloscope = self._opened()
         channels = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
         found = oscilloscope.capture(channels)
@@ -166,7 +167,7 @@ class Rig:
         return found[channels[0]], found[channels[1]]
 
     def ranged_capture(self) -> tuple[Waveform, Waveform]:
-        """A capture with both channels on ranges that they fill well, found by trying.
+        """Capture with both channels on ranges that they fill well, found by trying.
 
         A channel that clips on the coarsest range, or is small on the finest, is returned as it is, to be flagged.
         """
@@ -185,7 +186,8 @@ class Rig:
         return pair
 
     def _still_driven(self) -> bool:
-        """Whether the oscilloscope shows what it did before the generator was told to be off; no if it cannot tell."""
+        """Whether the oscilloscope still shows the drive after the generator was told to be off; no if it cannot tell.
+        """
         before = self._shown
         if before is None or np.ptp(before.volts) < _TELLING * before.volts_per_count:
             return False
@@ -196,7 +198,8 @@ class Rig:
         return bool(np.ptp(now.volts) > _LEFT * np.ptp(before.volts))
 
     def _prepare(self) -> None:
-        """Averages, time base and first scales. The time base is that of the middle of the band: it need not follow."""
+        """Set averages, time base and first scales. The time base is that of the middle of the band: it need not
+        follow."""
         _, oscilloscope = self._opened()
         setup = self.setup
         oscilloscope.set_averages(setup.acquisition.averages)
@@ -209,7 +212,7 @@ class Rig:
         try:
             self._scales[channel] = self._opened()[1].set_scale(channel, volts_per_division)
         except ValueError:
-            # Above the coarsest: it stays where it is, and what clips is flagged.
+            # Above the coarsest scale: it is kept, and clipping is flagged.
             if channel not in self._scales:
                 raise
 
@@ -221,7 +224,7 @@ class Rig:
 
 
 def _better_scale(waveform: Waveform, scale: float) -> float | None:
-    """The volts per division to ask for, or None where `scale` will do."""
+    """The volts per division to set, or None if `scale` is good enough."""
     height = float(waveform.volts.max() - waveform.volts.min())
     if waveform.clipped:
         return 1.5 * scale  # rounded up by the instrument to the next of its 1-2-5 steps

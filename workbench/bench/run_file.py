@@ -1,10 +1,10 @@
-"""One HDF5 file a run, and beside it, while the run lasts, a journal that no interruption can spoil.
+"""One HDF5 file per run, and beside it, while the run lasts, a journal that no interruption can spoil.
 
 HDF5 keeps its tables in memory and rewrites them in place: a process killed at the wrong moment leaves a file that
 cannot be opened, with all that was in it (its single-writer mode protects readers, not the data). So every point goes
 to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next one is
-measured. When the run ends, is interrupted in an orderly way, or is taken up again, the journal is folded into RUN.h5,
-which is written anew beside the old one and takes its place in one step. A record cut short by a kill or a power cut is
+measured. When the run ends, is interrupted in an orderly way, or is resumed, the journal is folded into RUN.h5, which
+is written anew beside the old one and takes its place in one step. A record cut short by a kill or a power cut is
 recognised and dropped: it is the point that was being written, which is measured again.
 """
 
@@ -39,16 +39,16 @@ _MAGIC = b"WBR1"
 class RunPoint:
     """One frequency at one drive level on one pass.
 
-    ``sequence`` counts points from zero; ``frequency`` Hz as set; ``level`` (V peak to peak, open circuit) as asked for
-    and ``amplitude`` as set, which is less where a limit of the device said so; ``started`` in seconds since 1970.
+    ``sequence`` counts points from zero; ``frequency`` Hz as set; ``level`` (V peak to peak, open circuit) as requested
+    and ``amplitude`` as set, which is less if a limit of the device demanded it; ``started`` in seconds since 1970.
 
-    ``raw`` (captures, 2, n) what the converter gave, first across device and resistor, then across the resistor;
-    ``volts_per_count`` and ``volts_at_zero`` (captures, 2) V turn it into volts at the probe's tip; ``start``
+    ``raw`` (captures, 2, n) are the converter's values, first across device and resistor, then across the resistor;
+    ``volts_per_count`` and ``volts_at_zero`` (captures, 2) V turn them into volts at the probe's tip; ``start``
     (captures,) s from the trigger to the first sample, ``step`` s.
 
     ``voltage`` (captures, 2) complex V zero to peak, e^{+j w t}; ``voltage_uncertainty`` (captures, 2) V;
     ``fitted_frequency`` (captures,) Hz. ``impedance`` ohm without compensation; ``uncertainty`` ohm, of the noise
-    alone, of its real and of its imaginary part, each. ``flags`` says what is doubtful, in words.
+    alone, of its real and of its imaginary part, each. ``flags`` are doubts, in words.
     """
 
     sequence: int
@@ -81,7 +81,7 @@ _NUMBERS = ("sequence", "frequency", "level", "amplitude", "pass_number", "start
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened on the way, with its time in seconds since 1970."""
+    """An incident of the run, with its time in seconds since 1970."""
 
     time: float
     text: str
@@ -89,8 +89,11 @@ class Event:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Brief):
-    """A run as it is on disk. ``setup_text`` is BENCH.toml as it was read; ``instruments`` what they answered;
-    ``complete`` whether every point that was asked for is there."""
+    """A run as it is on disk.
+
+    ``setup_text`` is BENCH.toml as it was read; ``instruments`` are their identifications; ``complete`` whether every
+    requested point is there.
+    """
 
     run_id: str
     created: float
@@ -106,14 +109,14 @@ def journal_path(path: Path) -> Path:
 
 
 class Journal:
-    """A run that is being written: what was added is on the disk when :meth:`add` returns.
+    """A run that is being written: an added entry is on the disk when :meth:`add` returns.
 
     Raises:
         InputError: the journal belongs to another run than RUN.h5.
     """
 
     def __init__(self, path: Path, run: Run) -> None:
-        """`run` is what :func:`read_run` found, or a new one. Its journal is opened behind the last whole record."""
+        """Open the journal of `run`, from :func:`read_run` or a new one, after its last whole record."""
         self.path = path
         self.run = run
         beside = journal_path(path)
@@ -142,8 +145,8 @@ class Journal:
         self.run = replace(self.run, points=(*self.run.points, entry))
 
     def fold(self, *, complete: bool) -> Run:
-        """Write RUN.h5 with everything, then do without the journal. The journal takes no more."""
-        # From the disk, because an interrupt may have come between writing a point and remembering it.
+        """Write RUN.h5 with everything, and remove the journal, which takes no more entries."""
+        # Read from the disk, because an interrupt may have come between writing a point and remembering it.
         self.run = replace(read_run(self.path), complete=complete)
         write_run(self.run, self.path)
         self._stream.close()
@@ -174,7 +177,7 @@ class Journal:
             os.fsync(self._stream.fileno())
         except BaseException:
             if left:
-                # What comes next must not stand behind half a record; a whole one stays.
+                # The next record must not stand after half a record; a whole one stays.
                 self._stream.truncate(place)
                 self._stream.seek(place)
             raise
@@ -191,7 +194,7 @@ def exists(path: Path) -> bool:
 
 
 def read_run(path: Path) -> Run:
-    """The run at `path`, what only its journal holds included.
+    """The run at `path`, with the entries that only its journal holds.
 
     Raises:
         InputError: no such run, or not a run file.
@@ -228,7 +231,7 @@ def _with(run: Run, record: Mapping[str, Any]) -> Run:
 
 
 def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
-    """The whole records of a journal, and where the last of them ends."""
+    """The whole records of a journal, and the position of the end of the last one."""
     data = path.read_bytes()
     found: list[dict[str, Any]] = []
     place = 0
@@ -244,11 +247,11 @@ def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
 
 
 def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArray[Any]]] | None = None) -> None:
-    """Write the HDF5 file whole, in place of what was there; `results` are arrays by group and name.
+    """Write the HDF5 file whole, in place of an existing one; `results` are arrays by group and name.
 
     Layout: the attributes of ``/`` are the run's; ``/points`` holds one dataset for each number of a point (n,), e.g.
     ``frequency``, ``impedance``, ``uncertainty``; ``/captures/000000`` and so on hold the arrays of one point, ``raw``
-    compressed; ``/events`` time and text; ``/results`` what was made of it, for other programs: it is not read back.
+    compressed; ``/events`` time and text; ``/results`` derived results for other programs, which are not read back.
     """
     import h5py
 

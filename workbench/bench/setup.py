@@ -1,4 +1,4 @@
-"""BENCH.toml: which instruments, which resistor, which frequencies, how hard the device may be driven.
+"""BENCH.toml: the instruments, the resistor, the frequencies, and the limits of the drive.
 
 ::
 
@@ -47,11 +47,11 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 
-#: What the generator can be set to: hertz and volt peak to peak.
+#: Resolution of the generator: hertz and volt peak to peak.
 FREQUENCY_RESOLUTION = 0.01
 AMPLITUDE_RESOLUTION = 0.01
 
-#: Source resistance of the generator (ohm), which limits what a passive device can draw.
+#: Source resistance of the generator (ohm), which limits the current of a passive device.
 SOURCE_RESISTANCE = 50.0
 
 KINDS = ("linear", "adaptive")
@@ -69,11 +69,12 @@ class ReferenceResistor:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """Where to measure, from ``low`` to ``high`` (Hz).
+    """The frequencies of a sweep, from ``low`` to ``high`` (Hz).
 
-    ``kind`` "linear" takes every ``step`` (Hz); "adaptive" at most ``points``, where the spectrum bends, until what is
-    between them is known to ``resolution`` (relative error of Z) or to the noise. ``direction`` "both" is up and then
-    down; every further pass, and there are ``repeats`` of each, visits the frequencies of the first.
+    ``kind`` "linear" takes every ``step`` (Hz). "adaptive" takes at most ``points``, where the spectrum bends, until
+    the interpolation between them is known to ``resolution`` (relative error of Z) or to the noise. ``direction``
+    "both" is up and then down; every further pass, and there are ``repeats`` of each, visits the frequencies of the
+    first.
     """
 
     low: float
@@ -98,7 +99,7 @@ class SweepPlan:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the device may see: ``device_voltage`` (V) and ``device_current`` (A), both peak to peak."""
+    """Limits of the load on the device: ``device_voltage`` (V) and ``device_current`` (A), both peak to peak."""
 
     device_voltage: float = 20.0
     device_current: float = 0.4
@@ -106,13 +107,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class Acquisition:
-    """How a point is taken.
+    """The acquisition of a point.
 
     ``captures`` are made after ``settle`` (s), of about ``periods`` periods each, averaged ``averages`` times by the
     oscilloscope. Single captures averaged afterwards are the better way: an averaged record comes over the wire with
-    the same 8 bit, and without the noise that lets the fit see between two steps of the converter. A point at which an
-    instrument fails is tried ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of the
-    oscilloscope, 3 % by the maker's data sheet; load compensation takes it out.
+    only 8 bit as well, and without the noise that lets the fit see between two steps of the converter. A point at which
+    an instrument fails is tried ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of
+    the oscilloscope, 3 % by the maker's data sheet; load compensation removes it.
     """
 
     averages: int = 1
@@ -125,8 +126,11 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Standards:
-    """Recordings (run files or spectra) of the fixture open, shorted and loaded; the load's ``load_resistance`` (ohm)
-    and ``load_tolerance`` (limits, as a fraction); ``columns``, a column map for spectra whose headings do not say."""
+    """Recordings (run files or spectra) of the fixture open, shorted and loaded.
+
+    ``load_resistance`` (ohm) and ``load_tolerance`` (limits, as a fraction) are those of the load; ``columns`` is a
+    column map for spectra with unclear headings.
+    """
 
     open: Path | None = None
     short: Path | None = None
@@ -138,8 +142,11 @@ class Standards:
 
 @dataclass(frozen=True)
 class BenchSetup:
-    """All that BENCH.toml says. ``levels`` (V peak to peak, open circuit); ``metadata`` is device, state, temperature,
-    gel, operator and note as they were written."""
+    """The content of BENCH.toml.
+
+    ``levels`` (V peak to peak, open circuit); ``metadata`` is device, state, temperature, gel, operator and note as
+    they were written.
+    """
 
     path: str
     text: str
@@ -155,8 +162,10 @@ class BenchSetup:
 
     @property
     def safe_amplitude(self) -> float:
-        """The open-circuit amplitude (V peak to peak) that cannot exceed a limit, whatever passive device is there:
-        the device sees no more than all of it, and draws no more than the source resistance lets through."""
+        """The open-circuit amplitude (V peak to peak) that cannot exceed a limit with any passive device.
+
+        The device sees at most all of it, and draws at most the current that the source resistance admits.
+        """
         return min(self.limits.device_voltage, self.limits.device_current * SOURCE_RESISTANCE)
 
 
@@ -203,7 +212,7 @@ def read_bench(path: Path | str) -> BenchSetup:
     """Read BENCH.toml; paths in it are relative to its folder.
 
     Raises:
-        InputError: anything missing, unknown, or not what an instrument can do.
+        InputError: anything missing, unknown, or beyond an instrument.
     """
     path = Path(path)
     root = FileTable.read(path).only(_TABLES)

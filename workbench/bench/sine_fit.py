@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from workbench.instruments.instrument import Waveform
 
-#: Steps of Gauss-Newton; from a frequency known to a part in a hundred of a period it takes three or four.
+#: Largest number of Gauss-Newton steps; from a frequency known to a part in a hundred of a period it takes three or
+#: four.
 _STEPS = 20
 
 
 class NoSine(ValueError):
-    """No sine could be fitted: what was tried and what stood in the way."""
+    """No sine could be fitted; the message names the attempt and the obstacle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class SineFit:
 
 
 def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) -> SineFit:
-    """Fit all channels of one capture; `frequency` (Hz) is what the generator was set to, found if not given.
+    """Fit all channels of one capture; `frequency` (Hz) is the generator's setting, searched for if not given.
 
     Only whole periods are used, so that harmonics and a faulty offset do not leak into the amplitude.
 
@@ -81,7 +82,7 @@ def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) 
 
 
 def _whole_periods(samples: int, periods_per_sample: float) -> int:
-    """How many samples hold the greatest whole number of periods."""
+    """The number of samples that hold the greatest whole number of periods."""
     whole = math.floor(samples * periods_per_sample + 1e-9)
     return min(samples, round(whole / periods_per_sample))
 
@@ -91,8 +92,8 @@ def _settle(
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Angular frequency, (channels, 3) cosine, sine and offset, and (channels, n) residual.
 
-    Gauss-Newton on the frequency alone: for each frequency the rest is linear, and is solved (IEEE Std 1057, 4.1.4.3
-    takes all steps together; the solution is the same).
+    It is Gauss-Newton on the frequency alone: for each frequency the rest is linear, and is solved (IEEE Std 1057,
+    4.1.4.3 takes all steps together; the solution is the same).
     """
     reach = np.pi / (time[-1] - time[0])  # beyond it the residual has other minima
     begin = omega
@@ -122,8 +123,8 @@ def _settle(
 def _search(signal: NDArray[np.float64], step: float) -> float:
     """The frequency (Hz) of the sine common to all channels, near enough for the fit.
 
-    The peak of the periodogram, then the least residual of three-parameter fits about it: one to four periods in the
-    record leave a periodogram too coarse by itself.
+    It is the peak of the periodogram, refined by the least residual of three-parameter fits about it, since one to four
+    periods in the record leave a periodogram too coarse by itself.
     """
     centred = signal - signal.mean(axis=1, keepdims=True)
     scale = np.sqrt(np.mean(centred**2, axis=1))
@@ -142,7 +143,7 @@ def _search(signal: NDArray[np.float64], step: float) -> float:
 
 
 def _quantisation(amplitude: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard error (in steps) that rounding to whole steps leaves in an amplitude, beyond what the residual shows.
+    """Standard error (in steps) of an amplitude due to rounding to whole steps, beyond the part in the residual.
 
     The fundamental of the error of rounding a sine of `amplitude` steps is (2 / pi) J_1(2 pi amplitude), to leading
     order, of size (2 / pi) / (pi sqrt(amplitude)) at its crests and a root of two less on average; Gaussian noise of s

@@ -1,4 +1,4 @@
-"""What a run says: a spectrum for every drive level, what its uncertainty is made of, and what is doubtful in it."""
+"""Results of a run: a spectrum for every drive level, its uncertainty, and its doubtful points."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from workbench.files.errors import InputError
 from workbench.results.brief import Brief
 from workbench.results.spectrum import Origin, Spectrum
 
-#: A lead of a hand's breadth, as inductance (henry): what is at stake when nothing was compensated.
+#: Inductance (henry) of a lead of a hand's breadth: the error at stake without compensation.
 _USUAL_LEAD = 0.2e-6
 
-#: Passes that disagree by more than this many times their noise (root mean square) have drifted.
+#: Ratio (root mean square) of the disagreement of passes to their noise above which they have drifted.
 _DRIFT = 1.5
 
 
@@ -33,10 +33,10 @@ _DRIFT = 1.5
 class LevelSpectrum(Brief):
     """The spectrum at one drive level (V peak to peak, open circuit).
 
-    ``spectrum`` carries the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``,
-    a fraction of Z that all points share (resistor or load, channels' gains). ``uncompensated`` is as measured.
-    ``drift`` is the root mean square disagreement of the passes over their noise, nan for one pass. ``flags`` are
-    sentences about the whole, ``point_flags`` (Hz, words) about points.
+    ``spectrum`` carries the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``, a
+    fraction of Z that all points share (resistor or load, channels' gains). ``uncompensated`` is as measured. ``drift``
+    is the root mean square disagreement of the passes over their noise, nan for one pass. ``flags`` are sentences about
+    the whole, ``point_flags`` (Hz, words) about points.
     """
 
     level: float
@@ -75,7 +75,7 @@ def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
 
 
 def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tuple[LevelSpectrum, ...]:
-    """One for every drive level with two frequencies or more, in the setup's order."""
+    """A spectrum for every drive level with two frequencies or more, in the setup's order."""
     found = []
     for level in setup.levels:
         points = [point for point in run.points if point.level == level]
@@ -115,7 +115,7 @@ def _level_spectrum(
     measured = combined_points(points)
     drift = _drift(points, measured)
     if drift > _DRIFT and measured.uncertainty is not None:
-        # Passes that disagree know no better than that they disagree.
+        # The uncertainty grows by the disagreement of the passes.
         measured = replace(measured, uncertainty=measured.uncertainty * drift)
     measured = replace(measured, origin=_origin(level, run, setup, compensation))
     device = compensate(measured, compensation)
@@ -132,7 +132,7 @@ def _level_spectrum(
 
 
 def _drift(points: Sequence[RunPoint], mean: Spectrum) -> float:
-    """Root of the reduced chi-square of points measured more than once about their mean; nan if none was."""
+    """Root of the reduced chi-square of points measured more than once about their mean; nan if there are none."""
     value = dict(zip(mean.frequency, mean.impedance, strict=True))
     squares = sum(abs(p.impedance - value[p.frequency]) ** 2 / p.uncertainty**2 for p in points)
     freedom = 2 * (len(points) - len(mean.frequency))

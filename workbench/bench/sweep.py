@@ -1,8 +1,8 @@
 """The sweep: one point after another, each on the disk before the next, the drive off at every end.
 
-What may go wrong with an instrument (it is silent, answers nonsense, was unplugged, has forgotten its settings) is
-answered in one way: the bench is opened anew, which switches the drive off and sets everything again, and the point is
-taken again. When that does not help the run ends in good order, to be resumed.
+Every failure of an instrument (it is silent, answers nonsense, was unplugged, has forgotten its settings) has one
+remedy: the bench is opened anew, which switches the drive off and sets everything again, and the point is taken again.
+If that does not help the run ends in good order, to be resumed.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from workbench.instruments.instrument import InstrumentError, Waveform
 #: The pause (s) before the bench is opened anew, doubled from one attempt to the next.
 _PAUSE = 0.2
 
-#: Amplitudes below this many steps of the converter are flagged, since what rounding to steps does is the same in every
-#: capture (up to 1 % at 6 steps, 0.4 % at 12), and those below so many times their uncertainty.
+#: Amplitude in converter steps below which a point is flagged, since the rounding error is equal in every capture (up
+#: to 1 % at 6 steps, 0.4 % at 12), and amplitude in units of its uncertainty below which it is flagged.
 _FEW_STEPS = 6.0
 _NEAR_NOISE = 20.0
 
-#: How far (relative) the frequency of the signal may be from the one set, and by what factor the amplitude across the
-#: whole circuit from what the fifty ohm of the generator leave: both instruments are within 1e-4 and 10 % by
-#: their makers, and only gross faults are meant (a setting that was not taken, a record of the point before).
+#: Largest relative deviation of the signal's frequency from the set one, and largest factor between the amplitude
+#: across the whole circuit and its expectation behind the generator's fifty ohm. Both instruments are within 1e-4 and
+#: 10 % by their makers; only gross faults are meant (a setting that was not taken, a record of the point before).
 _FREQUENCY_OFF = 3e-4
 _AMPLITUDE_OFF = 1.5
 
-#: A limit is exceeded when it is exceeded by more than the readings are uncertain.
+#: Factor above a limit at which it counts as exceeded: the uncertainty of the readings.
 _OVER = 1.05
 
 
 class BenchFailure(RuntimeError):
-    """The sweep had to end: why, what is on the disk and how to go on."""
+    """The sweep had to end; the message gives the reason, the data on the disk and the way to continue."""
 
 
 class LimitExceeded(RuntimeError):
@@ -51,12 +51,12 @@ class LimitExceeded(RuntimeError):
 
 
 class Implausible(InstrumentError):
-    """What came from the instruments cannot be a measurement of what was asked for."""
+    """The data from the instruments cannot be a measurement of the requested point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """After every point: the run so far and how many points there will be, at most."""
+    """State after a point: the run so far and the largest number of points."""
 
     run: Run
     expected: int
@@ -70,7 +70,7 @@ def measure(
     sleep: Callable[[float], None] = time.sleep,
     show: Callable[[Progress], None] | None = None,
 ) -> Run:
-    """Measure everything that `setup` asks for into the run file `path`; with `resume` what is not there yet.
+    """Measure everything that `setup` asks for into the run file `path`; with `resume` only the missing points.
 
     Every finished point is on the disk at any moment; the drive is off when this returns or raises.
 
@@ -83,7 +83,7 @@ def measure(
     marker = marker_path(path)
     left_on = marker.exists()
     if not left_on:
-        _existing(path, setup, resume=resume)  # a mistake is answered before the bench is touched
+        _existing(path, setup, resume=resume)  # a mistake is reported before the bench is touched
     with Rig(setup, marker, sleep=sleep) as rig:
         found = _existing(path, setup, resume=resume)
         run = found or new_run(setup.text, rig.identities, time.time())
@@ -138,7 +138,7 @@ def _sweep(
 def _insistently(
     setup: BenchSetup, rig: Rig, journal: Journal, target: Target, sleep: Callable[[float], None]
 ) -> RunPoint:
-    """The point, however many attempts of those allowed it takes."""
+    """The point, after as many of the allowed attempts as it takes."""
     sequence = len(journal.run.points)
     for attempt in range(setup.acquisition.attempts):
         try:
@@ -192,7 +192,7 @@ def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> RunPoi
 def _allowed(setup: BenchSetup, rig: Rig, target: Target) -> float:
     """The amplitude (V peak to peak, open circuit) to drive with: the level, unless the device would see too much.
 
-    Where the level could exceed a limit with some passive device, the device is measured first at an amplitude that
+    If the level could exceed a limit with some passive device, the device is first measured at an amplitude that
     cannot.
     """
     safe = math.floor(setup.safe_amplitude / AMPLITUDE_RESOLUTION + 1e-9) * AMPLITUDE_RESOLUTION
@@ -223,7 +223,7 @@ def _doubts(
     setup: BenchSetup, pairs: list[tuple[Waveform, Waveform]], fits: list[SineFit], value: complex, amplitude: float,
     target: Target,
 ) -> list[str]:
-    """What is doubtful about a point, in words; the part before the colon names the kind.
+    """Doubts about a point, in words; the part before the colon names the kind.
 
     Raises:
         Implausible: the signal is not that of the amplitude that was set.

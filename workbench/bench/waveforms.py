@@ -1,8 +1,8 @@
-"""Waveforms that an oscilloscope saved: one channel a file, or all of them in one.
+"""Waveforms saved by an oscilloscope: one channel per file, or all of them in one.
 
 Tables of time and channels are read by `workbench.instruments.waveform_table`, whatever their maker; here are the CSV
 that the TDS1000 and TDS2000 series of Tektronix write, and ISF.
-CSV: what is set stands in columns 1 and 2 of the first rows, beside the samples, which are time in column 4 and volts
+CSV: settings stand in columns 1 and 2 of the first rows, beside the samples, which are time in column 4 and volts
 in column 5; there is no row of headings. Numbers may look like ``-00.018940000000``, and a line may have been added by
 hand.
 ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block of CURVE.
@@ -24,18 +24,18 @@ from workbench.instruments.waveform_table import READ, decoded, read_table, wave
 
 _PAIR = re.compile(r"CH(\d)", re.IGNORECASE)
 
-#: Steps of the converter in a division, in all files seen.
+#: Steps of the converter per division, in all files seen.
 _STEPS_PER_DIVISION = 25.0
 
-#: How many more samples than a sine has at its crest make a flat top.
+#: Ratio of the number of samples at a crest to that of a sine above which the top is flat.
 _FLAT = 3.0
 
 
 def read_waveform(path: Path) -> Waveform:
-    """Read the one saved waveform of a file, whichever of the formats it is in.
+    """Read the one saved waveform of a file, in any of the formats.
 
     Raises:
-        InputError: as of :func:`read_channels`, or several channels.
+        InputError: as in :func:`read_channels`, or several channels.
     """
     found = read_channels(path)
     if len(found) != 1:
@@ -44,7 +44,7 @@ def read_waveform(path: Path) -> Waveform:
 
 
 def read_channels(path: Path) -> dict[int, Waveform]:
-    """The waveforms of a file by channel, whichever of the formats it is in.
+    """The waveforms of a file by channel, in any of the formats.
 
     Raises:
         InputError: none of them, cut short, not in volts, an envelope, or not on even time steps.
@@ -84,13 +84,13 @@ def _first(lines: Sequence[str]) -> str:
 
 
 def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str, tuple[Path, Path]]:
-    """Files in pairs, (total, reference) by what their names have in common; folders stand for the files in them.
+    """Files in pairs, (total, reference) by the common part of their names; folders stand for the files in them.
 
     The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV. A file that holds several channels is a
     pair with itself, whatever its name.
 
     Raises:
-        InputError: a name without a channel of a file that holds not both, or half a pair.
+        InputError: a name without a channel of a file that does not hold both, or half a pair.
     """
     given: dict[str, dict[int, Path]] = {}
     for path in _files(paths):
@@ -104,7 +104,7 @@ def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str
             given[str(path)] = dict.fromkeys(held, path)
             continue
         if channel is None:
-            _content(path)  # that there is no such file comes first
+            _content(path)  # raises if there is no such file
             raise InputError(str(path), "file", path.name, "a table with all channels in it (time, CH1, CH2), or a "
                              "name with the channel in it, such as F0003CH1.CSV")
         name = path.name[:channel.start()] + path.name[channel.end():]
@@ -123,7 +123,7 @@ def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str
 
 
 def _held(path: Path) -> tuple[int, ...]:
-    """The channels that a file holds by its head, none where that is not a table of time and channels."""
+    """The channels that a file holds by its head, none if that is not a table of time and channels."""
     try:
         with path.open("rb") as file:
             head = file.read(8192)
@@ -179,7 +179,7 @@ def _read_csv(path: str, data: bytes) -> Waveform:
         raise InputError(path, "Pt Fmt", settings["Pt Fmt"], "Y: samples, not an envelope of peak detection")
     step = _setting(path, settings, "Sample Interval")
     time = np.array(times)
-    # Twelve decimals of a second are what the file has.
+    # The file has twelve decimals of a second.
     wrong = np.abs(np.diff(time) - step) > 0.01 * step + 2e-12
     if np.any(wrong):
         index = int(np.argmax(wrong))
@@ -253,7 +253,7 @@ def _read_isf(path: str, data: bytes) -> Waveform:
 
 
 def _next_record(path: str, data: bytes, place: int) -> tuple[dict[str, str], bytes, int]:
-    """Header and block of the record that begins at `place`, and where it ends."""
+    """Header and block of the record that begins at `place`, and the position of its end."""
     found = re.compile(rb":?CURVE?\s+#").search(data, place)
     if found is None:
         raise InputError(path, "CURVE", data[place:place + 40].decode("latin-1"), "a binary block after the header")
@@ -291,7 +291,7 @@ def _value(path: str, header: Mapping[str, str], name: str) -> float:
 
 
 def _flat_topped(raw: NDArray[np.float64]) -> bool:
-    """Whether either crest is far flatter than that of a sine: the file does not say where the screen ends.
+    """Whether either crest is far flatter than that of a sine: the file does not state the edge of the screen.
 
     Of the samples of a sine of amplitude a steps, arccos(1 - 1 / a) / pi lie within one step of a crest.
     """

@@ -1,4 +1,4 @@
-"""What the options of a command ask for, read and checked."""
+"""Requests that the options of a command state, read and checked."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOM = 20e6
 
 @dataclass(frozen=True)
 class Asked:
-    """What the options say about a model: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
+    """A model as the options ask for it: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]

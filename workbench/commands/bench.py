@@ -16,6 +16,7 @@ import numpy as np
 
 from geometry.chip import read_chip
 from workbench.bench.impedance import impedance
+from workbench.bench.pairs import degrees
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
@@ -93,7 +94,7 @@ def _check(options: argparse.Namespace, console: Console) -> int:
 
 
 def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
-    """What is wrong with the signals at the middle of the sweep, driven as gently as the bench's file allows."""
+    """Faults of the signals at the middle of the sweep, driven as gently as the bench's file allows, in words."""
     frequency = round(0.5 * (setup.sweep.low + setup.sweep.high), 2)
     amplitude = math.floor(100.0 * min(*setup.levels, setup.safe_amplitude) + 1e-9) / 100.0
     rig.drive(frequency, amplitude)
@@ -123,7 +124,7 @@ def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
         try:
             fit = fit_sines([total, reference], frequency=frequency)
             z = impedance([fit], setup.reference.resistance).value
-            print_line(f"impedance      {abs(z):.4g} ohm at {math.degrees(math.atan2(z.imag, z.real)):.1f} degrees, "
+            print_line(f"impedance      {abs(z):.4g} ohm at {degrees(z):.1f} degrees, "
                        "without compensation")
             if abs(fit.frequency / frequency - 1.0) > 1e-3:
                 found.append(f"the signals have {fit.frequency:.0f} Hz instead of {frequency:.0f} Hz: is this "
@@ -172,7 +173,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
 
 
 def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, str]:
-    """What is between the clips, and its name."""
+    """The device between the clips, and its name."""
     match options.connect:
         case "device":
             pass

@@ -1,4 +1,4 @@
-"""What is looked at before the numerical libraries are loaded: files that are not there, chip files and quantities with
+"""Checks made before the numerical libraries are loaded: files that are not there, chip files and quantities with
 mistakes in them. Whoever mistypes a name is told at once."""
 
 from __future__ import annotations

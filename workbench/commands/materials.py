@@ -8,10 +8,8 @@ import warnings
 from typing import TYPE_CHECKING
 
 from materials import (
-    Fluid,
     Registry,
     describe,
-    differences,
     export_entries,
     history,
     import_entries,
@@ -19,13 +17,12 @@ from materials import (
     withdraw,
 )
 from materials.history import load_quietly
-from materials.versions import read_withdrawal
 from workbench.commands.asked import saving_folder
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
-from workbench.report.page import TextTable
+from workbench.report.materials import differences_table, materials_table, versions_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,8 +37,7 @@ def run_materials(options: argparse.Namespace, _console: Console) -> int:
     registry = user_registry(options.materials)
     match options.action:
         case "list":
-            print_table("materials", TextTable(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
-                _list_row(registry, name) for name in registry.names())))
+            print_table("materials", materials_table(registry))
         case "show":
             if options.name is None:
                 raise InputError("command line", "NAME", None, "the name of a material; see `workbench materials list`")
@@ -50,17 +46,10 @@ def run_materials(options: argparse.Namespace, _console: Console) -> int:
         case "check":
             return _check(registry, options)
         case "diff":
-            _diff(registry, options)
+            first, second = (load_quietly(registry, name) for name in (options.first, options.second))
+            print_table("", differences_table(first, second))
         case "history":
-            rows = []
-            for version in history(registry, options.name):
-                fit = None if version.material is None else version.material.fit
-                figures = ("", "", "") if fit is None else (fit.date, f"{fit.mape_percent:.3g}", fit.algorithm)
-                withdrawn = version.withdrawal
-                remark = version.fault if withdrawn is None else f"withdrawn on {withdrawn.date}: {withdrawn.reason}"
-                rows.append((version.name, *figures, remark))
-            print_table(options.name, TextTable(("version", "fitted on", "MAPE (%)", "algorithm", "remarks"),
-                                                tuple(rows)))
+            print_table(options.name, versions_table(history(registry, options.name)))
         case "withdraw":
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             withdraw(registry, options.name, reason=options.reason, date=now)
@@ -85,23 +74,6 @@ def _temperature(options: argparse.Namespace) -> float | None:
     return parse_quantity(options.temperature, "temperature", source="command line", field="--temperature")
 
 
-def _list_row(registry: Registry, name: str) -> tuple[str, str, str, str]:
-    """One spoiled file does not hide the others."""
-    try:
-        material, withdrawn = load_quietly(registry, name), read_withdrawal(registry.find(name)[1])
-    except InputError:
-        return name, "faulty", "", "see `workbench materials check`"
-    remarks = []
-    if material.fit is not None:
-        low, high = material.fit.band
-        remarks.append(f"fitted, {low / 1e6:.4g} to {high / 1e6:.4g} MHz")
-    if withdrawn is not None:
-        remarks.append("withdrawn")
-    if not isinstance(material, Fluid) and not any(number.imag for number in material.parameters().values()):
-        remarks.append("lossless")
-    return name, type(material).__name__, f"{material.density:.6g}", "; ".join(remarks)
-
-
 def _check(registry: Registry, options: argparse.Namespace) -> int:
     names = registry.names() if options.name is None else [options.name]
     failed, temperature = 0, _temperature(options)
@@ -115,13 +87,3 @@ def _check(registry: Registry, options: argparse.Namespace) -> int:
             failed += 1
             print_line(f"{name}: {error}")
     return 1 if failed else 0
-
-
-def _diff(registry: Registry, options: argparse.Namespace) -> None:
-    first, second = load_quietly(registry, options.first), load_quietly(registry, options.second)
-    columns = ("SI", first.name, second.name, "difference (%)", "in standard uncertainties")
-    print_table("", TextTable(columns, tuple(
-        (row.parameter, f"{row.first:.6g}", f"{row.second:.6g}",
-         "" if row.percent is None else f"{row.percent:+.3f}",
-         "" if row.deviations is None else f"{row.deviations:+.2f}")
-        for row in differences(first, second))))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.bench.compensation import Compensation
+from workbench.bench.pairs import degrees
 from workbench.bench.run_file import Run, exists, read_run, write_run
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.spectra import level_spectra, read_compensation, results
@@ -89,7 +89,7 @@ class _live:
         last = points[-1]
         lines = [f"{len(points)} of at most {progress.expected} points; last {last.frequency / 1e6:.6f} MHz at "
                  f"{last.amplitude:g} Vpp: {abs(last.impedance):.4g} ohm +- {last.uncertainty:.2g}, "
-                 f"{math.degrees(math.atan2(last.impedance.imag, last.impedance.real)):.1f} degrees",
+                 f"{degrees(last.impedance):.1f} degrees",
                  *last.flags]
         level = [point for point in points if point.level == last.level]
         lines += sketch(np.array([p.frequency for p in level]), np.array([abs(p.impedance) for p in level]))

@@ -8,20 +8,20 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from geometry.mesh import elements_per_wavelength
 from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.model.discretisation import ROWS, Discretisation, discretisation
 from workbench.model.problem import build, fill
-from workbench.report.mesh_convergence import (
+from workbench.report.mesh import (
     MeshRow,
+    cells_table,
     convergence_record,
     convergence_table,
     write_convergence_report,
 )
-from workbench.report.page import TextTable, write_json
+from workbench.report.page import write_json
 from workbench.simulation.run import Simulation
 
 if TYPE_CHECKING:
@@ -37,14 +37,9 @@ def run_mesh(options: argparse.Namespace, console: Console) -> int:
     asked, state = asked_model(options, chip), chip.state(options.state).name
     problem = build(fill(chip, state, asked.registry), band=asked.band, accuracy=asked.accuracy)
     made = discretisation(asked.accuracy)
-    speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
-    counts = elements_per_wavelength(problem.mesh, speeds, asked.band[1])
-    cells = {region: len(problem.mesh.mesh.subdomains[region]) for region in problem.mesh.section.regions}
-    table = TextTable(("region", "cells", "elements per wavelength"), tuple(
-        (region, str(count), f"{counts[region]:.1f}" if region in counts else "empty")
-        for region, count in cells.items()))
-    print_table(f"{chip.name}, {state}: {sum(cells.values())} cells of order {made.order} at "
-                f"{asked.band[1] / 1e6:.4g} MHz", table)
+    cells = problem.mesh.mesh.t.shape[1]
+    print_table(f"{chip.name}, {state}: {cells} cells of order {made.order} at {asked.band[1] / 1e6:.4g} MHz",
+                cells_table(problem, asked.band[1]))
     if not options.converge:
         return 0
     return _converge(options, console, chip, state, asked)

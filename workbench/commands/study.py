@@ -48,7 +48,7 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
 
 @contextmanager
 def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None]]:
-    """What the points are worked out by, and how many of them at a time; None leaves both to the study."""
+    """The executor that computes the points, and how many at a time; None leaves both to the study."""
     if address is None:
         yield None, None
         return

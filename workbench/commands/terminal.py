@@ -1,4 +1,4 @@
-"""What a command shows: results on standard output, so that they can be piped; progress on the error console."""
+"""Output of a command: results on standard output, so that they can be piped; progress on the error console."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
 
 
 def _statements(options: argparse.Namespace) -> list[Statement]:
-    """What a file says, then what the command line says."""
+    """Statements of a file, then those of the command line."""
     of_file = [] if options.uncertainties is None else list(read_statements(options.uncertainties))
     return of_file + [parse_statement(text) for text in options.uncertainty]
 

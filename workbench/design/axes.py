@@ -23,7 +23,7 @@ from geometry.dimension import millimetres
 from geometry.names import CAVITY, VACUUM
 from geometry.parts import Layer, State
 from geometry.plausible import check_length
-from geometry.stretch import between, movable, tied
+from geometry.stretch import admissible_range, canonical_names, mesh_limits
 from materials.registry import Registry
 from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, nearest_names
@@ -197,14 +197,14 @@ def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) ->
 
 def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -> None:
     """Lengths are above zero, no radius passes another one, and of radii that coincide one varies."""
-    first = tied(chip)
+    first = canonical_names(chip)
     base = centred_in_ranges(chip, axes, table)
     radii: dict[str, VariedNumber] = {}
     for axis in axes:
         if axis.name not in base.dimensions():
             continue
         field, ends = table.at(axis.name), f"{millimetres(axis.low)} to {millimetres(axis.high)}"
-        low, high = movable(base, axis.name)
+        low, high = admissible_range(base, axis.name)
         if not axis.low > 0.0 and not axis.parsed.is_shape:
             raise InputError(table.source, field, ends, "lengths above zero")
         if axis.name not in first:
@@ -214,7 +214,7 @@ def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -
             raise InputError(table.source, field, axis.name, f"one of the radii that coincide, which move together: "
                              f"{other.name} varies already")
         if not low <= axis.low or not axis.high <= high:
-            below, above = between(base, axis.name)
+            below, above = mesh_limits(base, axis.name)
             raise InputError(table.source, field, ends, f"radii from {millimetres(low)} to {millimetres(high)}: the "
                              f"next ones are at {millimetres(below)} and {millimetres(above)}, and the parts between "
                              "must stay")
@@ -227,7 +227,7 @@ def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -
 
 def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable | None = None) -> Chip:
     """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
-    known, first = chip.dimensions(), tied(chip)
+    known, first = chip.dimensions(), canonical_names(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
              if axis.name in known and not axis.low <= known[axis.name].value <= axis.high}
     together = {other: value for name, value in moved.items() for other in known

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
-from geometry.names import CAVITY, whole
+from geometry.names import CAVITY, parent_place
 from geometry.section import cut_section
 from materials.kinds import Fluid
 from workbench.acoustics.fields import section_nodes
@@ -146,7 +146,7 @@ def cavity_of(
 
 def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
     """Those of some parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
-    found = {name for i in operators.integrals if i.variant and whole(i.place) == CAVITY
+    found = {name for i in operators.integrals if i.variant and parent_place(i.place) == CAVITY
              for name in i.coefficient.parameters}
     return [length for length in lengths if length in found]
 

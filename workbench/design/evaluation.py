@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.names import whole
+from geometry.names import parent_place
 from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
 from workbench.design.dual import Dual, dual_derivative
 from workbench.design.figures import LOSS_SHARE
@@ -238,7 +238,7 @@ class _Operating:
         gradient += np.outer(power / self.frequency.value, self.frequency.gradient)
         regions: dict[str, Dual] = {}
         for q in np.flatnonzero((power != 0.0) | (gradient != 0.0).any(axis=1)):
-            region = whole(operators.integrals[q].place)
+            region = parent_place(operators.integrals[q].place)
             mine = Dual(float(power[q]), gradient[q])
             regions[region] = regions[region] + mine if region in regions else mine
         return regions

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.stretch import moving_together, tied
+from geometry.stretch import canonical_names, moving_together
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.design.bases import Bases, bases_of
@@ -264,7 +264,7 @@ def _evaluated(
     frequency = np.linspace(*problem.band, points)
     small, sweep = reduced(operators, frequency, problem.values, tolerance=TOLERANCE, confirmed=False,
                            skip_singular=True)
-    first = tied(device.chip)
+    first = canonical_names(device.chip)
     names = tuple(first.get(name, name) for name in numbers) if gradient else ()
     cavity, reason = _cavity(device, operators, names, frequency[-1], figures)
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from geometry.assumed import is_film
 from geometry.chip import Chip
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.fit import Correlation
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
@@ -210,7 +210,7 @@ def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
         found.notes.append(f"{number.name}: no figure depends on it")
     else:
         found.put(known_as(number, Stated.within(number.half_width, law, origin=number.origin),
-                           movable(chip, number.name)))
+                           admissible_range(chip, number.name)))
 
 
 def _coefficients(
@@ -257,7 +257,7 @@ def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], foun
         if stated not in names:
             raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
         choose(name, known, source=table.source, field=each.field)
-        ends = movable(device.chip, name) if known[name].is_dimension else None
+        ends = admissible_range(device.chip, name) if known[name].is_dimension else None
         found.put(known_as(_at(known[name], mean), Stated(spread, origin=str(path)), ends))
         kept.append((names.index(stated), name))
     if not kept:
@@ -299,7 +299,7 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
     chip has no such number."""
     parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
     if parsed.is_dimension:
-        first = tied(device.chip)
+        first = canonical_names(device.chip)
         if stated in device.chip.dimensions():
             return first.get(stated, stated)
     elif parsed.owner in present:
@@ -333,7 +333,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: 
                              "that is assumed by the role of their layer")
         length = replace(known[name], stated=None).known
         found.put(known_as(number, assumed_by_role(name, known[name].value),
-                           movable(device.chip, name, length.low, length.high)))
+                           admissible_range(device.chip, name, length.low, length.high)))
         return
     choose(word, _WORDS, source=each.source, field=each.field)
     if amount.endswith("%"):
@@ -345,12 +345,12 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: 
                          + (": the number is 0, give an amount with its unit" if number.value == 0.0 else ""))
     stated = Stated(spread, origin=each.source) if word == "standard" else Stated.within(
         spread, "normal" if word == "normal" else "uniform", origin=each.source)
-    found.put(known_as(number, stated, movable(device.chip, name) if number.is_dimension else None))
+    found.put(known_as(number, stated, admissible_range(device.chip, name) if number.is_dimension else None))
 
 
 def _meant(each: Statement, device: FilledChip, known: Mapping[str, Number]) -> str:
     """The number that a statement is about: a material may be named without its source where it is the only one."""
-    first = tied(device.chip)
+    first = canonical_names(device.chip)
     name = first.get(each.name, each.name)
     if name in known:
         return name

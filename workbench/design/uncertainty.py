@@ -1,4 +1,4 @@
-"""What is uncertain of a chip, as one value: numbers with their laws and correlations, samples and ranges of them.
+"""The uncertain numbers of a chip as one value: their laws and correlations, samples and ranges of them.
 
 A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
 its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.

@@ -1,4 +1,4 @@
-"""What varies of a chip, in a study or a design: numbers within ranges or of a list, materials of a list."""
+"""The variables of a study or a design: numbers within ranges or of a list, materials of a list."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.stretch import moving_together, tied
+from geometry.stretch import canonical_names, moving_together
 from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
@@ -85,7 +85,7 @@ class VariedNumber:
 
 @dataclass(frozen=True)
 class MaterialChoice:
-    """What fills a ``region``: one of ``materials``, by their names. Its numbers are places in that list."""
+    """The material of a ``region``: one of ``materials``, by their names. Its numbers are places in that list."""
 
     region: str
     materials: tuple[str, ...]
@@ -134,7 +134,7 @@ def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Ite
 
 def first_name(chip: Chip, name: str) -> str:
     """What a length is called: of radii that coincide, which change together, the first one's name."""
-    return tied(chip).get(name, name)
+    return canonical_names(chip).get(name, name)
 
 
 def changed(

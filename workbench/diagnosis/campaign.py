@@ -51,7 +51,7 @@ from functools import cached_property
 from pathlib import Path
 
 from geometry.names import TRANSDUCER
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
 from workbench.diagnosis.knowledge import read_knowledge
 from workbench.diagnosis.state import DeviceState as DeviceState
@@ -99,7 +99,7 @@ class Campaign(Brief):
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
         """The other names of every radius that stands for several."""
-        first = tied(*(state.chip for state in self.states))
+        first = canonical_names(*(state.chip for state in self.states))
         found: dict[str, tuple[str, ...]] = {}
         for name, chosen in first.items():
             if name != chosen:

@@ -130,8 +130,8 @@ def _profiled(device: Device, effect: Effect) -> str:
         profiled = {layer.region for layer in state.chip.layers if layer.profile is not None}
         profiled |= {CAVITY} if profiled else set()  # what they enclose
         for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
-            across = set(integral.place.split("|")) & set(integral.facing.split("|"))
-            own = {integral.place} if integral.beyond or integral.skin else across
+            across = set(integral.place.split("|")) & set(integral.opposite.split("|"))
+            own = {integral.place} if integral.radius_fraction or integral.skin else across
             for region in own & profiled:
                 return region
     return ""

@@ -192,8 +192,9 @@ def _lines(
     """The skins by region, and the radii (m), at which terms of hypotheses ask for lines of nodes in a state."""
     integrals = [(term, integral) for term in terms for integral in term.integrals()]
     skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
-    return skins, {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
-                   if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+    return skins, {integral.radius_fraction * _radius(state.chip, integral.place) for term, integral in integrals
+                   if integral.radius_fraction and (
+                       not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
 
 
 def _radius(chip: Chip, region: str) -> float:

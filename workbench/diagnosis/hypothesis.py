@@ -152,7 +152,7 @@ def as_parameter(free: FreeParameter) -> Parameter:
 
 
 def mistaken(name: str, value: float, share: float) -> dict[str, Admissible]:
-    """What the number of that `name` may be, where its stated `value` (SI) is mistaken by up to a share of itself."""
+    """The admissible range of the number called `name`, its stated `value` (SI) being wrong by up to a `share`."""
     return {name: Admissible((1.0 - share) * value, (1.0 + share) * value, ParameterName.parse(name).unit,
                              f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")}
 

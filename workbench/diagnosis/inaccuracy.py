@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from geometry.names import whole
+from geometry.names import parent_place
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution
@@ -139,7 +139,7 @@ def _of_recording(
     mesh = found.operators.mesh.mesh
     for region, cells in mesh.subdomains.items():
         # A layer's part of a region, or one that holds nothing in this state.
-        if whole(region) != region or region not in materials:
+        if parent_place(region) != region or region not in materials:
             continue
         corners = mesh.p[:, mesh.t[:, cells]]
         low, high = corners.min(axis=(1, 2)), corners.max(axis=(1, 2))

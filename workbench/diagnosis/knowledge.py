@@ -40,7 +40,7 @@ Groups = Callable[[str], Sequence[tuple[str, Sequence[DeviceState]]]]
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is uncertain of a device, and what may not move.
+    """The uncertain numbers of a device, and the names of those that may not move.
 
     ``numbers`` are those that all states share, then what one state adds to them (``bench.gain[filled]``), each with
     its standard uncertainty and who states it; ``fixed`` are names of the former. ``correlations`` are coefficients

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from geometry.dimension import SAME_LENGTH
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.kinds import Fluid
 from workbench.diagnosis.state import DeviceState
 from workbench.model.device_numbers import full_names
@@ -37,7 +37,7 @@ class DeviceNumbers:
     @cached_property
     def first(self) -> Mapping[str, str]:
         """The name that every radius goes by."""
-        return tied(*(state.chip for state in self.states))
+        return canonical_names(*(state.chip for state in self.states))
 
     def named(self, written: str) -> str:
         """The name of the number that was `written` perhaps without its material's source, without the version of a

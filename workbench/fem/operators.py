@@ -18,7 +18,7 @@ from scipy import sparse
 from skfem import Basis
 
 from geometry.mesh import SectionMesh
-from geometry.names import whole
+from geometry.names import parent_place
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.dense import Span
 from workbench.fem.elements import Lagrange
@@ -28,8 +28,8 @@ from workbench.fem.places import Place, place_of
 from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
 from workbench.physics.term import (
     COMPONENTS,
-    FACING,
     OPERATORS,
+    OPPOSITE,
     Condition,
     Integral,
     ModelError,
@@ -324,7 +324,7 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     integrals = tuple(integral for term in terms for integral in term.integrals())
     unknowns = {pair for term in terms for pair in term.unknowns}
     conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
-    named = [i.place for i in integrals] + [i.facing for i in integrals if i.facing]
+    named = [i.place for i in integrals] + [i.opposite for i in integrals if i.opposite]
     for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
             known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
@@ -334,16 +334,16 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     for integral in integrals:
         for product in integral.products:
             for component, kind, _ in {part for name in (product.row, product.column) for part in OPERATORS[name]}:
-                owner = whole(integral.place)
-                if kind.endswith(FACING) and not integral.facing:
+                owner = parent_place(integral.place)
+                if kind.endswith(OPPOSITE) and not integral.opposite:
                     raise ModelError(f"nothing faces {integral.place!r}, which {product} needs")
                 if integral.on_boundary:
-                    solid = integral.facing_solid if kind.endswith(FACING) else integral.solid
+                    solid = integral.opposite_solid if kind.endswith(OPPOSITE) else integral.solid
                     owner = integral.fluid if component == "p" else solid
                 if (component, owner) not in unknowns:
                     raise ModelError(
                         f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
-    sides = {(i.domain, i.solid, i.fluid, i.facing_solid) for i in integrals if i.on_boundary}
+    sides = {(i.domain, i.solid, i.fluid, i.opposite_solid) for i in integrals if i.on_boundary}
     if len({domain for domain, *_ in sides}) != len(sides):
         raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")
     places: dict[str, Place] = {}

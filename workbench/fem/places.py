@@ -13,9 +13,9 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefQuad
 
 from geometry.mesh import SectionMesh
-from geometry.names import across_columns
+from geometry.names import parent_part
 from workbench.fem.elements import Lagrange
-from workbench.physics.term import FACING, Integral, ModelError, Radial
+from workbench.physics.term import OPPOSITE, Integral, ModelError, Radial
 
 Real = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Place:
     the radii (m) of the points. ``shapes`` maps each operation on a basis function (``value``, ``d_r``, ``d_z``,
     ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells. If
     the integral couples an opposite boundary, its functions are among the nb ones: ``shapes`` has their values under
-    ``value_facing`` and so on, and ``facing_normal`` is its normal.
+    ``value_opposite`` and so on, and ``opposite_normal`` is its normal.
     """
 
     dofs: NDArray[np.int64]
@@ -40,11 +40,11 @@ class Place:
     shapes: Mapping[str, Real]
     elements: NDArray[np.int64]
     normal: Real | None = None
-    facing_normal: Real | None = None
+    opposite_normal: Real | None = None
 
     def of(self, cells: slice) -> Place:
         """The place restricted to some of its elements."""
-        normals = [None if each is None else each[:, cells] for each in (self.normal, self.facing_normal)]
+        normals = [None if each is None else each[:, cells] for each in (self.normal, self.opposite_normal)]
         return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
                      {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
 
@@ -53,11 +53,11 @@ class Place:
         return self.weights if radial is None else self.weights * radial(self.radius)
 
     def factor(self, name: str) -> Real:
-        normal = self.facing_normal if name.endswith(FACING) else self.normal
+        normal = self.opposite_normal if name.endswith(OPPOSITE) else self.normal
         if normal is None:
             raise ModelError("an operator with the normal is used inside a region")
         n_r, n_z = normal
-        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(FACING)]
+        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(OPPOSITE)]
 
 
 def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
@@ -69,13 +69,14 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
         mesh = replace(mesh, shown=integral.variant)
     if not integral.on_boundary:
         return _volume_place(mesh, integral)
-    if integral.beyond or integral.skin:
+    if integral.radius_fraction or integral.skin:
         raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
-    if not integral.facing:
+    if not integral.opposite:
         return _boundary_place(mesh, facets, integral.solid) if facets.size else None
-    near, far = _facing_facets(mesh, facets, integral)
-    return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
+    near, far = _opposite_facets(mesh, facets, integral)
+    return _opposite_place(_boundary_place(mesh, near, integral.solid),
+                           _boundary_place(mesh, far, integral.opposite_solid))
 
 
 def _degree(mesh: SectionMesh) -> int:
@@ -86,23 +87,23 @@ def _degree(mesh: SectionMesh) -> int:
 
 
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
-    region, beyond = integral.place, integral.beyond
+    region, fraction = integral.place, integral.radius_fraction
     cells = np.asarray(mesh.mesh.subdomains[region])
-    if not 0.0 <= beyond < 1.0:
-        raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
+    if not 0.0 <= fraction < 1.0:
+        raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: expected a share below 1")
     if integral.skin:
         _check_straight(mesh, cells, integral)
         cells = _skin(mesh, cells, integral)
     points, weights = get_quadrature(RefQuad, _degree(mesh))
-    if not beyond:
+    if not fraction:
         return _cells(mesh, cells, points, weights)
     _check_straight(mesh, cells, integral)
     # Outer radius of the parent region, which may have cells outside this column.
-    edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
+    edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[parent_part(region)])]].max()
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
     # The share of each cell's width that lies inside the radius at which the place begins.
-    left_out = np.clip((beyond * edge - inner) / (outer - inner), 0.0, 1.0)
+    left_out = np.clip((fraction * edge - inner) / (outer - inner), 0.0, 1.0)
     if left_out.min() > 1.0 - SAME_SHAPE:
         return None
     parts = []
@@ -204,30 +205,30 @@ def _together(parts: Sequence[Place]) -> Place:
                  np.concatenate(normals, axis=1) if normals else None)
 
 
-def _facing_facets(
+def _opposite_facets(
     mesh: SectionMesh, facets: NDArray[np.int64], integral: Integral
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The facets of a boundary and of the opposite one, both in order of their radius."""
     both = []
-    for each in (facets, np.asarray(mesh.mesh.boundaries[integral.facing])):
+    for each in (facets, np.asarray(mesh.mesh.boundaries[integral.opposite])):
         radii = mesh.mesh.p[0, mesh.mesh.facets[:, each]]
         order = np.argsort(radii.mean(axis=0))
         both.append((each[order], np.sort(radii[:, order], axis=0)))
     (near, inside), (far, across) = both
     flat = np.concatenate([np.ptp(radii, axis=0) for radii in (inside, across)]).min() > 0.0
     if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * across.max()):
-        raise ModelError(f"boundary {integral.place!r} is not faced by {integral.facing!r} at every radius: "
+        raise ModelError(f"boundary {integral.place!r} is not faced by {integral.opposite!r} at every radius: "
                          f"{near.size} facets from {inside.min():g} to {inside.max():g} m against {far.size} from "
                          f"{across.min():g} to {across.max():g} m; both must be horizontal, with the same nodes")
     return near, far
 
 
-def _facing_place(near: Place, far: Place) -> Place:
+def _opposite_place(near: Place, far: Place) -> Place:
     """Two opposite boundaries as one place, integrated over the first."""
     if not np.array_equal(np.diff(near.radius) > 0.0, np.diff(far.radius) > 0.0):
         raise ModelError("the points of two boundaries that face each other are in different order")
     shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
-    shapes |= {kind + FACING: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
+    shapes |= {kind + OPPOSITE: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
                for kind, s in far.shapes.items()}
     return Place(np.concatenate([near.dofs, far.dofs]), near.weights, near.radius, shapes, near.elements, near.normal,
                  far.normal)

@@ -275,7 +275,7 @@ class System:
 
         With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
         close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
-        neighbourhood, whatever the coefficients' dependence on frequency. The same factorisation gives the derivative
+        neighbourhood, whatever the coefficients' dependence on frequency. This factorisation also gives the derivative
         of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`.
 
         Returns:

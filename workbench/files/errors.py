@@ -1,4 +1,4 @@
-"""Mistakes in what a person wrote, and names chosen from closed lists."""
+"""Errors for mistakes in a user's input, and names chosen from closed lists."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 @dataclass
 class InputError(ValueError):
-    """A mistake in something a person wrote, with all that is needed to mend it.
+    """A mistake in a user's input, with all that is needed to mend it.
 
-    ``source`` is the file (or command) at fault, ``field`` the place in it, ``value`` what was received and
-    ``expected`` what would have been right; ``nearest`` lists valid choices close to a mistyped name.
+    ``source`` is the file (or command) at fault, ``field`` the place in it, ``value`` the received value and
+    ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a mistyped name.
     """
 
     source: str
@@ -31,13 +31,13 @@ class InputError(ValueError):
 
 
 def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[str, ...]:
-    """Names in `known` that `name` may have been meant to be, best first (case is ignored)."""
+    """Names in `known` that `name` may stand for, best first (case is ignored)."""
     folded = {k.casefold(): k for k in known}
     return tuple(folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=count, cutoff=0.5))
 
 
 def choose(name: object, known: Iterable[str], *, source: str, field: str) -> str:
-    """`name` if it is one of `known`; otherwise an :class:`InputError` that lists them and the nearest."""
+    """The `name` if it is one of `known`; otherwise an :class:`InputError` that lists them and the nearest."""
     names = sorted(known)
     if isinstance(name, str) and name in names:
         return name

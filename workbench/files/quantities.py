@@ -1,5 +1,5 @@
 """Quantities with units. Everything inside the packages is a float in SI units; text such as ``"2.02 mm"`` is read
-here, once, where a file is read."""
+here, once, when a file is read."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},
     "thermal resistance": {"K/W": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
-    # A part of a whole: how noisy, how accurate, how exact. Without its sign nobody knows which of the two is meant.
+    # A part of a whole (noise, accuracy, tolerance). Without the per cent sign it could be a fraction or a percentage.
     "share": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
 }
 
-#: Characters that a text in the unit asked for first may be longer than in another (:func:`format_quantity`). Doubled,
-#: a rounding in the sixteenth digit still counts as a tail.
+#: Number of characters by which a text in the first requested unit may be longer than in another
+#: (:func:`format_quantity`). Doubled, a rounding in the sixteenth digit still counts as a tail.
 SPARED = 6
 
 #: A number with a decimal comma.
 _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 
-#: The unit that messages show of a dimension, where it is not the first one: nobody states a chip in metres.
+#: The unit of a dimension in messages, if it is not the first one: nobody states a chip in metres.
 EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
 
 #: Dimensions whose numbers may stand without a unit.
@@ -124,10 +124,10 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
 
 
 def _bare_share(text: object, number: float, source: str, field: str) -> float:
-    """A share that is written without its sign: none at all, or a question."""
+    """A share that is written without its sign: zero, or an error that asks for the sign."""
     if number == 0.0:
         return 0.0
-    # Both that it may mean, but for more than all.
+    # Both possible meanings, unless they exceed the whole.
     meant = " or ".join(f'"{each:g} %"' for each in (number, 100.0 * number) if 0.0 < each < 100.0)
     raise InputError(source, field, text, 'a share with its sign, such as "0.2 %"' + (f": {meant}?" if meant else ""))
 
@@ -135,9 +135,9 @@ def _bare_share(text: object, number: float, source: str, field: str) -> float:
 def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
     """A text from which :func:`parse_quantity` reads `value` (SI) back to the last digit.
 
-    In the first of `units` (of the `dimension`) that needs no tail of digits for it (:data:`SPARED`). The last of them
-    must be SI itself, in which every number can be written; a product with another unit's factor misses some numbers
-    by a rounding.
+    It is in the first of `units` (of the `dimension`) that needs no tail of digits for it (:data:`SPARED`). The last of
+    them must be SI itself, in which every number can be written; a product with another unit's factor misses some
+    numbers by a rounding.
 
     Raises:
         ValueError: the last unit is not SI.
@@ -153,7 +153,7 @@ def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
     if not found[-1]:
         raise ValueError(f"{value!r} is not a finite number")
     least = min(len(text) for text in found if text)
-    # The unit asked for first unless it takes a tail of digits to hit a number that another unit says in few.
+    # The first requested unit unless it takes a tail of digits for a number that another unit writes in few.
     return next(text for text in found if text and (len(text) <= least + SPARED))
 
 

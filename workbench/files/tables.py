@@ -47,8 +47,8 @@ class FileTable:
     """A table of a file and its place there, from which keys are taken one by one.
 
     ``source`` is the file, ``field`` the dotted name of the table in it (empty: the whole file). Every method that
-    takes a key raises an :class:`InputError` with file, field, value and expectation where its value will not do; a
-    default stands in for a key that is not there, and without one the key must be.
+    takes a key raises an :class:`InputError` with file, field, value and expectation for an invalid value. A default
+    stands in for a missing key; without a default the key is required.
     """
 
     source: str
@@ -57,16 +57,16 @@ class FileTable:
 
     @classmethod
     def read(cls, path: Path) -> FileTable:
-        """The table that a TOML file is.
+        """The whole content of a TOML file as a table.
 
         Raises:
-            InputError: as :func:`read_toml`.
+            InputError: as in :func:`read_toml`.
         """
         return cls(str(path), "", read_toml(path))
 
     @classmethod
     def of(cls, content: object, *, source: str, field: str, expected: str = "a table") -> FileTable:
-        """`content` as a table.
+        """The `content` as a table.
 
         Raises:
             InputError: it is none.
@@ -86,11 +86,11 @@ class FileTable:
         return f"{self.field}.{key}" if self.field else key
 
     def error(self, key: str, expected: str, nearest: tuple[str, ...] = ()) -> InputError:
-        """The error that says what was `expected` in place of the value of `key`."""
+        """The error that states the `expected` content in place of the value of `key`."""
         return InputError(self.source, self.at(key), self.content.get(key), expected, nearest)
 
     def only(self, keys: Iterable[str]) -> FileTable:
-        """The table itself, of whose keys all are in `keys`.
+        """The table itself, checked that all its keys are in `keys`.
 
         Raises:
             InputError: the first key that is not.
@@ -103,20 +103,20 @@ class FileTable:
         return self
 
     def required(self, key: str, expected: str) -> Any:
-        """The value of a key, whatever it is."""
+        """The value of a required key, of any type."""
         if key not in self.content:
             raise self.error(key, expected, nearest_names(key, self.content))
         return self.content[key]
 
     def text(self, key: str, default: str | None = None, *, expected: str = "a text") -> str:
-        """A text; an empty one only where there is a default."""
+        """A text; an empty one only if there is a default."""
         value = self.content.get(key, default)
         if not isinstance(value, str) or (default is None and not value):
             raise self.error(key, expected)
         return value
 
     def optional_text(self, key: str) -> str | None:
-        """A text that is not empty, or None where there is no such key."""
+        """A text that is not empty, or None if there is no such key."""
         return self.text(key) if key in self else None
 
     def texts(self, key: str, default: tuple[str, ...] | None = None, *, expected: str = "a list of texts"
@@ -136,11 +136,11 @@ class FileTable:
         return parse_quantity(self.content.get(key), dimension, source=self.source, field=self.at(key))
 
     def optional_quantity(self, key: str, dimension: str) -> float | None:
-        """A quantity as of :meth:`quantity`, or None where there is no such key."""
+        """A quantity as in :meth:`quantity`, or None if there is no such key."""
         return self.quantity(key, dimension) if key in self else None
 
     def quantities(self, key: str, dimension: str, *, expected: str, numbered: bool = False) -> tuple[float, float]:
-        """Two quantities with their units, in SI; mistakes are placed in ``key[0]`` or ``key[1]`` where `numbered`."""
+        """Two quantities with their units, in SI; mistakes are placed in ``key[0]`` or ``key[1]`` if `numbered`."""
         value = self.content.get(key)
         if not isinstance(value, list) or len(value) != 2:
             raise self.error(key, expected)
@@ -150,7 +150,7 @@ class FileTable:
         return first, second
 
     def optional_number(self, key: str) -> float | None:
-        """A finite number without unit, or None where there is no such key."""
+        """A finite number without unit, or None if there is no such key."""
         if key not in self:
             return None
         value = self.content[key]
@@ -166,7 +166,7 @@ class FileTable:
         return value
 
     def flag(self, key: str, *, default: bool = False) -> bool:
-        """True or false."""
+        """A truth value."""
         value = self.content.get(key, default)
         if not isinstance(value, bool):
             raise self.error(key, "true or false")
@@ -177,11 +177,11 @@ class FileTable:
         return choose(self.content.get(key, default), known, source=self.source, field=self.at(key))
 
     def table(self, key: str, *, expected: str = "a table") -> FileTable:
-        """The table under a key; an empty one where there is no such key."""
+        """The table under a key; an empty one if there is no such key."""
         return FileTable.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
 
     def tables(self, key: str, *, expected: str) -> tuple[FileTable, ...]:
-        """The tables listed under a key; none where there is no such key."""
+        """The tables listed under a key; none if there is no such key."""
         rows = self.content.get(key, [])
         if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
             raise self.error(key, expected)

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and what to do where one cannot be written."""
+"""Files written whole or not at all, and the remedies if one cannot be written."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pathlib import Path
 
 from workbench.files.errors import InputError
 
-#: In the names of folders, beside the files, that these are written in before they take their place.
+#: Part of the names of folders, beside the files, in which these are written before they take their place.
 UNFINISHED = ".unfinished-"
 
-#: The file in a folder of results that says that these are not complete.
+#: The file in a folder of results that marks them as incomplete.
 MARK = "INCOMPLETE.txt"
 
-#: What to do about an error of the system.
+#: Remedies for errors of the system.
 REMEDIES = {
     errno.ENOSPC: "the disk is full: make room, or choose a folder on another disk",
     errno.EDQUOT: "your share of the disk is used up: make room, or choose a folder on another disk",
@@ -37,10 +37,10 @@ REMEDIES = {
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path of the same name to write to, whose file takes the place of `path` once it is whole.
+    """A path of the same name to write to; its file takes the place of `path` once it is whole.
 
     A reader sees either the old file or the new one, never a part of it, and a power cut leaves one of the two. A
-    device or a pipe is written to, and stays what it is.
+    device or a pipe is written to directly, and stays as it is.
 
     Raises:
         OSError: it cannot be written; the error names `path`.
@@ -64,7 +64,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let an error of the system in this block name the file that is written, where it names none or a passing one."""
+    """Let an error of the system in this block name the file to be written, if it names none or a temporary one."""
     try:
         yield
     except OSError as error:
@@ -75,13 +75,13 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def _number(error: OSError) -> int | None:
-    """The system's number of an error; libraries that wrap one have it in their words."""
+    """The system's number of an error; libraries that wrap one state it in their message."""
     found = re.search(r"errno = (\d+)", str(error)) if error.errno is None else None
     return int(found.group(1)) if found else error.errno
 
 
 def remedy(error: OSError, output: Path | None = None) -> str:
-    """What happened to a file, and what to do about it; `output` is where a command writes, if it does."""
+    """A description of an error on a file, with a remedy; `output` is the folder a command writes to, if any."""
     if error.errno is None:
         return str(error)
     where = error.filename if error.filename is not None else output
@@ -91,8 +91,10 @@ def remedy(error: OSError, output: Path | None = None) -> str:
 
 
 def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -> Path:
-    """The folder for results, made if need be, with `room` (bytes) on its disk. Until :func:`settle_folder` it holds a
-    file (:data:`MARK`) that says that it is not complete: whatever ends the program, nobody takes half of it for all.
+    """The folder for results, made if need be, with `room` (bytes) on its disk.
+
+    Until :func:`settle_folder` it holds a file (:data:`MARK`) that marks it as incomplete: whatever ends the program,
+    nobody takes half of the results for all.
 
     Raises:
         InputError: a file is in the way, it cannot be made or written to, or the disk is too full.
@@ -119,7 +121,7 @@ def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -
 
 
 def settle_folder(path: Path, *, complete: bool) -> None:
-    """Remove the mark that :func:`writable_folder` set in a folder: if the results are `complete`, or if nothing was
+    """Remove the mark that :func:`writable_folder` set in a folder, if the results are `complete` or nothing was
     written since."""
     mark = path / MARK
     if _marked_by(mark) != os.getpid():
@@ -142,7 +144,7 @@ def _marked_by(mark: Path) -> int | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a new name in a folder last."""
+    """Make a new name in a folder durable."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

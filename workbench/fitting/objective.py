@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.fitting.seen import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.model.dimensions import flexible_within
@@ -469,5 +469,5 @@ def _moves(parameter: Parameter, recording: FitRecording) -> str | None:
         return None
     if not parameter.is_dimension:
         return parameter.parsed.key if parameter.parsed.key in values else None
-    known = {} if recording.chip is None else tied(recording.chip)
+    known = {} if recording.chip is None else canonical_names(recording.chip)
     return next((key for name in parameter.names for key in (name, known.get(name, name)) if key in values), None)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from geometry.assumed import SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
 from geometry.dimension import Dimension
-from geometry.stretch import movable
+from geometry.stretch import admissible_range
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
@@ -35,7 +35,7 @@ POLYMER_LOSS_REACH = 0.3
 #: Share of a size that a derivative by it needs on either side.
 NEARBY = 0.005
 
-#: What to do about a radius that would pass another (`geometry.stretch.movable`).
+#: What to do about a radius that would pass another (`geometry.stretch.admissible_range`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
 
 
@@ -189,14 +189,14 @@ def about(chip: Chip, name: str) -> tuple[float, float]:
     or twice :data:`NEARBY` of the size, to either side."""
     value = chip.dimensions()[name].value
     reach = 2.0 * SHAPE_UNCERTAINTY.get(ParameterName.parse(name).coefficient, NEARBY * abs(value))
-    return movable(chip, name, value - reach, value + reach)
+    return admissible_range(chip, name, value - reach, value + reach)
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
     """What is left of bounds (m) where the meshes of those `chips` that have the dimension keep their topology."""
     for chip in chips:
         if name in chip.dimensions():
-            low, high = movable(chip, name, low, high)
+            low, high = admissible_range(chip, name, low, high)
     return low, high
 
 

@@ -1,1 +1,1 @@
-"""The two bench instruments, what they say on the wire, and a simulated bench that says the same."""
+"""The two bench instruments, their commands and replies on the wire, and a simulated bench with the same ones."""

@@ -1,8 +1,8 @@
 """The circuit of the bench: a generator behind its source resistance, the device, and a reference resistor in series.
 
-One channel measures across device and reference resistor, the other across the resistor alone, so that
-Z = (V_total - V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25). What leads, probes and the
-resistor add is in :class:`Circuit`; with all of it zero, eq. 25 is exact. Everything is in e^{+j w t}.
+One channel measures across device and reference resistor, the other across the resistor alone, so that Z = (V_total -
+V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25). :class:`Circuit` holds the parasitic
+elements of leads, probes and resistor; with all of them zero, eq. 25 is exact. Everything is in e^{+j w t}.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from workbench.results.spectrum import Spectrum
 
-#: What is connected: impedance (ohm, e^{+j w t}) at a frequency (Hz).
+#: The connected device: impedance (ohm, e^{+j w t}) at a frequency (Hz).
 Device = Callable[[float], complex]
 
-#: Ohm between clips that hold nothing, in place of infinity.
+#: Impedance (ohm) between open clips, in place of infinity.
 NOTHING = 1e12
 
 
@@ -27,9 +27,9 @@ class Circuit:
     """The bench's circuit beside the device, in SI units.
 
     ``reference_inductance`` is in series with the reference resistance. ``lead_inductance`` and ``lead_resistance`` are
-    in series with the device, ``lead_capacitance`` across it. Each probe's ``probe_capacitance`` is across what it
-    measures. ``gain_total``, ``gain_reference`` are those of the channels, ``delay_reference`` (s) is how much later
-    the reference channel samples. The defaults are those of half a metre of twisted leads and two probes.
+    in series with the device, ``lead_capacitance`` across it. Each probe's ``probe_capacitance`` is across the points
+    it measures. ``gain_total``, ``gain_reference`` are those of the channels, ``delay_reference`` (s) is the delay of
+    the reference channel's samples. The defaults are those of half a metre of twisted leads and two probes.
     """
 
     source_resistance: float = 50.0
@@ -49,8 +49,8 @@ class Circuit:
                              f"{self.reference_resistance!r} ohm; expected both above zero")
 
     def responses(self, frequency: float, device: complex) -> tuple[complex, complex]:
-        """What the total and the reference channel show per volt of the open circuit, for a device of impedance
-        `device` (ohm), both complex and without unit."""
+        """Complex voltages of the total and the reference channel per volt of the open circuit, for a device of
+        impedance `device` (ohm)."""
         s = 2j * pi * frequency
         reference = self.reference_resistance + s * self.reference_inductance
         reference = reference / (1.0 + s * self.probe_capacitance * reference)
@@ -62,7 +62,7 @@ class Circuit:
         return self.gain_total * at_total, self.gain_reference * at_reference * np.exp(s * self.delay_reference)
 
 
-#: Eq. 25 without error.
+#: A circuit for which eq. 25 is exact.
 IDEAL = Circuit(reference_inductance=0.0, lead_inductance=0.0, lead_resistance=0.0, lead_capacitance=0.0,
                 probe_capacitance=0.0, gain_total=1.0, gain_reference=1.0, delay_reference=0.0)
 
@@ -75,7 +75,7 @@ def resistor(resistance: float) -> Device:
 
 
 def open_circuit() -> Device:
-    """Nothing between the clips."""
+    """Open clips."""
     return resistor(NOTHING)
 
 

@@ -1,4 +1,4 @@
-"""What goes wrong on a bench, to be made to happen at a chosen moment on the simulated one."""
+"""Faults of a bench, which a test can make happen at a chosen moment on the simulated one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GENERATOR, OSCILLOSCOPE = "generator", "oscilloscope"
 
 
 class FaultKind(StrEnum):
-    """What may go wrong. The first ones can happen to both instruments, the others to the one they name."""
+    """Kinds of fault. The first ones can happen to both instruments, the others to the one they name."""
 
     SILENCE = "silence"  # done, but not answered
     DEAFNESS = "deafness"  # neither done nor answered
@@ -49,14 +49,16 @@ KINDS = {
         FaultKind.WRONG_FREQUENCY, FaultKind.IGNORED_FREQUENCY, FaultKind.IGNORED_AMPLITUDE)),
 }
 
-#: What another instrument says, by the one that should be there.
+#: Identification of a wrong instrument, by the one that should be there.
 STRANGERS = {GENERATOR: b"MHS-5200A\n", OSCILLOSCOPE: b"RIGOL TECHNOLOGIES,DS1052E,0,00.04.02\n"}
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: it strikes the first `count` commands it fits, from command number `at` of this instrument on
-    (the first command since the bench was opened has number 0). ``seconds`` is how long a disconnection lasts."""
+    """One fault: it strikes the first `count` commands it fits, from command number `at` of this instrument on.
+
+    The first command since the bench was opened has number 0. ``seconds`` is the duration of a disconnection.
+    """
 
     instrument: str
     kind: FaultKind
@@ -114,11 +116,11 @@ class FaultyInstrument:
         self.struck: list[tuple[int, Fault]] = []
 
     def inject(self, fault: Fault) -> None:
-        """Let `fault` happen when its time comes."""
+        """Add a fault, which will happen at its time."""
         self._pending.append(fault)
 
     def respond(self, line: bytes) -> bytes:
-        """What comes back for one line, given without its LF."""
+        """The reply to one line, given without its LF."""
         number, self.commands = self.commands, self.commands + 1
         fault = next((f for f in self._pending if f.at <= number and fits(f.kind, line)), None)
         if fault is None:
@@ -151,7 +153,7 @@ class FaultyInstrument:
                 return self._spoil(fault.kind, line, self._instrument.respond(line))
 
     def _disturb(self, kind: FaultKind) -> None:
-        """Do to the oscilloscope what a hand, or the signal, does."""
+        """Disturb the oscilloscope as a hand, or the signal, would."""
         oscilloscope = self._instrument
         if not isinstance(oscilloscope, SimulatedOscilloscope):
             raise TypeError(f"fault {kind!r} at an instrument that is no oscilloscope")
@@ -166,7 +168,7 @@ class FaultyInstrument:
                 oscilloscope.respond(b"HEADER ON")
 
     def _spoil(self, kind: FaultKind, line: bytes, answer: bytes) -> bytes:
-        """The answer as it comes, the instrument having done what it was told."""
+        """The reply as it arrives, after the instrument has executed the command."""
         match kind:
             case FaultKind.SILENCE:
                 return b""

@@ -1,11 +1,11 @@
 """FeelTech FY3200S series: two-channel generators on a serial line, of which the main channel is used.
 
 9600 baud, lower-case ASCII, LF. Settings are not acknowledged and mistakes in them are not reported: the instrument
-stops at the first character it does not understand and takes what it has. So every setting is refused here, before
-anything is written, unless its text is exactly what is meant, and every command is followed by reading the frequency
-back, the only setting of an output that this series tells. Used is only what all public drivers agree on: sine,
-frequency in 0.01 Hz, amplitude in volts peak to peak of the open circuit, offset. There is no command that switches
-the output off; off is amplitude zero.
+stops at the first character it does not understand and takes what it has. So every setting is checked here before
+anything is written, and refused unless its text is exact. After every command the frequency is read back, the only
+setting of an output that this series reports. Only the commands that all public drivers agree on are used: sine,
+frequency in 0.01 Hz, amplitude in volts peak to peak of the open circuit, offset. There is no command that switches the
+output off; off is amplitude zero.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from workbench.files.errors import InputError, choose
 from workbench.instruments.instrument import GeneratorSettings, InstrumentError
 from workbench.instruments.transport import ATTEMPTS, Link, Query, open_port
 
-#: What each model answers, and its highest frequency (Hz).
+#: Highest frequency (Hz) by the model's own identification.
 MODELS: Mapping[str, float] = {"FY3206S": 6e6, "FY3212S": 12e6, "FY3220S": 20e6, "FY3224S": 24e6}
 
 #: The instruments take nine digits of 0.01 Hz without exception; not every firmware takes a tenth.
 HIGHEST_FREQUENCY = 9_999_999.99
 
-#: A value this close (in units of the resolution) to a whole number of them is meant to be that number.
+#: Largest deviation, in units of the resolution, of a value that counts as a whole number of steps: the rounding of a
+#: decimal fraction. Doubled, nothing changes.
 ROUNDING = 1e-4
 
 
@@ -32,8 +33,8 @@ ROUNDING = 1e-4
 class Setting:
     """A number that the instrument takes, in whole steps, of which ``steps_per_unit`` are one ``unit``.
 
-    On the wire it is ``command``, then the number of steps with its last ``decimals`` digits behind a point and at
-    least ``whole`` digits before them.
+    On the wire it is ``command``, then the number of steps with its last ``decimals`` digits after a point and at least
+    ``whole`` digits before them.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Setting:
 FREQUENCY = Setting("frequency", "bf", "Hz", 0.01, HIGHEST_FREQUENCY, steps_per_unit=100, whole=1, decimals=0)
 AMPLITUDE = Setting("amplitude", "ba", "V peak to peak", 0.0, 20.0, steps_per_unit=100, whole=2, decimals=2)
 
-#: Sine, no offset: what the other settings must be, which cannot be read back.
+#: Sine, no offset: the other settings, which cannot be read back.
 PLAIN_SINE = ("bw0", "bo0.00")
 
 MODEL = Query("a", re.compile(r"FY\d{4}S"), "a model of the FY3200S series")
@@ -83,11 +84,11 @@ class FeelTech:
     def __init__(self, link: Link, model: str) -> None:
         self._link = link
         self._model = model
-        #: What the frequency (0.01 Hz) must still be, None before it was read for the first time.
+        #: The frequency (0.01 Hz) that the generator must still have, None before it was first read.
         self._counts: int | None = None
 
     def identify(self) -> str:
-        """The model. Raises InstrumentError when it is another than expected."""
+        """The model. Raises InstrumentError if it is another than expected."""
         found = self._link.synchronise()[0]
         if found != self._model:
             raise InstrumentError(f"{self._link.name}: sent 'a'; expected {self._model}; {found!r} came: another model "
@@ -106,7 +107,7 @@ class FeelTech:
             raise ValueError(f"frequency {frequency!r} Hz is out of range; expected {FREQUENCY.lowest:.9g} to "
                              f"{highest:.9g} Hz for {self._model}")
         text, counts = FREQUENCY.text(frequency), FREQUENCY.counts(frequency)
-        # Otherwise a generator that was switched off and on would go on with an amplitude of its own.
+        # Otherwise a generator that was switched off and on would continue with an amplitude of its own.
         self._confirm("before setting another frequency")
         self._link.send(text)
         self._counts = counts
@@ -115,7 +116,7 @@ class FeelTech:
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
         """Set the open-circuit amplitude (V peak to peak).
 
-        The instrument cannot tell it; reading the frequency shows that it listened.
+        The instrument cannot report it; reading the frequency shows that it listened.
 
         Raises:
             ValueError: out of range or finer than 0.01 V; nothing was written.
@@ -126,7 +127,7 @@ class FeelTech:
         self._confirm(f"after {text!r}")
 
     def off(self) -> None:
-        """Amplitude zero, whatever else is wrong with the generator.
+        """Set the amplitude to zero, whatever else is wrong with the generator.
 
         The amplitude cannot be read back. It is set twice, and again if the frequency shows that the generator was
         switched off and on in between, which gives it an amplitude of its own.
@@ -136,7 +137,7 @@ class FeelTech:
         """
         text = AMPLITUDE.text(0.0)
         try:
-            # Once to end whatever a previous owner left unfinished, once more after the instrument has answered.
+            # Once to end an unfinished command of a previous owner, once more after the instrument has answered.
             self._link.send(text)
             self._link.synchronise()
             for _ in range(ATTEMPTS):
@@ -151,7 +152,7 @@ class FeelTech:
             raise type(error)(f"the drive may still be on: {error}") from error
 
     def plain_sine(self) -> None:
-        """Sine without offset."""
+        """Set a sine without offset."""
         for command in PLAIN_SINE:
             self._link.send(command)
         self._counts = int(self._link.ask(READ_FREQUENCY)[1])
@@ -170,7 +171,7 @@ class FeelTech:
 
 
 def open_feeltech(settings: GeneratorSettings) -> FeelTech:
-    """The generator, identified, its amplitude zero, then sine without offset.
+    """Open the generator: identified, amplitude zero, then sine without offset.
 
     Raises:
         InputError: a model that is not known. InstrumentError: no such port, another owner, silent, another instrument.

@@ -1,4 +1,4 @@
-"""What the bench asks of a generator and of an oscilloscope, whatever their make.
+"""Interfaces of a generator and of an oscilloscope of any make, as the bench uses them.
 
 The instruments themselves are in :mod:`workbench.instruments.feeltech` and :mod:`workbench.instruments.tektronix`;
 :func:`workbench.instruments.opening.open_bench` opens the pair.
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 
 class InstrumentError(RuntimeError):
-    """An instrument, or the link to it, did not do what it should: names the port, what was sent, expected and came."""
+    """A failure of an instrument, or of the link to it. The message names the port and the sent, expected and received
+    text."""
 
 
 class Silence(InstrumentError):
@@ -24,10 +25,10 @@ class Silence(InstrumentError):
 
 @dataclass(frozen=True)
 class GeneratorSettings:
-    """Where the generator is and what it should be.
+    """Address and identity of the generator.
 
-    ``port`` is a serial port; ``model`` what it must answer (a key of ``feeltech.MODELS``); ``timeout`` (s) how long a
-    reply may take; ``pause`` (s) is kept after every command, because settings are not acknowledged.
+    ``port`` is a serial port; ``model`` its expected identification (a key of ``feeltech.MODELS``); ``timeout`` (s) the
+    limit for a reply; ``pause`` (s) follows every command, because settings are not acknowledged.
     """
 
     port: str
@@ -39,7 +40,7 @@ class GeneratorSettings:
 
 @dataclass(frozen=True)
 class OscilloscopeSettings:
-    """Where the oscilloscope is, what it should be and what hangs on its channels.
+    """Address and identity of the oscilloscope, and the assignment of its channels.
 
     ``port`` is a serial port, a USBTMC device file (``/dev/usbtmc0``) or a VISA resource (``USB0::...::INSTR``).
     ``channel_total`` measures across device and reference resistor, ``channel_reference`` across the resistor alone;
@@ -81,12 +82,12 @@ class Generator(Protocol):
     """A sine generator with one driven output."""
 
     def identify(self) -> str:
-        """The model as the instrument answers. Raises InstrumentError when it is another instrument."""
+        """The model as the instrument answers. Raises InstrumentError if it is another instrument."""
 
     def set_frequency(self, frequency: float) -> None:
-        """Set the frequency (Hz, a whole number of 0.01 Hz, within the model's range) and compare what is read back.
+        """Set the frequency (Hz, a whole number of 0.01 Hz, within the model's range) and check it by reading it back.
 
-        Raises ValueError before anything is written when the value is out of range or finer than the resolution.
+        Raises ValueError before anything is written if the value is out of range or finer than the resolution.
         """
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
@@ -96,7 +97,7 @@ class Generator(Protocol):
         """
 
     def off(self) -> None:
-        """The safe state: amplitude zero."""
+        """Set the safe state: amplitude zero."""
 
     def close(self) -> None:
         """Give the port back. Does not change the output; call :meth:`off` first."""
@@ -106,19 +107,19 @@ class Oscilloscope(Protocol):
     """A digital oscilloscope whose channels are captured together."""
 
     def identify(self) -> str:
-        """The identification as the instrument answers. Raises InstrumentError when it is another instrument."""
+        """The identification as the instrument answers. Raises InstrumentError if it is another instrument."""
 
     def set_scale(self, channel: int, volts_per_division: float) -> float:
-        """Choose the 1-2-5 step at or above `volts_per_division` (V at the probe's tip); the step is returned."""
+        """Choose the 1-2-5 step at or above `volts_per_division` (V at the probe's tip), and return it."""
 
     def set_timebase(self, seconds_per_division: float) -> float:
-        """Choose the 1-2.5-5 step at or above `seconds_per_division`; the step is returned."""
+        """Choose the 1-2.5-5 step at or above `seconds_per_division`, and return it."""
 
     def set_averages(self, count: int) -> None:
-        """1 (single capture), 4, 16, 64 or 128 averaged captures."""
+        """Set 1 (single capture), 4, 16, 64 or 128 averaged captures."""
 
     def capture(self, channels: Sequence[int]) -> dict[int, Waveform]:
-        """One new acquisition; every channel of `channels` from the same one."""
+        """Make one new acquisition, and return every channel of `channels` from it."""
 
     def close(self) -> None:
         """Give the port back."""

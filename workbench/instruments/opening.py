@@ -19,9 +19,9 @@ from workbench.instruments.transport import Link, open_port
 
 
 def open_bench(generator: GeneratorSettings, oscilloscope: OscilloscopeSettings) -> tuple[Generator, Oscilloscope]:
-    """Both instruments, identified; the generator's amplitude is zero and the oscilloscope is ready to capture.
+    """Open both instruments: identified, the generator's amplitude zero, the oscilloscope ready to capture.
 
-    The generator comes first: whatever else fails, a drive that was left on is off by then.
+    The generator comes first: if anything else fails, a drive that was left on is already off.
 
     Raises:
         InputError: settings that no instrument of the kind has.
@@ -37,14 +37,14 @@ def open_bench(generator: GeneratorSettings, oscilloscope: OscilloscopeSettings)
 
 @dataclass(frozen=True)
 class FoundPort:
-    """A port of this computer and what the system says about it."""
+    """A port of this computer and the system's description of it."""
 
     name: str
     description: str
 
 
 def found_ports() -> list[FoundPort]:
-    """The serial ports and the USBTMC device files there are; VISA resources are not looked for."""
+    """The serial ports and the USBTMC device files of this computer; VISA resources are not looked for."""
     from serial.tools.list_ports import comports
 
     serial = [FoundPort(port.device, port.description or "serial port") for port in comports()]
@@ -53,10 +53,10 @@ def found_ports() -> list[FoundPort]:
 
 
 def who_answers(port: str, *, timeout: float = 1.0) -> str | None:
-    """The identification of what is at `port`, None if nothing answers; only questions are sent, at 9600 baud.
+    """The identification of the instrument at `port`, None if nothing answers; only questions are sent, at 9600 baud.
 
     Raises:
-        InstrumentError: the port cannot be opened, or what comes is no identification.
+        InstrumentError: the port cannot be opened, or the reply is no identification.
     """
     opened = open_port(port, baud=9600, timeout=timeout)
     try:
@@ -66,7 +66,7 @@ def who_answers(port: str, *, timeout: float = 1.0) -> str | None:
             except Silence:
                 continue
             except InstrumentError:
-                # Something is there: it may answer the other question.
+                # An instrument is there: it may answer the other question.
                 if hello is IDENTITY:
                     raise
         return None

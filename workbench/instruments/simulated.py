@@ -3,9 +3,9 @@
     with SimulatedBench(device_of(spectrum), seed=1) as bench:
         generator, oscilloscope = open_bench(*bench.settings())
 
-Each instrument is served by a thread of its own and knows nothing but what comes over its line. One seed makes all
-noise the same again, if the same commands come in the same order. There is no waiting unless it is asked for
-(``pace``), but the simulated clock goes on as if there were, and the device drifts with it.
+Each instrument is served by a thread of its own and knows only the bytes on its line. One seed reproduces all noise, if
+the same commands come in the same order. There is no waiting unless requested (``pace``), but the simulated clock
+advances as if there were, and the device drifts with it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscill
 #: Simulated seconds that a command takes.
 COMMAND_TIME = 0.05
 
-#: Seconds after which a line looks whether it should end, and after which it gives up on somebody who does not read.
+#: Seconds between two checks of a line whether it should end, and seconds before it gives up on a peer that does not
+#: read.
 SLICE, PATIENCE = 0.05, 1.0
 
 USUAL_ERRORS = Errors()
@@ -41,8 +42,8 @@ USUAL_ERRORS = Errors()
 
 @dataclass(frozen=True)
 class Drift:
-    """How a device changes: all its frequencies by ``frequency`` (relative, per s) and its impedance by ``impedance``
-    (relative, per s). A warming transducer has about -1e-7 per second."""
+    """Drift of a device: of all its frequencies by ``frequency`` and of its impedance by ``impedance`` (both relative,
+    per s). A warming transducer has about -1e-7 per second."""
 
     frequency: float = 0.0
     impedance: float = 0.0
@@ -54,9 +55,9 @@ NO_DRIFT = Drift()
 class SimulatedBench:
     """A generator, an oscilloscope and a device; the channels are 1 (total) and 2 (reference), with 10:1 probes.
 
-    ``device`` is what is connected; ``frequency_error`` (relative) that of the generator's clock. ``folder`` is where
-    the two ports appear as ``generator`` and ``oscilloscope`` (a temporary folder if not given). ``pace`` is how many
-    seconds pass for one simulated second. A context manager: the ports are there within the ``with``. Needs
+    ``device`` is the connected device; ``frequency_error`` (relative) that of the generator's clock. ``folder`` holds
+    the two ports as ``generator`` and ``oscilloscope`` (a temporary folder if not given). ``pace`` is the number of
+    seconds that pass for one simulated second. It is a context manager: the ports exist within the ``with``. It needs
     pseudo-terminals, which Windows does not have.
     """
 
@@ -135,11 +136,11 @@ class SimulatedBench:
         return list(self._instruments[instrument].struck)
 
     def commands(self, instrument: str) -> int:
-        """The number of commands an instrument has been sent."""
+        """The number of commands sent to an instrument."""
         return self._instruments[instrument].commands
 
     def settings(self, *, timeout: float = 0.25) -> tuple[GeneratorSettings, OscilloscopeSettings]:
-        """Settings that open the simulated instruments without pauses; `timeout` (s) as short as tests want it."""
+        """Settings that open the simulated instruments without pauses; `timeout` (s) is short for tests."""
         return (
             GeneratorSettings(self.generator_port, self._generator.model, timeout=timeout, pause=0.0),
             OscilloscopeSettings(self.oscilloscope_port, self._oscilloscope.model, probe_total=self._probes[0],
@@ -147,22 +148,22 @@ class SimulatedBench:
         )
 
     def truth(self, frequency: float) -> complex:
-        """The impedance (ohm, e^{+j w t}) of what is connected, at this moment."""
+        """The impedance (ohm, e^{+j w t}) of the connected device at this moment."""
         change = self._drift.frequency * self._clock
         return self._device(frequency / (1.0 + change)) * (1.0 + self._drift.impedance * self._clock)
 
     def connect(self, device: Device) -> None:
-        """Put something else between the clips."""
+        """Connect another device."""
         with self._lock:
             self._device = device
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault happen when its time comes."""
+        """Add a fault, which will happen at its time."""
         with self._lock:
             self._instruments[fault.instrument].inject(fault)
 
     def disconnect(self, instrument: str, seconds: float) -> None:
-        """Take an instrument's port away; it comes back by itself, under the same name."""
+        """Disconnect an instrument's port; it comes back by itself, under the same name."""
         self._lines[instrument].drop(seconds)
 
     def _respond(self, instrument: str, line: bytes) -> bytes:
@@ -176,7 +177,7 @@ class SimulatedBench:
             time.sleep(seconds * self._pace)
 
     def _tones(self) -> Mapping[int, Tone]:
-        """What stands at the tips of the two probes now."""
+        """The signals at the tips of the two probes now."""
         frequency = self._generator.frequency * (1.0 + self._frequency_error)
         responses = self._circuit.responses(frequency, self.truth(frequency))
         volts = 0.5 * self._generator.amplitude
@@ -184,7 +185,7 @@ class SimulatedBench:
 
 
 class _Line:
-    """A pseudo-terminal, found under a name of its own, whose other end answers line by line, in a thread."""
+    """A pseudo-terminal under a name of its own; a thread answers line by line at its other end."""
 
     def __init__(self, path: Path, respond: Callable[[bytes], bytes]) -> None:
         self.path = path
@@ -196,7 +197,7 @@ class _Line:
         self._thread.start()
 
     def drop(self, seconds: float) -> None:
-        """Go away for a while, as soon as the line that is being answered is."""
+        """Disconnect for a while, as soon as the current line is answered."""
         self._away = seconds
 
     def close(self) -> None:
@@ -236,8 +237,8 @@ class _Line:
                 if not self._ended.wait(self._away):
                     self._plug_in()
                 continue
-            # We hold the terminal open, so that a killed owner's wish to be alone would outlive it, which a real port's
-            # does not.
+            # We hold the terminal open, so a killed owner's exclusive lock would outlive it; on a real port it does
+            # not.
             fcntl.ioctl(self._theirs, termios.TIOCNXCL)
             if not select.select([self._ours], [], [], SLICE)[0]:
                 continue
@@ -250,7 +251,7 @@ class _Line:
                 self._send(answer)
 
     def _send(self, data: bytes) -> None:
-        """Send what is taken; the rest is lost, as on a wire, when nobody reads."""
+        """Send as much as is taken; the rest is lost, as on a wire, if nobody reads."""
         deadline = time.monotonic() + PATIENCE
         while data and time.monotonic() < deadline and not self._ended.is_set():
             with contextlib.suppress(BlockingIOError):

@@ -1,15 +1,15 @@
-"""What a FeelTech FY3200S does with the lines it is sent, byte for byte."""
+"""A simulated FeelTech FY3200S, which handles the lines it is sent byte for byte."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
-#: The longest command without its LF.
+#: Length of the longest command without its LF.
 LONGEST = 14
 
 #: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) of the main and the deputy channel after switching on. The
-#: amplitude is not zero, so that a drive that nobody switched off shows.
+#: amplitude is not zero, so that a drive left on is noticed.
 SWITCHED_ON = (1_000_000, 500)
 
 _SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
@@ -28,8 +28,8 @@ class Output:
 class SimulatedGenerator:
     """The two channels behind the serial line.
 
-    Settings are swallowed without an answer; a line is read up to the first character that does not fit, and what was
-    read by then counts. Only the model, the main channel's frequency, duty and sweep time and the counter answer.
+    Settings are taken without an answer; a line is read up to the first character that does not fit, and the part
+    before it counts. Only the model, the main channel's frequency, duty and sweep time and the counter answer.
     """
 
     def __init__(self, model: str) -> None:
@@ -37,22 +37,22 @@ class SimulatedGenerator:
         self.restart()
 
     def restart(self) -> None:
-        """As after switching off and on."""
+        """Restore the state after switching off and on."""
         self.main = Output(*SWITCHED_ON)
         self.deputy = Output(*SWITCHED_ON)
 
     @property
     def frequency(self) -> float:
-        """Of the main channel, Hz."""
+        """Frequency of the main channel, Hz."""
         return self.main.frequency / 100
 
     @property
     def amplitude(self) -> float:
-        """Of the main channel's sine, V peak to peak without load; 0 while another waveform is chosen."""
+        """Amplitude of the main channel's sine, V peak to peak without load; 0 while another waveform is chosen."""
         return self.main.amplitude / 100 if self.main.waveform == 0 else 0.0
 
     def respond(self, line: bytes) -> bytes:
-        """What comes back for one line, given without its LF; nothing for a setting."""
+        """The reply to one line, given without its LF; empty for a setting."""
         text = line[:LONGEST].decode("latin-1")
         match text:
             case "a":

@@ -1,6 +1,6 @@
-"""What a Tektronix TDS2024B does with the lines it is sent, byte for byte.
+"""A simulated Tektronix TDS2024B, which handles the lines it is sent byte for byte.
 
-Its records keep the rules that real captures keep: YMULT = V/div / 25, YOFF = 25 x position, XINCR = 10 x s/div / 2500,
+Its records follow the rules of real captures: YMULT = V/div / 25, YOFF = 25 x position, XINCR = 10 x s/div / 2500,
 XZERO = -5 x s/div.
 """
 
@@ -20,7 +20,7 @@ POINTS = 2500
 VOLTS_STEPS = tuple(m * 10.0**e for e in range(-3, 1) for m in (1, 2, 5) if 2e-3 <= m * 10.0**e <= 5.0)
 SECONDS_STEPS = tuple(m * 10.0**e for e in range(-9, 2) for m in (1, 2.5, 5) if 2.5e-9 <= m * 10.0**e <= 50.0)
 
-#: A trigger needs at least this amplitude, in divisions.
+#: Least amplitude of a signal that gives a trigger, in divisions.
 TRIGGER_DIVISIONS = 0.2
 
 
@@ -34,8 +34,8 @@ class Tone:
 
 @dataclass(frozen=True)
 class Errors:
-    """What the oscilloscope adds: noise of the converter (counts, rms) and at the tip (V, rms), jitter of the trigger
-    (s, rms; the same for all channels of one capture)."""
+    """Errors that the oscilloscope adds: noise of the converter (counts, rms) and at the tip (V, rms), jitter of the
+    trigger (s, rms; common to all channels of one capture)."""
 
     noise_counts: float = 0.4
     noise_volts: float = 0.0
@@ -95,7 +95,7 @@ class Record:
 
 @dataclass
 class OscilloscopeState:
-    """What the instrument holds."""
+    """State of the instrument."""
 
     values: dict[str, str | float]
     records: dict[int, Record] = field(default_factory=dict)
@@ -106,8 +106,8 @@ class OscilloscopeState:
 class SimulatedOscilloscope:
     """Four channels behind a line, two of which show `tones` (called at every acquisition: channel to tone).
 
-    ``probes`` are the probes really plugged in, channel to factor. ``wait`` is called with the seconds an acquisition
-    takes.
+    ``probes`` are the probes really plugged in, channel to factor. ``wait`` is called with the duration of an
+    acquisition in seconds.
     """
 
     def __init__(
@@ -126,29 +126,29 @@ class SimulatedOscilloscope:
         self.restart()
 
     def restart(self) -> None:
-        """As after switching off and on."""
+        """Restore the state after switching off and on."""
         self._state = OscilloscopeState({item.name: item.initial for item in ITEMS})
         self._forced = False
         self._blinded = False
 
     def hide(self, channel: int) -> None:
-        """Somebody presses the channel's button: it is not displayed any more."""
+        """Hide a channel, as somebody would by pressing its button."""
         self._state.values[f"SELect:CH{channel}"] = 0.0
         self._state.records.pop(channel, None)
 
     def source(self) -> int:
-        """The channel of which data are asked for."""
+        """The channel whose data are requested."""
         return int(self._word("DATa:SOUrce")[2:])
 
     def respond(self, line: bytes) -> bytes:
-        """What comes back for one line, given without its LF: the answers to the questions in it, or nothing."""
+        """The reply to one line, given without its LF: the answers to the questions in it, or nothing."""
         answers: list[bytes] = []
         path = ""
         for command in line.decode("latin-1").strip().split(";"):
             text = command.strip()
             if not text:
                 continue
-            # Behind a semicolon the last header's beginning is understood, unless a colon or a star says otherwise.
+            # After a semicolon the beginning of the last header is implied, unless a colon or a star says otherwise.
             absolute = text[0] in ":*" or not path or _item(text.split()[0].rstrip("?")) is not None
             whole = text.lstrip(":") if absolute else path + text
             path = whole.split()[0].rpartition(":")[0]
@@ -159,7 +159,7 @@ class SimulatedOscilloscope:
         return b";".join(answers) + b"\n" if answers else b""
 
     def _command(self, text: str) -> bytes | None:
-        """The answer to one command, None for a setting or for a curve that is not there."""
+        """The answer to one command, None for a setting or for a missing curve."""
         header, _, argument = text.partition(" ")
         query = header.endswith("?")
         name = header.rstrip("?").upper()
@@ -253,7 +253,7 @@ class SimulatedOscilloscope:
             self._finish()
 
     def _finish(self) -> None:
-        """Take the acquisition that is running, if there is a trigger; a single sequence then stops."""
+        """Take the running acquisition, if there is a trigger; a single sequence then stops."""
         if not self._state.running or not self._acquire():
             return
         if self._word("ACQuire:STOPAfter") == "SEQUENCE":
@@ -282,7 +282,7 @@ class SimulatedOscilloscope:
         return True
 
     def _trigger(self, tones: Mapping[int, Tone]) -> float | None:
-        """The time (s) in the tones' own time at which the trigger comes, None if the signal is too small."""
+        """The time (s) of the trigger in the tones' own time, None if the signal is too small."""
         source = self._word("TRIGger:MAIn:EDGE:SOUrce")
         if not source.startswith("CH"):
             # The generator's own pulse.
@@ -308,7 +308,8 @@ class SimulatedOscilloscope:
     def _record(
         self, channel: int, tone: Tone | None, times: NDArray[np.float64], seconds: float, start: float
     ) -> Record:
-        """Sampled, converted to 8 bit capture by capture, averaged, and 8 bit again; `times` is (captures, 2500)."""
+        """A record: sampled, converted to 8 bit capture by capture, averaged, and 8 bit again; `times` is (captures,
+        2500)."""
         scale, position = self._tip_scale(channel), self._number(f"CH{channel}:POSition")
         coupling = self._word(f"CH{channel}:COUPling")
         volts = np.zeros_like(times)
@@ -326,7 +327,7 @@ class SimulatedOscilloscope:
         return Record(raw, shown, position, seconds, start, len(times), coupling)
 
     def _selected(self) -> Record | None:
-        """The record that is asked for. None, and two events, when its channel is not displayed."""
+        """The requested record. None, and two events, if its channel is not displayed."""
         if self._state.running and self._word("ACQuire:STOPAfter") == "RUNSTOP":
             self._acquire()
         channel = self.source()
@@ -395,7 +396,7 @@ def _nearest(value: float, steps: tuple[float, ...] | list[float]) -> float:
 
 
 def _scientific(value: float) -> str:
-    """As the instrument prints numbers: 2.0E-1, 1.25E-5."""
+    """A number as the instrument prints it: 2.0E-1, 1.25E-5."""
     mantissa, exponent = f"{value:.6E}".split("E")
     whole, decimals = mantissa.split(".")
     return f"{whole}.{decimals.rstrip('0') or '0'}E{int(exponent)}"

@@ -1,4 +1,4 @@
-"""Tektronix TDS2000 series oscilloscopes (TDS2024B and its kin): 8 bit, records of 2500 points.
+"""Tektronix TDS2000 series oscilloscopes (TDS2024B and relatives): 8 bit, records of 2500 points.
 
 Every setting is read back. A capture is one single-sequence acquisition; all channels are transferred from it, in
 binary. A channel that is not displayed gives no curve at all, so the channels are switched on before every capture.
@@ -28,8 +28,8 @@ MODELS: Mapping[str, int] = {
 #: Volts per division at the input connector, 1-2-5.
 SCALES = (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1, 1.0, 2.0, 5.0)
 
-#: Seconds per division, 1-2.5-5. Faster, the converter does not take a sample for every point of the record; slower,
-#: the series changes over to a rolling display.
+#: Seconds per division, 1-2.5-5. At faster settings the converter does not take a sample for every point of the record;
+#: at slower ones the series changes over to a rolling display.
 TIMEBASES = (2.5e-7, 5e-7, 1e-6, 2.5e-6, 5e-6, 1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2,
              5e-2)
 
@@ -42,13 +42,13 @@ PROBES = (1, 10)
 #: screen to its edge.
 POINTS, DIVISIONS, COUNTS_PER_DIVISION, HALF_SCREEN = 2500, 10, 25, 4
 
-#: The share of the record before the trigger is one half: what the record must begin at, in divisions.
+#: Start of the record in divisions: half of the record lies before the trigger.
 START = -5.0
 
-#: Two readings of one setting are the same when they differ by less than this; the instrument prints 3 or more digits.
+#: Largest relative difference of two readings of one setting; the instrument prints 3 or more digits.
 SAME = 2e-3
 
-#: Peak-to-peak counts up to which two records may be equal by chance: a quiet input has little else than zeros.
+#: Largest peak-to-peak value (counts) at which two records may be equal by chance: a quiet input gives mostly zeros.
 QUIET = 4
 
 #: Seconds between two questions whether the acquisition has ended.
@@ -75,14 +75,14 @@ class Tektronix:
         self._settings = settings
         self._probes = {settings.channel_total: settings.probe_total,
                         settings.channel_reference: settings.probe_reference}
-        #: What was set, volts per division by channel and seconds per division.
+        #: The settings made: volts per division by channel, and seconds per division.
         self._scales: dict[int, float] = {}
         self._timebase: float | None = None
-        #: The last record of every channel, to notice when no new acquisition was made.
+        #: The last record of every channel, to notice a missing acquisition.
         self._last: dict[int, NDArray[np.int16]] = {}
 
     def identify(self) -> str:
-        """The whole identification. Raises InstrumentError when it is another model than expected."""
+        """The whole identification. Raises InstrumentError if it is another model than expected."""
         found = self._link.synchronise()
         if found[1] != self._settings.model:
             raise InstrumentError(
@@ -91,7 +91,7 @@ class Tektronix:
         return found[0]
 
     def set_scale(self, channel: int, volts_per_division: float) -> float:
-        """Set the 1-2-5 step (V per division at the probe's tip) at or above `volts_per_division`; returns the step.
+        """Set the 1-2-5 step (V per division at the probe's tip) at or above `volts_per_division`, and return it.
 
         Raises:
             ValueError: above the coarsest step, not positive, or not one of the two channels; nothing was written.
@@ -104,14 +104,15 @@ class Tektronix:
         return step
 
     def set_timebase(self, seconds_per_division: float) -> float:
-        """Set the 1-2.5-5 step at or above `seconds_per_division`; returns the step. Raises like :meth:`set_scale`."""
+        """Set the 1-2.5-5 step at or above `seconds_per_division`, and return it. Raises like :meth:`set_scale`."""
         step = _step_above(seconds_per_division, TIMEBASES, "s per division")
         self._set("HORIZONTAL:MAIN:SCALE", _number(step))
         self._timebase = step
         return step
 
     def set_averages(self, count: int) -> None:
-        """A single capture (1), which is taken without a trigger too, or an average of 4, 16, 64 or 128, which is not.
+        """Set a single capture (1), which is taken without a trigger too, or an average of 4, 16, 64 or 128, which is
+        not.
 
         Raises:
             ValueError: another number. InstrumentError: it reads back otherwise.
@@ -128,7 +129,7 @@ class Tektronix:
             self._set("TRIGGER:MAIN:MODE", "NORMAL")
 
     def capture(self, channels: Sequence[int]) -> dict[int, Waveform]:
-        """One acquisition, made now, and the waveform of every one of `channels` from it.
+        """Make one acquisition, and return the waveform of every one of `channels` from it.
 
         Raises:
             ValueError: a channel that is not one of the two, or none.
@@ -152,7 +153,7 @@ class Tektronix:
         return found
 
     def set_up(self) -> None:
-        """All that stays the same for the whole run: formats, channels, trigger, single sequence."""
+        """Make all settings that stay for the whole run: formats, channels, trigger, single sequence."""
         link, settings = self._link, self._settings
         link.send("HEADER OFF")
         link.synchronise()
@@ -169,7 +170,7 @@ class Tektronix:
                                 ("BANDWIDTH", "OFF"), ("INVERT", "OFF")):
                 self._set(f"CH{channel}:{item}", value)
         self.set_averages(1)
-        # A first capture shows that it can be done, and leaves nothing on the screen that a previous owner measured.
+        # A first capture shows that it works, and removes a previous owner's record from the screen.
         self.capture(tuple(self._probes))
 
     def close(self) -> None:
@@ -183,7 +184,7 @@ class Tektronix:
         return self._probes[channel]
 
     def _set(self, command: str, value: str) -> None:
-        """Make a setting, and compare with what is read back: a number in value, a word in its beginning."""
+        """Make a setting, and compare it with the reading: a number in value, a word in its beginning."""
         self._link.send(f"{command} {value}")
         found = self._link.ask(Query(f"{command}?", ONE_WORD, "one word or number"))[0]
         if not _same(found, value):
@@ -229,7 +230,7 @@ class Tektronix:
 
 
 def open_tektronix(settings: OscilloscopeSettings) -> Tektronix:
-    """The oscilloscope, identified, set up for single captures, and with one made.
+    """Open the oscilloscope: identified, set up for single captures, and with one made.
 
     Raises:
         InputError: settings that no oscilloscope of the series has. InstrumentError: no such port, another owner,
@@ -264,7 +265,7 @@ def _check(settings: OscilloscopeSettings) -> None:
 
 
 def _step_above(value: float, steps: Sequence[float], unit: str) -> float:
-    """The first of rising `steps` at or above `value` (but for rounding)."""
+    """The first of rising `steps` at or above `value`, within rounding."""
     if value > 0.0:
         for step in steps:
             if value <= step * (1.0 + 1e-9):

@@ -1,8 +1,10 @@
-"""Bytes to and from an instrument: ports with one owner and a time-out, and a dialogue that finds its place again.
+"""Bytes to and from an instrument: ports with one owner and a time-out, and a dialogue that resynchronises after
+errors.
 
-A :class:`Port` moves bytes. A :class:`Link` on top of it speaks in commands and replies: it knows how the instrument
-identifies itself, and uses that question to find the beginning of the next reply after anything went wrong. Replies
-come in order, so once the identification has been read, every late reply to an earlier question has been read too.
+A :class:`Port` moves bytes. A :class:`Link` on top of it speaks in commands and replies: it knows the question that the
+instrument answers with its identification, and uses it to find the beginning of the next reply after anything went
+wrong. Replies come in order, so once the identification has been read, every late reply to an earlier question has been
+read too.
 """
 
 from __future__ import annotations
@@ -23,39 +25,41 @@ from workbench.instruments.instrument import InstrumentError, Silence
 if TYPE_CHECKING:
     import serial
 
-#: A question is asked this many times before its failure is reported; asking changes nothing in the instrument.
+#: Number of times a question is asked before its failure is reported; asking changes nothing in the instrument.
 ATTEMPTS = 3
 
-#: A reply that has not ended after so many bytes is not a reply.
+#: Largest number of bytes of a reply.
 LONGEST_LINE = 4096
 
-#: Lines that may still be under way when a link looks for its place: replies to earlier questions, or the pieces of a
-#: block of samples, one byte in 128 of which looks like an end of a line.
+#: Largest number of lines that may still be under way when a link resynchronises: replies to earlier questions, or the
+#: pieces of a block of samples, one byte in 128 of which looks like an end of a line.
 LONGEST_BACKLOG = 40
 
 Reply = TypeVar("Reply")
 
 
 class Port(Protocol):
-    """Bytes in and out. ``name`` is what the user called it."""
+    """Bytes in and out. ``name`` is the user's name of the port."""
 
     name: str
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`. Raises InstrumentError when the port is gone or takes nothing."""
+        """Send all of `data`. Raises InstrumentError if the port is gone or takes nothing."""
 
     def read(self, timeout: float) -> bytes:
-        """What has come, at least one byte, or nothing after `timeout` seconds. Raises InstrumentError: port gone."""
+        """The received bytes, at least one, or none after `timeout` seconds. Raises InstrumentError if the port is
+        gone."""
 
     def discard(self) -> None:
-        """Forget what has come and was not read."""
+        """Drop received bytes that were not read."""
 
     def close(self) -> None:
         """Give the port back."""
 
 
 def open_port(name: str, *, baud: int, timeout: float) -> Port:
-    """The port called `name`: a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no handshake).
+    """Open the port called `name`: a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no
+    handshake).
 
     Nobody else can open it until it is closed or this process ends, however it ends.
 
@@ -70,7 +74,7 @@ def open_port(name: str, *, baud: int, timeout: float) -> Port:
 
 
 def _refused(name: str, error: OSError) -> InstrumentError:
-    """Why a port could not be opened, with what to do about it."""
+    """The reason why a port could not be opened, with a remedy."""
     match error.errno:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
             folder = Path(name).parent
@@ -93,7 +97,7 @@ def _gone(name: str, doing: str, error: Exception) -> InstrumentError:
 class SerialPort:
     """A serial port, 8N1 without flow control."""
 
-    #: pyserial waits in slices of this length (s), so that its time-out need not be set anew for every reply.
+    #: Length (s) of the slices in which pyserial waits, so that its time-out need not be set anew for every reply.
     SLICE = 0.02
 
     def __init__(self, name: str, *, baud: int, timeout: float) -> None:
@@ -142,7 +146,7 @@ class SerialPort:
 
 
 def _termios_error() -> type[Exception]:
-    """What the terminal calls raise, which is no OSError."""
+    """The exception of the terminal calls, which is no OSError."""
     if sys.platform == "win32":
         return OSError
     import termios
@@ -151,7 +155,7 @@ def _termios_error() -> type[Exception]:
 
 
 class UsbtmcPort:
-    """The device file of a USB test and measurement instrument, as Linux has it (its driver frames the messages)."""
+    """The device file of a USB test and measurement instrument under Linux, whose driver frames the messages."""
 
     #: ``_IO(91, 2)`` clears the device, ``_IOW(91, 10, __u32)`` sets the time-out in ms (linux/usb/tmc.h).
     CLEAR, SET_TIMEOUT = 0x5B02, 0x40045B0A
@@ -213,7 +217,7 @@ class VisaPort:
         self._error: type[Exception] = pyvisa.errors.VisaIOError
         self._timed_out = pyvisa.constants.StatusCode.error_timeout
         try:
-            # No lock is asked for, which pyvisa-py does not have: libusb gives the interface to one process.
+            # No lock is requested, which pyvisa-py does not have: libusb gives the interface to one process.
             self._resource: Any = pyvisa.ResourceManager("@py").open_resource(name)
         except (self._error, ValueError, OSError) as error:
             raise InstrumentError(f"{name}: the resource cannot be opened ({error})") from None
@@ -246,7 +250,7 @@ class VisaPort:
 
 @dataclass(frozen=True)
 class Query:
-    """A question, and what the whole line of a reply to it looks like, ``expected`` being ``reply`` in words."""
+    """A question, and the pattern of a whole line of reply to it; ``expected`` describes ``reply`` in words."""
 
     command: str
     reply: re.Pattern[str]
@@ -256,11 +260,11 @@ class Query:
 class Link:
     """A dialogue in lines of ASCII text ended by LF; replies may end with CR or CRLF too, or with nothing.
 
-    A reply without an end is taken for whole when what came is a reply and comes alike when it is asked for again: some
-    firmware leaves the end out, and a reply that was cut short is not cut twice at one place.
+    A reply without an end counts as whole if it matches the pattern and comes alike when asked for again: some firmware
+    leaves the end out, and a reply that was cut short is not cut twice at one place.
 
-    ``hello`` is the question an instrument answers with its identification; ``timeout`` (s) is how long nothing may
-    come while a reply is awaited; ``pause`` (s) is kept after every command.
+    ``hello`` is the question an instrument answers with its identification; ``timeout`` (s) is the longest silence
+    while a reply is awaited; ``pause`` (s) follows every command.
     """
 
     def __init__(self, port: Port, *, hello: Query, timeout: float, pause: float) -> None:
@@ -277,7 +281,7 @@ class Link:
 
     @property
     def name(self) -> str:
-        """What the user called the port."""
+        """The user's name of the port."""
         return self._port.name
 
     def send(self, command: str) -> None:
@@ -287,7 +291,7 @@ class Link:
             time.sleep(self._pause)
 
     def ask(self, query: Query) -> re.Match[str]:
-        """The reply to `query`, asked again after finding the place when what comes is not one.
+        """The reply to `query`, which is asked again after resynchronising if another text comes.
 
         Raises:
             Silence: nothing, or no end of the line, came at the last attempt. InstrumentError: something else came.
@@ -298,7 +302,7 @@ class Link:
         """The `count` bytes of a definite-length block (IEEE 488.2: ``#``, digits, bytes, LF), asked like :meth:`ask`.
 
         Raises:
-            Silence: too few bytes. InstrumentError: another count announced, or no end behind the last byte.
+            Silence: too few bytes. InstrumentError: another count announced, or no end after the last byte.
         """
         length = str(count)
         header = f"#{len(length)}{length}".encode("ascii")
@@ -322,11 +326,11 @@ class Link:
     def synchronise(self) -> re.Match[str]:
         """Find the beginning of the next reply: ask for the identification and drop all that comes before it.
 
-        Also ends a command of which a previous owner of the port had sent a part only: the instrument makes what it
-        can of that part and of the question behind it, stays silent, and is asked again.
+        This also ends a command of which a previous owner of the port had sent only a part: the instrument tries to
+        execute that part together with the question after it, stays silent, and is asked again.
 
         Raises:
-            Silence: nothing came. InstrumentError: nothing that came is an identification.
+            Silence: nothing came. InstrumentError: no reply is an identification.
         """
         came: list[bytes] = []
         for _ in range(ATTEMPTS):
@@ -384,7 +388,7 @@ class Link:
         return found
 
     def _without_end(self, query: Query) -> re.Match[str] | None:
-        """What came and has no end, if it is a reply to `query` and came alike before."""
+        """The received text without an end, if it is a reply to `query` and came alike before."""
         found = query.reply.fullmatch(_text(self._received))
         if found is None:
             return None
@@ -407,7 +411,7 @@ class Link:
             self._receive(command, "a line ended by LF")
 
     def _skip_end(self, end: bytes) -> None:
-        """Drop the LF behind a CR, which may come later."""
+        """Drop the LF after a CR, which may come later."""
         self._ended = end == b"\r" and not self._received
         if end == b"\r":
             self._received = self._received.removeprefix(b"\n")
@@ -436,7 +440,7 @@ def _text(line: bytes) -> str:
 
 
 def _came(data: bytes) -> str:
-    """What came, short enough to be read."""
+    """Received bytes as text, short enough to be read."""
     if not data:
         return "nothing"
     return f"{data!r}" if len(data) <= 60 else f"{data[:40]!r} and {len(data) - 40} more bytes"

@@ -1,9 +1,10 @@
-"""Waveforms that oscilloscopes save as one CSV table: a column of time, or its start and step, and a column a channel.
+"""Waveforms that oscilloscopes save as one CSV table: a column of time, or its start and step, and a column per
+channel.
 
-Read are the files of Rigol (DS1000E, DS1000Z, MSO5000), Siglent (SDS1000, SDS2000), Tektronix (DPO, MSO, MDO, TBS2000),
-Keysight InfiniiVision, and any table whose headings are a time and channels, each with its unit. Layouts as public
-readers and captures of these instruments show them; where the step is stated and the printed time agrees with it, the
-stated step is used, since some makers print the time in too few digits.
+It reads the files of Rigol (DS1000E, DS1000Z, MSO5000), Siglent (SDS1000, SDS2000), Tektronix (DPO, MSO, MDO, TBS2000),
+Keysight InfiniiVision, and any table whose headings are a time and channels, each with its unit. Layouts are those of
+public readers and captures of these instruments. If a step is stated and the printed time agrees with it, the stated
+step is used, since some makers print the time in too few digits.
 """
 
 from __future__ import annotations
@@ -19,24 +20,25 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
 
-#: Lines in which headings are looked for; the longest head seen (Tektronix MSO) has 21.
+#: Number of lines in which headings are looked for; the longest head seen (Tektronix MSO) has 21.
 SEARCHED = 60
 
-#: Samples that stand further from even steps than this share of a step, beyond the digits they are printed in, are not
-#: of one record. Doubled, a jump of a twenty-fifth of a step is taken for rounding.
+#: Largest deviation of samples from even steps, as a share of a step and beyond the rounding of printed digits, in one
+#: record. Doubled, a jump of a twenty-fifth of a step is taken for rounding.
 UNEVEN = 0.02
 
-#: A step that is known no better than this (relative) from a printed time is refused: so wrong would every frequency
-#: be.
+#: Largest relative uncertainty of a step from printed times; a coarser one is refused, since every frequency would be
+#: wrong by as much.
 COARSE = 1e-3
 
-#: What makers write in place of a voltage that left the screen is beyond this (V).
+#: Voltage (V) above which a value marks a sample that left the screen.
 OFF_SCREEN = 1e30
 
-#: Differences below this share of the range of a signal are rounding, not steps of a converter (16 bit is 1.5e-5).
+#: Largest difference, as a share of the range of a signal, that is rounding and not a step of the converter (16 bit is
+#: 1.5e-5).
 SAME_VALUE = 5e-6
 
-#: What is read, for messages.
+#: The readable files, for messages.
 READ = ("a waveform in CSV of Tektronix (TDS, TBS, DPO, MSO, MDO), Rigol, Siglent or Keysight InfiniiVision, an ISF "
         "file, or a table headed time, CH1, CH2 with their units: Time (s),CH1 (V),CH2 (V)")
 
@@ -65,10 +67,10 @@ class WaveformColumn:
 
 @dataclass(frozen=True)
 class WaveformTable:
-    """Where the samples of a file are, by its head.
+    """The place of the samples in a file, by its head.
 
-    ``maker`` in words; ``channels`` by number; ``time`` the column of time, or None where ``start`` and ``step`` (s)
-    are all that is given; ``first`` the index of the line after the head; ``settings`` what stands above the headings.
+    ``maker`` in words; ``channels`` by number; ``time`` the column of time, or None if only ``start`` and ``step`` (s)
+    are given; ``first`` the index of the line after the head; ``settings`` the lines above the headings.
     """
 
     maker: str
@@ -82,7 +84,7 @@ class WaveformTable:
 
 
 def decoded(data: bytes) -> tuple[str, ...]:
-    """The lines of a text file of whatever encoding instruments write."""
+    """The lines of a text file in any encoding that instruments write."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return tuple(data.decode("utf-16", "replace").lstrip("\ufeff").splitlines())
     try:
@@ -92,7 +94,8 @@ def decoded(data: bytes) -> tuple[str, ...]:
 
 
 def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
-    """Where the samples are in a file of these `lines`, or None if its head is not that of an oscilloscope's table."""
+    """The place of the samples in a file of these `lines`, or None if its head is not that of an oscilloscope's table.
+    """
     for index, line in enumerate(lines[:SEARCHED]):
         for delimiter in (",", ";", "\t"):
             cells = _cells(line, delimiter)
@@ -106,7 +109,7 @@ def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
 
 
 def recognised(lines: Sequence[str]) -> str:
-    """What the file is, in words, if it is a table of an oscilloscope; otherwise nothing."""
+    """A description of the file if it is a table of an oscilloscope; otherwise ""."""
     found = waveform_table(lines)
     if found is None:
         return ""
@@ -151,7 +154,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _channel(heading: str) -> tuple[int, str, bool] | None:
-    """Number, unit and whether it is an envelope, of the channel that a heading names."""
+    """Number and unit of the channel that a heading names, and whether it is an envelope."""
     inner = re.fullmatch(r"[XY]\((.*)\)", heading)
     if inner:
         heading = inner[1]
@@ -169,7 +172,8 @@ def _channel(heading: str) -> tuple[int, str, bool] | None:
 
 
 def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Columns of channels alone, and the time by its start and step in the same line: CH1(V),CH2(V),t0 = ..., tInc."""
+    """A table with columns of channels alone, and start and step of the time in the heading line: CH1(V),CH2(V),t0 =
+    ..., tInc."""
     start, step = _START.search(lines[index]), _STEP.search(lines[index])
     if start is None or step is None or start[2].lower() not in _TIMES or step[2].lower() not in _TIMES:
         return None
@@ -185,7 +189,7 @@ def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
 
 
 def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Headings of a time and channels, in one line with their units or above a line of units."""
+    """A table with headings of a time and channels, in one line with their units or above a line of units."""
     cells = _cells(lines[index], delimiter)
     parts = _UNIT.match(cells[0])
     assert parts is not None
@@ -232,7 +236,8 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
 
 
 def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Headings that are units, the channels being named above: Source,CH1,CH2 over Second,Volt,Volt (Siglent)."""
+    """A table whose headings are units, with the channels named above: Source,CH1,CH2 over Second,Volt,Volt (Siglent).
+    """
     cells = _cells(lines[index], delimiter)
     if cells[0].lower() not in _TIMES or not all(cell.lower() in {*_VOLTS, "value"} for cell in cells[1:]):
         return None
@@ -266,7 +271,7 @@ def _units_below(lines: Sequence[str], index: int, delimiter: str) -> tuple[list
 
 
 def _settings(lines: Sequence[str], delimiter: str) -> dict[str, tuple[str, ...]]:
-    """What stands above the headings, by its first cell in lower case."""
+    """The lines above the headings, by their first cell in lower case."""
     found = {}
     for line in lines:
         cells = _cells(line, delimiter)
@@ -280,7 +285,7 @@ def _settings(lines: Sequence[str], delimiter: str) -> dict[str, tuple[str, ...]
 
 
 def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[list[str], dict[int, NDArray[np.float64]]]:
-    """The cells of the time column as printed ("" where there is none), and the samples of every channel."""
+    """The cells of the time column as printed ("" if there is none), and the samples of every channel."""
     places = {number: columns[0].place for number, columns in table.channels.items()}
     extremes = {number: columns[1].place if len(columns) > 1 else None for number, columns in table.channels.items()}
     for number, columns in table.channels.items():
@@ -322,7 +327,7 @@ def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[lis
 
 
 def _check_length(path: str, table: WaveformTable, count: int) -> None:
-    """The file has as many rows as it announces, unless a part of the record was saved."""
+    """Check that the file has as many rows as it announces, unless a part of the record was saved."""
     stated = re.search(r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?", ",".join(table.settings.get("record length", ())))
     gating = table.settings.get("gating", ("0.0% to 100.0%",))[0].replace(" ", "")
     if stated is None or gating != "0.0%to100.0%":
@@ -355,7 +360,7 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
     stated = _stated_step(table)
     if stated is not None and abs(stated - step) <= digit / (len(time) - 1) + 1e-6 * step:
         return float(even[0]), stated
-    # Of a line through times that are each rounded to a digit, two standard deviations or more.
+    # For a line through times that are each rounded to a digit, two standard deviations or more.
     uncertain = digit / len(time) ** 1.5
     if uncertain > COARSE * step:
         raise InputError(path, "time", f"{printed[0]} to {printed[-1]}", f"a time of more digits: of {len(time)} "
@@ -364,7 +369,7 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
 
 
 def _stated_step(table: WaveformTable) -> float | None:
-    """The step (s) that the head states, if it does."""
+    """The step (s) that the head states, or None."""
     stated = re.search(r"(?:^|:)\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)", ",".join(
         table.settings.get("sample interval", ())[:1]))
     return float(stated[1]) if stated else None

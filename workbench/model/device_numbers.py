@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from geometry.assumed import assumed_uncertainty
 from geometry.chip import Chip
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.kinds import Material
 from materials.versions import split_version
 from workbench.files.errors import InputError
@@ -28,7 +28,7 @@ def device_numbers(chip: Chip | None, materials: Iterable[Material]) -> dict[str
     """
     found: dict[str, Number] = {}
     if chip is not None:
-        first = tied(chip)
+        first = canonical_names(chip)
         found = {name: length_number(chip, name) for name in chip.dimensions() if first.get(name, name) == name}
     for material in {each.name: each for each in materials}.values():
         for key in material.parameters():
@@ -51,7 +51,7 @@ def length_number(chip: Chip, name: str) -> Number:
     Raises:
         InputError: radii that coincide have two tolerances.
     """
-    first, known = tied(chip), chip.dimensions()
+    first, known = canonical_names(chip), chip.dimensions()
     mine = first.get(name, name)
     others = tuple(other for other, each in first.items() if each == mine and other != mine)
     tolerances = {each: tolerance for each in (mine, *others) if (tolerance := known[each].tolerance) is not None}

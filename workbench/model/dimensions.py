@@ -12,7 +12,7 @@ from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.mesh import MeshError, SectionMesh
 from geometry.shapes import with_shapes
-from geometry.stretch import Piece, movable, split, tied
+from geometry.stretch import Piece, admissible_range, canonical_names, split
 from workbench.files.errors import InputError, choose
 from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation
 from workbench.model.moved_parts import LayerShape, ShapedLayers, shapes_of
@@ -48,9 +48,9 @@ def flexible(
 
     Radii are given with the range they may move in, or by name, which stands for a tenth to either side; none passes
     another one. Radii that coincide are one parameter, under the first of their names in the chip file
-    (`geometry.stretch.tied`). Shapes are given with their range, by the names that they have, or would have, among the
-    dimensions of the chip; one that the chip does not state is 0. Spectra are those of a mesh stretched to the new
-    lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays.
+    (`geometry.stretch.canonical_names`). Shapes are given with their range, by the names that they have, or would have,
+    among the dimensions of the chip; one that the chip does not state is 0. Spectra are those of a mesh stretched to
+    the new lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays.
     Terms added afterwards do not follow a length: add them first. They may name parts of places
     (`geometry.names.part_name`).
 
@@ -94,14 +94,14 @@ def flexible(
     for group, each in interpolation.of(problem.terms, asides):
         own = layers.following(each)
         integrals = {term: term.integrals() for term in group}
-        used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
+        used = dict.fromkeys((i.place, i.opposite) for found in integrals.values() for i in found)
         parts: dict[str, tuple[StretchedPart, ...]] = {}
         if own.shapes:
             mesh, parts = _moved_parts(mesh, pieces, own, used, part)
         else:
             parts = {place: tuple(part(piece) for piece in pieces[place]) for pair in used for place in pair if place}
         for term, found in integrals.items():
-            places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.facing) if p))
+            places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.opposite) if p))
             stretched = sorted({each.layer for place in places for each in parts[place]} - {""})
             terms[term] = Stretched(term, tuple((place, parts[place]) for place in places),
                                     tuple((layer, nominal[layer]) for layer in stretched))
@@ -201,7 +201,7 @@ def _moves(plain: StretchedPart, piece: Piece, shapes: Sequence[LayerShape], cel
 
 def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]) -> dict[str, tuple[float, float]]:
     """The range (m) of every radius that moves, by the first of its names."""
-    known, first = chip.dimensions(), tied(chip)
+    known, first = chip.dimensions(), canonical_names(chip)
     ranges: dict[str, tuple[float, float]] = {}
     for name in radii:
         choose(name, first, source=chip.file, field="radius")
@@ -210,7 +210,7 @@ def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]
                      else ((1.0 - RADIAL_RANGE) * value, (1.0 + RADIAL_RANGE) * value))
         if not low <= value <= high:
             raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"a range that holds its length, {value:g} m")
-        wanted = movable(chip, name, low, high)
+        wanted = admissible_range(chip, name, low, high)
         if ranges.setdefault(first[name], wanted) != wanted:
             raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"one range for radii that coincide: "
                              f"{first[name]} has another")

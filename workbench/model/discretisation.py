@@ -143,7 +143,7 @@ ROWS: Mapping[float, Discretisation] = {
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
 }
 
-#: Default relative accuracy of Z that meshes are made for. Doubled, a model has about a fifth fewer unknowns.
+#: Default relative accuracy of Z that meshes are made for. Doubled, a model has a quarter fewer unknowns.
 ACCURACY = 5e-4
 
 

@@ -21,7 +21,7 @@ from geometry.chip_section import chip_section
 from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from geometry.mesh import MeshError, SectionMesh
-from geometry.names import LEVEL, PART, whole
+from geometry.names import LEVEL, PART, parent_place
 from geometry.stretch import moving_together
 from workbench.files.errors import InputError, choose
 from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation, MovedMesh, MovedSize, taken_apart
@@ -64,10 +64,11 @@ def flexible_free(
     mesh, terms = problem.mesh, dict[Term, Term]()
     for group, each in interpolation.of(problem.terms, asides):
         integrals = {term: term.integrals() for term in group}
-        used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
+        used = dict.fromkeys((i.place, i.opposite) for found in integrals.values() for i in found)
         mesh, parts = _parts(_with_sides(mesh, used), replace(moved, interpolation=each), sizes, list(used))
         terms |= {term: Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
-            place for i in found for place in (i.place, i.facing) if place)), ()) for term, found in integrals.items()}
+            place for i in found for place in (i.place, i.opposite) if place)), ())
+                  for term, found in integrals.items()}
     values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}
     return replace(problem, mesh=replace(mesh, variants=moved.variants), values=values,
                    terms=tuple(terms[term] for term in problem.terms))
@@ -96,7 +97,7 @@ def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMe
     are nearer to lying than to standing."""
     boundaries = dict(mesh.mesh.boundaries)
     for place in {place for pair in used for place in pair if place.endswith(f"{PART}{LEVEL}")}:
-        facets = np.asarray(boundaries[whole(place)])
+        facets = np.asarray(boundaries[parent_place(place)])
         across, along = np.abs(np.ptp(mesh.mesh.p[:, mesh.mesh.facets[:, facets]], axis=1))
         boundaries[place] = facets[along < across]
     return replace(mesh, mesh=mesh.mesh.with_boundaries(boundaries))

@@ -182,8 +182,8 @@ class ParameterName:
 
     @property
     def quantity(self) -> str:
-        """The dimension of the number, a key of `workbench.files.quantities.UNITS`; empty where its name alone does not
-        tell, as of a number that a term brings in."""
+        """The dimension of the number, a key of `workbench.files.quantities.UNITS`; empty for a number that a term
+        brings in, whose name does not tell."""
         if self.is_dimension:
             return SHAPES.get(self.coefficient, "length")
         if self.is_bench:
@@ -197,7 +197,7 @@ class ParameterName:
 
     @property
     def in_words(self) -> str:
-        """The number as it is read: "substrate thickness", "pla shear modulus loss in the state filled"."""
+        """The name in plain words: "substrate thickness", "pla shear modulus loss in the state filled"."""
         words = plain_words(f"{self.owner} {self.local}".strip()).replace(".", " ")
         return f"{words} in the state {self.state}" if self.state else words
 
@@ -219,11 +219,11 @@ Law = Literal["uniform", "normal"]
 
 @dataclass(frozen=True)
 class Stated:
-    """How exactly a number is known (SI), and who says so.
+    """The uncertainty of a number as it is stated (SI), and its origin.
 
     ``amount`` is the limit to either side of a uniform law (a tolerance: GUM, JCGM 100:2008, 4.3.7), or the standard
     uncertainty of a normal one (what a registry or a fit states); 0 states the number as exact. ``origin`` is the file,
-    the table or the entry that says so. ``assumed`` says in words what is taken to be known where nobody states it.
+    the table or the entry that states it. ``assumed`` is the assumption in words, if nobody states it.
     """
 
     amount: float
@@ -251,8 +251,8 @@ class Stated:
 class Number:
     """One real number of a device.
 
-    ``value`` lies in its admissible range, ``low`` to ``high``; all in the SI ``unit``. ``stated`` is how exactly it is
-    known, None where nobody says. ``tied`` are the other names of the same number: radii that coincide.
+    ``value`` lies in its admissible range, ``low`` to ``high``; all in the SI ``unit``. ``stated`` is its uncertainty,
+    None if nobody states it. ``tied`` are the other names of the same number: radii that coincide.
     """
 
     name: str
@@ -315,22 +315,22 @@ class Number:
 
     @property
     def origin(self) -> str:
-        """Who states how exactly it is known."""
+        """The file, table or entry that states its uncertainty; empty if none does."""
         return self.stated.origin if self.stated else ""
 
     @property
     def assumed(self) -> str:
-        """In words what is taken to be known of it where nobody states it; empty where somebody does."""
+        """The assumption about a number that nobody states, in words; empty if its uncertainty is stated."""
         return self.stated.assumed if self.stated else ""
 
     @property
     def tolerance(self) -> float | None:
-        """The amount that somebody states, None where nobody does."""
+        """The stated amount of its uncertainty; None if it is assumed, or nobody states it."""
         return self.stated.amount if self.stated and not self.stated.assumed else None
 
     @property
     def known(self) -> LengthUncertainty:
-        """How exactly a length is known: as stated, or by its role (`geometry.assumed`)."""
+        """The uncertainty of a length: stated, or assumed by its role (`geometry.assumed`)."""
         return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
 
 
@@ -349,7 +349,7 @@ def limits(name: str, value: float) -> tuple[float, float]:
 
 
 def plain_words(text: str) -> str:
-    """A `text` with names in it as it is read: without the sources of materials, and without joined words."""
+    """A `text` with names in plain words: without the sources of materials, and without joined words."""
     return _SOURCE.sub(r"\1", text).replace("_", " ")
 
 

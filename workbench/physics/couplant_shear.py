@@ -93,14 +93,14 @@ class CouplantShear(Term):
 
         # The tangents of opposite walls are opposite, which changes the sign of the coupling.
         return (
-            of(_own, Product("u_t", "u_t"), Product("u_t_facing", "u_t_facing")),
-            of(_own_once, Product("u_t", "grad_p_t", -2.0), Product("u_t_facing", "grad_p_t_facing", -2.0)),
-            of(_own_twice, Product("grad_p_t", "grad_p_t"), Product("grad_p_t_facing", "grad_p_t_facing")),
-            of(_across, Product("u_t", "u_t_facing", 2.0)),
-            of(_across_once, Product("u_t", "grad_p_t_facing", -2.0), Product("u_t_facing", "grad_p_t", -2.0)),
-            of(_across_twice, Product("grad_p_t", "grad_p_t_facing", 2.0)),
+            of(_own, Product("u_t", "u_t"), Product("u_t_opposite", "u_t_opposite")),
+            of(_own_once, Product("u_t", "grad_p_t", -2.0), Product("u_t_opposite", "grad_p_t_opposite", -2.0)),
+            of(_own_twice, Product("grad_p_t", "grad_p_t"), Product("grad_p_t_opposite", "grad_p_t_opposite")),
+            of(_across, Product("u_t", "u_t_opposite", 2.0)),
+            of(_across_once, Product("u_t", "grad_p_t_opposite", -2.0), Product("u_t_opposite", "grad_p_t", -2.0)),
+            of(_across_twice, Product("grad_p_t", "grad_p_t_opposite", 2.0)),
             # u_n is -u_z on the lower wall and u_z on the upper one.
-            of(_modulus, Product("u_t", "u_z_t", -4.0), Product("u_t_facing", "u_z_t_facing", 4.0)),
+            of(_modulus, Product("u_t", "u_z_t", -4.0), Product("u_t_opposite", "u_z_t_opposite", 4.0)),
             Integral(Monomial(-4j / 3.0, 1, squeezed), self.region, (Product("p", "p"),)),
         )
 

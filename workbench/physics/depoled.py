@@ -54,7 +54,7 @@ class DepoledRim(Term):
             ("eps33", _gained, (excess,), Product("grad_phi_z", "grad_phi_z")),
         ):
             whole = (("constant", f"{self.material}.{constant}"), *symbols)
-            found += [Integral(coefficient, self.region, (product,), beyond=edge)
+            found += [Integral(coefficient, self.region, (product,), radius_fraction=edge)
                       for edge, coefficient in self.rim.coefficients(law, whole)]
         return tuple(found)
 

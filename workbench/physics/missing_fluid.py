@@ -49,8 +49,8 @@ class MissingFluid(Term):
         speeds = (("c", f"{self.material}.sound_speed"), ("c_g", f"{self.gas}.sound_speed"))
         return (
             *(Integral(lightness, self.region, (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z")),
-                       beyond=edge) for edge, lightness in self.rim.coefficients(_lightness, densities, -2)),
-            *(Integral(squeezed, self.region, (Product("p", "p"),), beyond=edge)
+                       radius_fraction=edge) for edge, lightness in self.rim.coefficients(_lightness, densities, -2)),
+            *(Integral(squeezed, self.region, (Product("p", "p"),), radius_fraction=edge)
               for edge, squeezed in self.rim.coefficients(_squeezed, (*densities, *speeds))),
         )
 

@@ -52,7 +52,7 @@ class OpenBond(Term):
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(
-            replace(integral, coefficient=times(integral.coefficient, opened), beyond=edge, skin=self.skin)
+            replace(integral, coefficient=times(integral.coefficient, opened), radius_fraction=edge, skin=self.skin)
             for edge, opened in self.rim.coefficients(_opened, ())
             for integral in isotropic_solid(self.region, self.material)
         )

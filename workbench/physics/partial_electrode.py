@@ -48,7 +48,7 @@ class PartialElectrode(Term):
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(
-            Integral(coefficient, self.region, (product,), beyond=edge, skin=SKIN if self.upper else -SKIN)
+            Integral(coefficient, self.region, (product,), radius_fraction=edge, skin=SKIN if self.upper else -SKIN)
             for constant, law, product in (
                 ("e31", _uncoupled, Product("strain_plane", "grad_phi_z", 2.0)),
                 ("e33", _uncoupled, Product("strain_zz", "grad_phi_z", 2.0)),

@@ -225,10 +225,10 @@ class Stretched(Term):
         parts, nominal = dict(self.parts), dict(self.nominal)
         result: list[Integral] = []
         for integral in self.term.integrals():
-            across = parts.get(integral.facing, ())
+            across = parts.get(integral.opposite, ())
             for number, part in enumerate(parts[integral.place]):
-                facing = across[number].name if integral.facing else ""
-                placed = replace(integral, place=part.name, facing=facing)
+                opposite = across[number].name if integral.opposite else ""
+                placed = replace(integral, place=part.name, opposite=opposite)
                 result += _stretched(placed, part, nominal)
         return tuple(result)
 

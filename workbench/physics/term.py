@@ -30,8 +30,8 @@ COMPONENTS = ("u_r", "u_z", "phi", "p")
 
 #: One part of an operator: (component, operation, factor). Operation: ``value``, ``d_r``, ``d_z`` or ``over_r`` (value
 #: / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent in the section,
-#: ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_facing`` after both, the
-#: part is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
+#: ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_opposite`` after both,
+#: the part is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
 #: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
@@ -53,13 +53,13 @@ _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_t": (("u_r", "value", "t_r"), ("u_z", "value", "t_z")),
     "u_z_t": (("u_z", "d_r", "t_r"), ("u_z", "d_z", "t_z")),
     "grad_p_t": (("p", "d_r", "t_r"), ("p", "d_z", "t_z")),
-    "u_t_facing": (("u_r", "value_facing", "t_r_facing"), ("u_z", "value_facing", "t_z_facing")),
-    "u_z_t_facing": (("u_z", "d_r_facing", "t_r_facing"), ("u_z", "d_z_facing", "t_z_facing")),
-    "grad_p_t_facing": (("p", "d_r_facing", "t_r_facing"), ("p", "d_z_facing", "t_z_facing")),
+    "u_t_opposite": (("u_r", "value_opposite", "t_r_opposite"), ("u_z", "value_opposite", "t_z_opposite")),
+    "u_z_t_opposite": (("u_z", "d_r_opposite", "t_r_opposite"), ("u_z", "d_z_opposite", "t_z_opposite")),
+    "grad_p_t_opposite": (("p", "d_r_opposite", "t_r_opposite"), ("p", "d_z_opposite", "t_z_opposite")),
 }
 
 #: Suffix of the parts of an operator that is taken on the opposite boundary.
-FACING = "_facing"
+OPPOSITE = "_opposite"
 
 
 #: Numbers of derivatives along z, derivatives along r and divisions by r in a part of an operator: each 0 or 1.
@@ -67,7 +67,7 @@ Kind = tuple[int, int, int]
 
 
 def _kind(part: Part, *, radially: bool) -> Kind:
-    taken = part[1].removesuffix(FACING)
+    taken = part[1].removesuffix(OPPOSITE)
     return int(taken == "d_z"), int(radially and taken == "d_r"), int(radially and taken == "over_r")
 
 
@@ -343,12 +343,13 @@ class Integral:
     """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
 
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
-    ``facing`` names the opposite boundary of a thin layer and ``facing_solid`` the solid there, for the operators that
-    are taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to radii
-    above that fraction of its outer radius, also within an element. ``skin`` restricts it to the row of elements that
-    takes this share of its thickness, at its upper face or, if negative, at its lower one; the mesh must have that row
-    (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz. ``variant`` names
-    the moved coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`), "" for its own.
+    ``opposite`` names the opposite boundary of a thin layer and ``opposite_solid`` the solid there, for the operators
+    that are taken on it; the two boundaries are horizontal and have the same radii. ``radius_fraction`` restricts a
+    region to radii above that fraction of its outer radius, also within an element. ``skin`` restricts it to the row of
+    elements that takes this share of its thickness, at its upper face or, if negative, at its lower one; the mesh must
+    have that row (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
+    ``variant`` names the moved coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`),
+    "" for its own.
     """
 
     coefficient: Coefficient
@@ -356,9 +357,9 @@ class Integral:
     products: tuple[Product, ...]
     solid: str = ""
     fluid: str = ""
-    facing: str = ""
-    facing_solid: str = ""
-    beyond: float = 0.0
+    opposite: str = ""
+    opposite_solid: str = ""
+    radius_fraction: float = 0.0
     skin: float = 0.0
     radial: Radial | None = None
     variant: str = ""
@@ -370,8 +371,8 @@ class Integral:
     @property
     def domain(self) -> str:
         """The name of the domain: the place, its opposite boundary or restriction, and its variant."""
-        name = f"{self.place} facing {self.facing}" if self.facing else self.place
-        name = name if not self.beyond else f"{name} beyond {self.beyond!r}"
+        name = f"{self.place} facing {self.opposite}" if self.opposite else self.place
+        name = name if not self.radius_fraction else f"{name} beyond {self.radius_fraction!r}"
         name = name if not self.skin else f"{name} skin {self.skin!r}"
         return name if not self.variant else f"{name} at {self.variant}"
 

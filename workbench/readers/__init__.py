@@ -1,12 +1,12 @@
-"""Recordings of impedance: find out the format, read it, and say what looks wrong.
+"""Recordings of impedance: find out the format, read it, and report what looks wrong.
 
     reading = read_recording(Path("disc.csv"))
     reading.spectrum, reading.findings
 
-A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read_recording` asks
-for a column map, and proposes one. A file that cannot be trusted (cut short, not a number) is an `InputError` with the
-line. A sweep in another order than that of frequency is put in order, with a finding. A file that can be read but
-contradicts physics gives findings, and is corrected only on request.
+A table with clear headings needs no more; for one without, :func:`read_recording` asks for a column map, and proposes
+one. A file that cannot be trusted (cut short, not a number) is an `InputError` with the line. A sweep in another order
+than that of frequency is put in order, with a finding. A file that can be read but contradicts physics gives findings,
+and is corrected only on request.
 """
 
 from __future__ import annotations
@@ -53,39 +53,39 @@ FORMATS: Mapping[str, Format] = {
     **{name: Format(f"{instrument.name} table", instruments.recogniser(name), instruments.instrument_parser(name))
        for name, instrument in instruments.INSTRUMENTS.items()},
     "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
-    # The last, since it takes whatever has three columns of numbers.
+    # The last one, since it takes any file with three columns of numbers.
     "table": Format("a table whose headings say what its columns are", headed.recognises_headed, headed.parse_headed),
 }
 
-#: Findings of the reading itself, which a correction of the spectrum leaves as they are.
+#: Findings on the spectrum itself, which are found anew after a correction.
 _EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency"})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reading(Shown):
-    """A spectrum as recorded and what was noticed in it."""
+    """A spectrum as recorded, and the findings on it."""
 
     spectrum: Spectrum
     findings: tuple[Finding, ...]
 
     @property
     def read_as(self) -> str:
-        """What every column was taken for, where headings or a column map say so; otherwise nothing."""
+        """Meaning of every column according to headings or a column map; otherwise empty."""
         return self.spectrum.origin.settings.get(READ_AS, "")
 
     def summary(self) -> Summary:
-        """The spectrum and what was noticed in it, for a notebook."""
+        """The spectrum and its findings, for a notebook."""
         own = self.spectrum.summary()
         found = [("read as", self.read_as)] if self.read_as else []
         rows = (*own.rows, *found, *(("finding", str(finding.message)) for finding in self.findings))
         return Summary("Recording", rows, {"measured": self.spectrum}, ("measured",))
 
     def to_xarray(self) -> xarray.Dataset:
-        """See :meth:`Spectrum.to_xarray`."""
+        """The spectrum as a dataset, see :meth:`Spectrum.to_xarray`."""
         return self.spectrum.to_xarray()
 
     def corrected(self, correction: str) -> Reading:
-        """The reading with its spectrum put right by "negate" or "conjugate", noted in the origin, and re-examined."""
+        """The reading with its spectrum corrected by "negate" or "conjugate", noted in the origin, and re-examined."""
         spectrum = corrected(self.spectrum, correction)
         kept = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
         return Reading(spectrum, (*kept, *examine(spectrum)))
@@ -107,8 +107,8 @@ def read_recording(
     """Read a recording of impedance.
 
     `format` (a key of :data:`FORMATS`) skips the detection; `columns`, a map or its file, reads any other table;
-    `correction` ("negate" or "conjugate") is applied as :meth:`Reading.corrected` does. What a table's columns were
-    taken for is said in :attr:`Reading.read_as`.
+    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`. :attr:`Reading.read_as` states the
+    meaning of a table's columns.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.

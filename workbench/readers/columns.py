@@ -1,7 +1,7 @@
-"""Any other table of text, once its columns have been named by a :class:`ColumnMap`.
+"""Any other table of text, with columns named by a :class:`ColumnMap`.
 
-Nothing is guessed: what the columns are, their units and, for a gain, the reference resistor and which way up the
-ratio is, are said by the person who knows the set-up.
+Nothing is guessed: a person who knows the set-up states the columns, their units and, for a gain, the reference
+resistor and which way up the ratio is.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from workbench.readers.text import (
 )
 from workbench.results.spectrum import Origin
 
-#: The setting of an origin that says what the columns of a table were taken for.
+#: The setting of an origin that states the meaning of the columns of a table.
 READ_AS = "read as"
 
 #: Symbols by quantity.
 SYMBOLS: Mapping[str, str] = {"impedance": "Z", "admittance": "Y", "gain": "the gain", "reflection": "S11",
                               "transmission": "S21"}
 
-#: A column map as an example for messages: what stands above, and its table `quantity`.
+#: A column map as an example for messages: its own keys, and its table `quantity`.
 EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
     {"frequency": "Freq", "first": "|Z|", "second": "angle", "frequency_unit": "kHz"},
     {"kind": "impedance", "form": "polar", "unit": "ohm", "phase_unit": "deg"},
@@ -52,12 +52,12 @@ EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Which columns of a table hold the spectrum.
+    """The columns of a table that hold the spectrum.
 
-    ``frequency``, ``first`` and ``second`` name a column by its heading or count it from 1; ``quantity`` says what
-    ``first`` and ``second`` are (magnitude and phase, real and imaginary part, or a pair such as Cp and D). A complex
-    number in one cell has no ``second``. ``decimal`` is "." or ",". Where the second column is in a file of its own,
-    ``second_file`` names it, as seen from the folder of the recording; both files have the frequency in the column
+    ``frequency``, ``first`` and ``second`` name a column by its heading or count it from 1; ``quantity`` is the meaning
+    of ``first`` and ``second`` (magnitude and phase, real and imaginary part, or a pair such as Cp and D). A complex
+    number in one cell has no ``second``. ``decimal`` is "." or ",". If the second column is in a file of its own,
+    ``second_file`` names it, relative to the folder of the recording; both files have the frequency in the column
     ``frequency``, or the second one in its ``second_frequency``.
 
     Raises:
@@ -138,7 +138,7 @@ def read_column_map(path: Path | str) -> ColumnMap:
     for each, kind in ((table, ColumnMap), (quantity, RecordedQuantity)):
         each.only([f.name for f in fields(kind)])
         for required in (f.name for f in fields(kind) if f.default is MISSING):
-            # Whether there is a second column depends on the form.
+            # The form decides whether there is a second column.
             if required not in each and required != "second":
                 raise each.error(required, "to be given")
     try:
@@ -151,11 +151,11 @@ def read_column_map(path: Path | str) -> ColumnMap:
 def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
     """Read the file.
 
-    Columns given by heading: the heading line is the first that holds all of them (a leading %, # or ! is
-    ignored). Columns given by number: the lines in which all of them are numbers, those of the commonest width. Lines
-    below that are no rows (:func:`~workbench.readers.text.row_cells`) are left out.
+    Columns given by heading: the heading line is the first that holds all of them (a leading %, # or ! is ignored).
+    Columns given by number: the lines in which all of them are numbers, those of the commonest width. Lines below that
+    are no rows (:func:`~workbench.readers.text.row_cells`) are left out.
 
-    The origin's setting :data:`READ_AS` says what each column was taken for.
+    The origin's setting :data:`READ_AS` states the meaning of each column.
 
     Raises:
         InputError: headings not found, a faulty row; a second file that is missing or has other frequencies.
@@ -182,7 +182,7 @@ def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
 
 
 def uncommented(line: str) -> str:
-    """A line without the sign of a comment that it may begin with."""
+    """A line without a leading comment sign."""
     return line.lstrip("%#! ") if line.startswith(COMMENTS) else line
 
 
@@ -216,7 +216,7 @@ def recorded(
 
 
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
-    """What every column of a map is taken for, with its unit and sign; `notes` by column say why."""
+    """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
     quantity = columns.quantity
     symbol = SYMBOLS.get(quantity.kind, "")
     if quantity.kind == "circuit":
@@ -273,11 +273,10 @@ def map_text(fields_: Mapping[str, object], quantity: Mapping[str, object], doub
 
 
 def contradiction(columns: ColumnMap) -> tuple[str, str, str] | None:
-    """A heading by which a map names a column and that says the column is something else: the heading, what the map
-    says, and what the heading says; None where there is none.
+    """A heading that contradicts the map that names it: the heading, the meaning in the map, and its own meaning.
 
-    A column that is counted has no say: so a heading is overruled. Signs and units of a phase are not compared, since
-    headings are wrong about them often.
+    None if there is none. A counted column cannot contradict, so counting overrules a heading. Signs and units of a
+    phase are not compared, since headings are often wrong about them.
     """
     quantity = columns.quantity
     if quantity.kind == "circuit":
@@ -307,7 +306,7 @@ def contradiction(columns: ColumnMap) -> tuple[str, str, str] | None:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """The rows of a table in which the columns at `places` (from 0), the frequency first, were looked for."""
+    """The rows of a table with the columns at `places` (from 0), the frequency first."""
 
     text: RecordingText
     rows: RowCells
@@ -346,7 +345,8 @@ def _second(text: RecordingText, columns: ColumnMap, frequency: NDArray[np.float
 def _locate(
     text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int], split: Sequence[list[str]]
 ) -> tuple[list[int], int, int, Sequence[str]]:
-    """Places of the columns (from 0), number of columns, index of the line rows begin at or below, and the headings."""
+    """Places of the columns (from 0), number of columns, index of the line at or above the first row, and the headings.
+    """
     headings = [name for name in wanted if isinstance(name, str)]
     names: Sequence[str] = ()
     if headings:
@@ -369,7 +369,7 @@ def _locate(
                  and not text.lines[index].startswith(COMMENTS)]
         if not whole:
             _refuse_columns(text, columns, places, split)
-        # Settings and counts above a table may be numbers too, but not of as many cells as most rows have.
+        # Settings and counts above a table may be numbers too, but have fewer cells than most rows.
         widths = [count for _, count in whole]
         width = max(widths, key=widths.count)
         start = next(index for index, count in whole if count == width)
@@ -389,7 +389,7 @@ def _holds_numbers(row: Sequence[str], places: Sequence[int], decimal: str) -> b
 def _refuse_columns(
     text: RecordingText, columns: ColumnMap, places: Sequence[int], split: Sequence[Sequence[str]]
 ) -> NoReturn:
-    """Say why no line has numbers in all of the `places`."""
+    """Raise with the reason why no line has numbers in all of the `places`."""
     start = next((index for index, row in enumerate(split) if len(row) > 1 and all(
         cell.lstrip("+-.")[:1].isdigit() for cell in row)), None)
     if start is None:

@@ -1,8 +1,7 @@
 """Keysight/Agilent E4990A, "Save Trace Data" as CSV.
 
-Lines starting ``!`` name the analyser and the date; ``BEGIN CH1_DATA``; column names such as
-``Frequency(Hz), |Z|(Ohm)-data, theta-z(deg)-data``; rows; ``END``. Which pair of columns holds the impedance is read
-from their names.
+Lines starting ``!`` name the analyser and the date; ``BEGIN CH1_DATA``; column names such as ``Frequency(Hz),
+|Z|(Ohm)-data, theta-z(deg)-data``; rows; ``END``. The names of the columns show which pair holds the impedance.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, numbers
 from workbench.results.spectrum import Origin
 
-#: Column names in lower case, and what the pair means.
+#: Quantities by the column names of the pair, in lower case.
 PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
     ("|z|(ohm)-data", "theta-z(deg)-data"): RecordedQuantity("impedance", "polar", "ohm", "deg"),
     ("|z|(ohm)-data", "theta-z(rad)-data"): RecordedQuantity("impedance", "polar", "ohm", "rad"),
@@ -70,7 +69,7 @@ def parse_e4990a(text: RecordingText) -> Recorded:
 
 
 def _compared(one: Recorded, two: Recorded) -> str:
-    """How the impedance of another channel differs from the one that is read."""
+    """The difference of another channel's impedance from the one that is read, in words."""
     if not np.array_equal(one.spectrum.frequency, two.spectrum.frequency):
         return "has other frequencies"
     apart = np.abs(two.spectrum.impedance - one.spectrum.impedance)
@@ -80,7 +79,7 @@ def _compared(one: Recorded, two: Recorded) -> str:
 
 
 def _block(text: RecordingText, stripped: Sequence[str], begin: int) -> Recorded:
-    """The channel whose data begin behind the line index `begin`."""
+    """The channel whose data begin after the line index `begin`."""
     if "END" not in stripped[begin:]:
         raise text.error(len(stripped), None, stripped[-1], "a last line 'END'; the file is cut short")
     end = stripped.index("END", begin)

@@ -1,4 +1,5 @@
-"""What looks wrong in a spectrum that could be read: signs, activity, units. Reported, never mended silently."""
+"""Findings on a readable spectrum that looks wrong: signs, activity, units. They are reported, never mended silently.
+"""
 
 from __future__ import annotations
 
@@ -9,27 +10,28 @@ from numpy.typing import NDArray
 
 from workbench.results.spectrum import Spectrum
 
-#: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet:
-#: 20 Hz; 25 milliohm to 40 megohm), with a margin: outside, a unit has probably been misread.
+#: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet: 20 Hz;
+#: 25 milliohm to 40 megohm), with a margin. A value outside is probably in a misread unit.
 PLAUSIBLE_OHM = (1e-3, 1e9)
 PLAUSIBLE_HZ = 20.0
 
 #: A step between two points is out of line if a mirror image of one side fits the other better by the first of these
-#: factors (squares of second differences), the other end of such a stretch if it fits better by the second, and if the
-#: misfit is the third as large as usual in the file (median). Doubled, flips at coarsely sampled resonances go unseen.
+#: factors (squares of second differences), if the other end of such a stretch fits better by the second, and if the
+#: misfit is the third times the usual one of the file (median). Doubled, flips at coarsely sampled resonances go
+#: unseen.
 OUT_OF_LINE = (8.0, 2.0, 6.0)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing noticed. ``code`` is a key of this module's rules, ``message`` says what and what may be done."""
+    """One finding. ``code`` is a key of this module's rules, ``message`` describes it and the possible remedy."""
 
     code: str
     message: str
 
 
 def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, ...]:
-    """Everything noticed in `spectrum`; `shunt_gain` if it was computed from the gain of a shunt divider.
+    """All findings on `spectrum`; `shunt_gain` if it was computed from the gain of a shunt divider.
 
     - ``inverse_ratio`` or ``negated``: Re Z < 0 at nine points in ten or more, which a passive device never shows.
     - ``active``: Re Z < 0 at fewer points.
@@ -81,9 +83,9 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
 
 
 def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:
-    """Where (index of the first point, index behind the last) points stand that a mirror image would join to the rest.
+    """Stretches of points (index of the first, index after the last) that a mirror image would join to the rest.
 
-    The mirror images are those that a sign turned in an instrument makes: of Im S or Im Z, of Re S, of S, of Re Z and
+    The mirror images are those of a sign that is turned in an instrument: of Im S or Im Z, of Re S, of S, of Re Z and
     of Z. Between smooth data and such an image the second difference of the reflection coefficient breaks at both ends
     of the stretch, and is small there once the stretch is mirrored back.
     """
@@ -124,19 +126,19 @@ def _turned(value: NDArray[np.complex128], image: NDArray[np.complex128]) -> tup
     gain = plain / np.maximum(mirrored, 1e-300)
     if not np.any((gain > factor) & (plain > 2.0 * rough * usual)):
         return [], np.inf
-    # Near the axis of the mirror both steps about a point may fit: the one that fits best is meant.
+    # Near the axis of the mirror both steps about a point may fit; the one that fits best is taken.
     most = (gain >= np.concatenate((gain[1:], [0.0]))) & (gain > np.concatenate(([0.0], gain[:-1])))
     places = np.flatnonzero((gain > weaker) & (plain > 2.0 * usual) & most)
     if len(places) % 2 and len(places) > 1:
         places = np.delete(places, np.argmin(gain[places]))
     ends = (places + 2).tolist()
     if len(ends) == 1:
-        # One end: the shorter side is turned. A sharp resonance between two points looks a little like it.
+        # With one end, the shorter side is turned. A sharp resonance between two points looks a little like it.
         if gain[places[0]] < factor**2:
             return [], np.inf
         ends = [ends[0], points] if ends[0] > points / 2 else [0, ends[0]]
     if sum(ends[1::2]) - sum(ends[::2]) > points / 2:
-        # The larger part is what the rest does not join.
+        # The larger part is the one that the rest does not join.
         ends = [0, *ends, points]
     found = [(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True) if begin < end]
     mended = value.copy()

@@ -1,8 +1,8 @@
-"""A table of text whose headings say what its columns are, read without a column map.
+"""A table of text with clear headings, read without a column map.
 
-What the headings leave open is decided by the values only where these admit one answer: a frequency without a unit by
-what analysers reach, a phase without a unit by values no phase in radians can have. Everything else is refused, with a
-column map to be looked through and handed back.
+Values settle an open question of the headings only if they admit one answer: a frequency without a unit by the range of
+analysers, a phase without a unit by values no phase in radians can have. Everything else is refused, with a column map
+to be checked and handed back.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from workbench.readers.text import RecordingText
 
 OPTION = "--columns MAP.toml"
 
-#: What bench analysers of this kind reach (E4990A data sheet: 120 MHz): a unit that takes a sweep beyond is wrong.
+#: Highest frequency (Hz) of bench analysers of this kind (E4990A data sheet: 120 MHz): a unit that takes a sweep beyond
+#: is wrong.
 HIGHEST_HZ = 120e6
 
 
@@ -36,7 +37,7 @@ def recognises_headed(text: RecordingText) -> bool:
 
 
 def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
-    """Read the file; the origin's setting ``columns.READ_AS`` says what each column was taken for, and why.
+    """Read the file; the origin's setting ``columns.READ_AS`` states the meaning of each column, with reasons.
 
     Raises:
         InputError: no table, a faulty row, or headings that leave a doubt; the message ends with a column map.
@@ -71,7 +72,7 @@ def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
     clear = [pair for pair in pairs if not pair.doubts]
     hertz = body.values[:, place] * UNITS["frequency"][unit]
     if not clear:
-        # What is nearest to being clear is proposed.
+        # The pair that is nearest to being clear is proposed.
         best = min(pairs, key=lambda pair: len(pair.doubts), default=None)
         why = "; ".join(best.notes[place] for place in best.notes) if best else _lacking(layout, known)
         raise refused(why, best)
@@ -80,7 +81,7 @@ def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
         raise refused("two pairs of columns hold different impedances", pair, {"first": "UNCLEAR: of which pair?"})
     found = _read(text, layout, body, pair, frequency=(place, unit, note), instrument=instrument)
     if pair.primed and any(finding.code == "conjugated" for finding in examine(found.spectrum)):
-        # Foster's theorem speaks against the sign, and the sign of Z'' is a matter of taste.
+        # Foster's theorem contradicts the sign, and the sign of Z'' varies between authors.
         other = replace(pair, quantity=replace(pair.quantity, negated=not pair.quantity.negated),
                         doubts={"negated": "UNCLEAR: true if the column is minus the imaginary part"})
         raise refused(f"{column_name(layout, pair.second)} as it is written would be the reactance of nothing passive: "
@@ -92,7 +93,7 @@ def _read(
     text: RecordingText, layout: TableLayout, body: Body, pair: Pair, *, frequency: tuple[int, str, str],
     instrument: str
 ) -> Recorded:
-    """The spectrum in a pair of columns; `frequency` is its column (from 0), its unit and how that was found."""
+    """The spectrum in a pair of columns; `frequency` is its column (from 0), its unit and the reason for the unit."""
     place, unit, note = frequency
     whole = pair.quantity.form == "complex"
     places = (place, pair.first) if whole else (place, pair.first, pair.second)
@@ -116,7 +117,7 @@ def _read(
 
 
 def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tuple[str, str]:
-    """The unit of a frequency and how it was found; no unit, and why, where that is not clear."""
+    """The unit of a frequency and its reason; "" and the reason of the doubt if it is not clear."""
     assert heading is not None
     if heading.unit:
         return heading.unit, ""
@@ -131,7 +132,7 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
 
 
 def _lacking(layout: TableLayout, known: Sequence[Heading | None]) -> str:
-    """Which halves of a pair are there, and that the others are not."""
+    """The halves of a pair that are present, and a note that the others are missing."""
     names = {"magnitude": "a magnitude", "whole": "a magnitude", "phase": "a phase", "real": "a real part",
              "imaginary": "an imaginary part"}
     there = [f"{column_name(layout, place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"

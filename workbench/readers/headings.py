@@ -1,10 +1,10 @@
-"""What the heading of a column says: which quantity, in which unit, with which sign.
+"""The meaning of a column's heading: quantity, unit and sign.
 
-A heading is a label, words and a unit. The unit stands in brackets, after a slash, after "in", or last behind a blank
-or an underscore; the label of a trace or channel ("Tr1:", "Trc1_") stands first. The words must name one part
-(magnitude, phase, real or imaginary part) of one quantity (impedance, admittance, reflection, transmission), in any
-order, with filling words between them, or one element of an equivalent circuit; one word that is not known, and the
-heading is not understood. ``tests/test_workbench_readers_headings.py`` lists what is understood and what is not.
+A heading is a label, words and a unit. The unit stands in brackets, after a slash, after "in", or last after a blank or
+an underscore; the label of a trace or channel ("Tr1:", "Trc1_") stands first. The words must name one part (magnitude,
+phase, real or imaginary part) of one quantity (impedance, admittance, reflection, transmission), in any order, with
+filling words between them, or one element of an equivalent circuit. A heading with one unknown word is not understood.
+``tests/test_workbench_readers_headings.py`` lists headings that are understood and headings that are not.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ KINDS: Mapping[str, frozenset[str]] = {
     "reflection": frozenset({"gamma", "γ", "reflection", "reflexion"}),
     "transmission": frozenset({"transmission"}),
 }
-#: Elements of an equivalent circuit by their words; series and parallel are told apart by a word of
-#: :data:`_CONNECTIONS` where the first letter alone ("C", "capacitance") does not.
+#: Elements of an equivalent circuit by their words. If the first letter alone ("C", "capacitance") leaves series or
+#: parallel open, a word of :data:`_CONNECTIONS` tells.
 ELEMENTS: Mapping[str, frozenset[str]] = {
     "Cp": frozenset({"cp"}), "Cs": frozenset({"cs"}), "Lp": frozenset({"lp"}), "Ls": frozenset({"ls"}),
     "Rp": frozenset({"rp", "epr"}), "D": frozenset({"d", "df", "dissipation", "tanδ", "tand"}),
@@ -70,7 +70,7 @@ _PORTS = re.compile(r"(?i)(?<![a-z])([szy])\s?[_(\[<]?\s?([1-9])\s?,?\s?([1-9])\
 _ZPLOT = re.compile("(?i)(z'|z\")\\s*\\([ab]\\)\\s*$")
 _LOSS = re.compile(r"(?i)\b(?:return\s?loss|rückflussdämpfung)\b|^rl\b")
 
-#: Spellings by what they stand for: the degree sign as an apostrophe in brackets, the loss tangent, HFSS's angle.
+#: Replacements of unusual spellings: the degree sign as an apostrophe in brackets, the loss tangent, HFSS's angle.
 _SPELLINGS: Mapping[re.Pattern[str], str] = {
     re.compile(r"(?i)\bdegrees?\s*[(][°'][)]"): "(deg)",
     re.compile(r"(?i)\bang_(deg|rad)(?=[(])"): "ang",
@@ -80,8 +80,8 @@ _SPELLINGS: Mapping[re.Pattern[str], str] = {
 }
 
 _OHM = "(?:[oO][hH][mM][sS]?|Ω)"
-#: Spellings of units, by part and unit. Case counts only where it tells milli from mega: "mHz" (a millihertz, which
-#: nothing here is measured in) and "MOHM" are not understood, "mhz" is.
+#: Spellings of units, by part and unit. Case counts only between milli and mega: "mHz" (a millihertz, in which nothing
+#: here is measured) and "MOHM" are not understood, "mhz" is.
 _UNITS: Mapping[str, Mapping[str, re.Pattern[str]]] = {
     "frequency": {"Hz": re.compile("(?i:hz|hertz)"), "kHz": re.compile("(?i:k(hz|hertz)|kilohertz)"),
                   "MHz": re.compile("(?!mHz)(?i:m(hz|hertz)|megahertz)"), "GHz": re.compile("(?i:g(hz|hertz))")},
@@ -106,15 +106,14 @@ _OF_ELEMENT: Mapping[str, str] = {"C": "capacitance", "L": "inductance", "R": "i
 
 @dataclass(frozen=True)
 class Heading:
-    """What a column holds, as its heading says.
+    """Meaning of a column's heading.
 
-    ``part`` is "frequency", "magnitude", "phase", "real" or "imaginary", or "whole" where a quantity is named and no
-    part of it ("Z"). ``kind`` is "impedance", "admittance", "reflection", "transmission" or "" where the heading does
-    not say. Of an element of an equivalent circuit the part is "element" and the kind its symbol (Cp, D; C and L where
-    series or parallel is not said); of a standing wave ratio or return loss the part is "scalar". ``unit`` is that of
-    `Quantity` or of a frequency, "" where none is given; ``strange_unit`` is a unit that is not known. ``negated`` if
-    the heading has a minus sign, ``primed`` if it is written Z'', which some take for -Im Z. ``port`` is the port of a
-    reflection.
+    ``part`` is "frequency", "magnitude", "phase", "real" or "imaginary", or "whole" for a quantity without a part
+    ("Z"). ``kind`` is "impedance", "admittance", "reflection", "transmission" or "" if the heading does not state it.
+    For an element of an equivalent circuit the part is "element" and the kind its symbol (Cp, D; C and L if series or
+    parallel is not stated); for a standing wave ratio or return loss the part is "scalar". ``unit`` is that of
+    `Quantity` or of a frequency, "" if none is given; ``strange_unit`` is an unknown unit. ``negated`` if the heading
+    has a minus sign, ``primed`` if it is written Z'', which some take for -Im Z. ``port`` is the port of a reflection.
     """
 
     part: str
@@ -127,7 +126,7 @@ class Heading:
 
 
 def understand(heading: str) -> Heading | None:
-    """What a heading says; None where it does not name one part of a quantity, one element, or a frequency."""
+    """Meaning of a heading; None unless it names one part of a quantity, one element, or a frequency."""
     text = _plain(heading)
     found = _understood(text)
     if found is None or found.strange_unit:
@@ -139,8 +138,8 @@ def understand(heading: str) -> Heading | None:
 
 
 def hint(heading: str) -> Heading | None:
-    """What a heading that is not understood seems to say: the one part that its words name, and its quantity if it
-    names one; None where it names no part or several."""
+    """Apparent meaning of a heading that is not understood: the one part that its words name, and its quantity if it
+    names one; None if it names no part or several."""
     text = _plain(heading)
     parts, kinds = set[str](), set[str]()
     for token in _TOKEN.findall(text.casefold()):
@@ -176,7 +175,7 @@ def _understood(text: str) -> Heading | None:
     whole = _words(text)
     if whole is not None:
         return whole
-    # The last word of a heading is a unit only where it is known as one.
+    # The last word of a heading is a unit only if it is known as one.
     last = _LAST.fullmatch(text)
     found = None if last is None else _words(last[1])
     known = None if last is None or found is None else find_unit(last[2], found)
@@ -184,10 +183,10 @@ def _understood(text: str) -> Heading | None:
 
 
 def _scattering(text: str, ports: re.Match[str]) -> Heading | None:
-    """What a heading with S11, S21, Z11 ... says."""
+    """Meaning of a heading with S11, S21, Z11 ..."""
     letter, to, of = ports[1].casefold(), ports[2], ports[3]
     if letter in _LETTERS:
-        # The parameter of a port is that of the device where there is one port only.
+        # With a single port, the parameter of the port is that of the device.
         return None if to != of or to != "1" else _understood(text[:ports.start()] + ports[1] + text[ports.end():])
     if to != of and {to, of} != {"1", "2"}:
         return None
@@ -197,18 +196,19 @@ def _scattering(text: str, ports: re.Match[str]) -> Heading | None:
 
 
 def is_series(heading: str) -> bool:
-    """Whether a heading of a resistance says that it is in series."""
+    """Whether a heading of a resistance states that it is in series."""
     return re.search(r"(?i)(?<![a-z])(?:r_?s|esr|series|serial)(?![a-z])", heading) is not None
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is the unit of anything that a column may hold."""
+    """Whether a text is the unit of any quantity that a column may hold."""
     plain = _plain(text).strip("()[]{}<> ")
     return any(pattern.fullmatch(plain) for spellings in _UNITS.values() for pattern in spellings.values())
 
 
 def find_unit(text: str, bare: Heading) -> Heading | None:
-    """The heading with its unit, which may say what the words left open; None where the unit does not suit them."""
+    """The heading with its unit, which may settle an open question of its words; None if the unit does not suit them.
+    """
     for of, spellings in _UNITS.items():
         for unit, pattern in spellings.items():
             if not pattern.fullmatch(text):
@@ -250,14 +250,14 @@ def _plain(text: str) -> str:
 
 
 def _split(text: str) -> Iterator[tuple[str, str]]:
-    """Every way to take a heading apart into words and a unit that is marked as one."""
+    """Every way to split a heading into words and a marked unit."""
     for found in _BRACKETS.finditer(text):
         if found[1]:
             yield f"{text[:found.start()]} {text[found.end():]}".strip(), found[1]
     words, slash, unit = text.partition("/")
     if slash:
         yield words.strip(), unit.strip().strip("()[]")
-    # A function of several words, as in dB(S11) and re:Trc1_S11, is what stands before the bracket or colon.
+    # A function of several words, as in dB(S11) and re:Trc1_S11, stands before the bracket or colon.
     function = re.fullmatch(r"(?i)(db|deg|rad)\s*(?:mag)?\s*[(:_]\s*(.*?)\s*[)]?", text)
     if function is not None:
         yield function[2], function[1]
@@ -267,7 +267,7 @@ def _split(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _words(text: str) -> Heading | None:
-    """The part and the quantity that the words name, if they name one of each at most and nothing else."""
+    """The part and the quantity that the words name, if they name at most one of each and nothing else."""
     parts, kinds = set[str](), set[str]()
     bars, negated, primed, letter, scaled = 0, False, False, False, False
     connection = ""
@@ -278,7 +278,7 @@ def _words(text: str) -> Heading | None:
             parts.add("real" if token == "'" else "imaginary")
             primed = True
         elif token in _MINUS:
-            # Behind the first word a hyphen joins words and negates nothing.
+            # After the first word a hyphen joins words and negates nothing.
             if not (parts or kinds or bars):
                 negated = True
             elif token != "-":
@@ -330,7 +330,7 @@ def _element(parts: set[str], kinds: set[str], connection: str) -> str | None:
 
 
 def _token(token: str) -> tuple[set[str], set[str]] | None:
-    """Parts and quantities that one word names; a Z or Y may be grown together with it ("zreal", "argz")."""
+    """Parts and quantities that one word names; a Z or Y may be joined to it ("zreal", "argz")."""
     named = ({part for part, words in PARTS.items() if token in words},
              {kind for kind, words in KINDS.items() if token in words})
     if named[0] or named[1]:

@@ -1,8 +1,8 @@
 """HP/Agilent 4294A, ASCII save.
 
-A quoted header, then trace A as a whole table and trace B as a second one below it; each row is frequency, real,
-imaginary (imaginary zero, since both traces are real numbers) and, when a memory trace was stored, two more columns
-that are an older sweep and must not be taken for the data.
+A quoted header, then trace A as a whole table and trace B as a second one below it. Each row is frequency, real,
+imaginary (imaginary zero, since both traces are real numbers). With a stored memory trace there are two more columns of
+an older sweep, which must not be taken for the data.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Tables of named instruments: where in their file the table stands; what its columns are, the headings say.
+"""Tables of named instruments: their place in the file. The headings give the meaning of the columns.
 
-Layouts: Gamry's DTA and ZPlot's .z as in the samples of impedance.py (ECSHackWeek), EC-Lab's .mpt as in the same and in
+Layouts: Gamry's DTA and ZPlot's .z as in the samples of impedance.py (ECSHackWeek), EC-Lab's .mpt as in those and in
 yadg's documentation; Bode Analyzer Suite and Hioki IM3570/IM3536 as their users publish them.
 """
 
@@ -37,7 +37,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
 
 
 def recogniser(name: str) -> Callable[[RecordingText], bool]:
-    """Whether a text is of the instrument `name`, a key of :data:`INSTRUMENTS`."""
+    """A test whether a text is of the instrument `name`, a key of :data:`INSTRUMENTS`."""
     instrument = INSTRUMENTS[name]
 
     def recognises(text: RecordingText) -> bool:
@@ -48,7 +48,7 @@ def recogniser(name: str) -> Callable[[RecordingText], bool]:
 
 
 def instrument_parser(name: str) -> Callable[[RecordingText], Recorded]:
-    """What reads a file of the instrument `name`, a key of :data:`INSTRUMENTS`."""
+    """A parser of files of the instrument `name`, a key of :data:`INSTRUMENTS`."""
     instrument = INSTRUMENTS[name]
 
     def parse(text: RecordingText) -> Recorded:

@@ -1,9 +1,8 @@
-"""Tables in which every line holds one quantity: LabOne's sweeps (Zurich Instruments MFIA, MFLI, HF2LI), and tables
-that were turned over.
+"""Tables with one quantity per line: LabOne's sweeps (Zurich Instruments MFIA, MFLI, HF2LI), and transposed tables.
 
-LabOne's sweeper saves ``chunk;timestamp;size;fieldname`` and then the values of that field, one line a field and sweep:
-``frequency`` (or ``grid``), ``realz`` and ``imagz``, ``absz`` and ``phasez`` in radians, and more that is not needed.
-A point that was not measured is ``nan``.
+LabOne's sweeper saves ``chunk;timestamp;size;fieldname`` and then the values of that field, one line per field and
+sweep: ``frequency`` (or ``grid``), ``realz`` and ``imagz``, ``absz`` and ``phasez`` in radians, and further ones that
+are not needed. A point that was not measured is ``nan``.
 """
 
 from __future__ import annotations
@@ -24,12 +23,13 @@ from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, complex_parts, is_number
 from workbench.results.spectrum import Origin
 
-#: The pairs of fields that are an impedance, and what they are.
+#: Quantities by the pair of fields that hold an impedance.
 PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
     ("realz", "imagz"): RecordedQuantity("impedance", "rectangular", "ohm"),
     ("absz", "phasez"): RecordedQuantity("impedance", "polar", "ohm", "rad"),
 }
-#: Sweeps of one file that differ by less (rms, of |Z|) are repetitions. Doubled, a drift of 2 % goes unmentioned.
+#: Largest relative difference (rms, of |Z|) of sweeps of one file that are repetitions. Doubled, a drift of 2 % goes
+#: unmentioned.
 REPEATED = 0.01
 
 
@@ -38,13 +38,13 @@ def recognises_labone(text: RecordingText) -> bool:
 
 
 def _delimiter(text: RecordingText) -> str:
-    """What divides the cells of a LabOne file; nothing if this is none."""
+    """The delimiter of the cells of a LabOne file; "" for any other file."""
     head = next((line for line in text.lines if line.strip()), "").casefold().replace(" ", "")
     return next((mark for mark in ";,\t" if head.startswith(f"chunk{mark}timestamp{mark}size{mark}fieldname")), "")
 
 
 def parse_labone(text: RecordingText) -> Recorded:
-    """Read the first sweep of the file; a finding says how others differ from it.
+    """Read the first sweep of the file; a finding states the differences of the others.
 
     Raises:
         InputError: no LabOne file; fields that are no impedance against frequency, or are of different length.
@@ -102,7 +102,7 @@ def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[
 
 
 def _values(text: RecordingText, line: int, row: list[str]) -> NDArray[np.float64]:
-    """The numbers of a line, NaN where there is none.
+    """The numbers of a line, NaN for a missing one.
 
     Raises:
         InputError: a cell that is neither a number nor nan.
@@ -117,7 +117,7 @@ def _values(text: RecordingText, line: int, row: list[str]) -> NDArray[np.float6
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Any table of one quantity a line.
+# Any table with one quantity per line.
 
 
 def recognises_lines(text: RecordingText) -> bool:
@@ -138,7 +138,7 @@ def parse_lines(text: RecordingText) -> Recorded:
     try:
         found = headed.parse_headed(turned)
     except InputError as error:
-        # Its column map is for the table as it was turned, which is no file.
+        # Its column map is for the transposed table, which is no file.
         raise InputError(text.path, error.field, error.value, error.expected.split(". Look through")[0]
                          + "; this table has one quantity a line: turn it over (transpose it) in a spreadsheet to name "
                          "its columns by --columns MAP.toml") from None
@@ -149,7 +149,7 @@ def parse_lines(text: RecordingText) -> Recorded:
 
 
 def _turned(text: RecordingText) -> RecordingText | None:
-    """The text with its lines as columns divided by tabs; None if its lines are none."""
+    """The text with its lines as columns divided by tabs; None if its lines are no columns."""
     for delimiter in ("\t", ";", ","):
         rows = [row for row in (cells(line, delimiter) for line in text.lines[:200]) if len(row) > 3]
         known = [row for row in rows if understand(row[0]) is not None and all(

@@ -1,4 +1,4 @@
-"""Where in a text a table stands: its headings, its first row, what divides its cells, and its rows."""
+"""The place of a table in a text: its headings, its first row, the delimiter of its cells, and its rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from workbench.readers.columns import uncommented
 from workbench.readers.headings import is_unit, understand
 from workbench.readers.text import COMMENTS, RecordingText, RowCells, cells, complex_parts, row_cells
 
-#: Lines in which headings are looked for where no rows of numbers follow.
+#: Number of lines in which headings are looked for if no rows of numbers follow.
 SEARCHED = 1000
 
 _DELIMITERS = ("\t", ";", ",", " ")
@@ -23,7 +23,7 @@ _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Where a table is: its ``headings`` (none: no line of them), their ``line`` (index), the index ``start`` of its
+    """The place of a table: its ``headings`` (empty without any), their ``line`` (index), the index ``start`` of its
     first row, its ``delimiter`` and number of columns; ``plain`` if the headings are cells of that one line."""
 
     headings: tuple[str, ...]
@@ -36,7 +36,7 @@ class TableLayout:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The rows below a layout: their ``values`` (n, columns), NaN where a cell is no real number, and the columns
+    """The rows below a layout: their ``values`` (n, columns), NaN for a cell that is no real number, and the columns
     (from 0) that hold ``complexes``."""
 
     rows: RowCells
@@ -60,7 +60,7 @@ def find_layout(text: RecordingText) -> TableLayout | None:
 
 
 def _headings(text: RecordingText, index: int) -> TableLayout | None:
-    """The layout that the line `index` gives if it is understood as headings; of several delimiters, the best."""
+    """The layout from the line `index` if it is understood as headings; of several delimiters, the best."""
     line = uncommented(text.lines[index]).strip().strip('"') if text.lines[index].count('"') == 2 else uncommented(
         text.lines[index])
     below = next((row for row in text.lines[index + 1:] if row.strip() and not row.startswith(COMMENTS)
@@ -68,7 +68,7 @@ def _headings(text: RecordingText, index: int) -> TableLayout | None:
     best: tuple[int, TableLayout] | None = None
     for delimiter in _DELIMITERS:
         for plain, names in ((True, cells(line, delimiter)), (False, re.split(r"\s{2,}", line.strip()))):
-            # Blanks stand in sentences too, of which a word or two may be understood.
+            # Blanks occur in sentences too, of which a word or two may be understood.
             if len(names) < 2 or ((delimiter == " " or not plain or len(names) == 2)
                                   and len(cells(below, delimiter)) != len(names)):
                 continue
@@ -76,7 +76,7 @@ def _headings(text: RecordingText, index: int) -> TableLayout | None:
             count = sum(heading is not None for heading in known)
             if count < 2 or not any(heading and heading.part == "frequency" for heading in known):
                 continue
-            # Where several will do, the one that leaves fewest cells unexplained.
+            # Of several possible layouts, the one that leaves fewest cells unexplained.
             score = 2 * count - len(names)
             if best is None or score > best[0]:
                 best = score, _with_units(text, TableLayout(tuple(names), index, index + 1, delimiter, len(names),
@@ -85,7 +85,7 @@ def _headings(text: RecordingText, index: int) -> TableLayout | None:
 
 
 def _with_units(text: RecordingText, layout: TableLayout) -> TableLayout:
-    """The layout, with the units that a line below the headings gives."""
+    """The layout, with the units from a line below the headings."""
     if layout.start >= len(text.lines):
         return layout
     units = cells(uncommented(text.lines[layout.start]), layout.delimiter)
@@ -100,15 +100,15 @@ def _with_units(text: RecordingText, layout: TableLayout) -> TableLayout:
 
 
 def _takes(name: str, unit: str) -> bool:
-    """Whether a heading without a unit is one with it."""
+    """Whether a unit completes a heading without one."""
     bare, whole = understand(name), understand(f"{name} ({unit.strip('()[]')})")
     return bare is not None and whole is not None and not bare.unit and not whole.strange_unit
 
 
 def _numbers(text: RecordingText) -> TableLayout | None:
-    """The layout of the first two rows of three numbers or more, with what stands above them as headings.
+    """The layout of the first two rows of three numbers or more, with the line above them as headings.
 
-    A complex number is two; of a table of two columns more is not known.
+    A complex number counts as two; a table of two columns is ambiguous.
     """
     lines = [(index, line) for index, line in enumerate(text.lines) if line.strip()]
     bare = [(index, line) for index, line in lines if not line.startswith(COMMENTS)]
@@ -131,10 +131,10 @@ def is_cell(cell: str) -> bool:
 
 
 def _decimal(text: RecordingText, layout: TableLayout) -> str:
-    """"," if the rows have decimal commas.
+    """Decimal mark of the rows: "," or ".".
 
     Raises:
-        InputError: some have commas and some points.
+        InputError: some rows have commas and some points.
     """
     if layout.delimiter == ",":
         return "."
@@ -180,7 +180,7 @@ def column_name(layout: TableLayout, place: int) -> str:
 
 
 def handle(layout: TableLayout, place: int) -> str | int:
-    """What a column map calls a column: its heading where that is found and tells it apart, otherwise its number."""
+    """The name of a column in a column map: its heading if that is unique, otherwise its number."""
     if layout.plain and layout.headings.count(layout.headings[place]) == 1 and layout.headings[place]:
         return layout.headings[place]
     return place + 1

@@ -1,4 +1,4 @@
-"""Which columns of a table are one impedance, as their headings and values say, and what is not clear about them."""
+"""The columns of a table that make up one impedance, from their headings and values, and the open questions on them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from workbench.readers.quantities import (
 )
 from workbench.readers.text import RecordingText
 
-#: Rounded, and beyond what a phase in radians can be (pi).
+#: Largest phase in radians, pi, rounded up.
 LARGEST_RAD = 3.2
-#: Two pairs of columns that differ by more than this (rms, of |Z|) do not hold one impedance: digits are rounded to
-#: three or more.
+#: Largest difference (rms, of |Z|) between two pairs of columns that hold one impedance; digits are rounded to three or
+#: more.
 AGREEMENT = 0.01
-#: |S21| above which a device is not at port 1 alone (see :mod:`workbench.readers.touchstone`).
+#: S21| above which a device is not at port 1 alone (see :mod:`workbench.readers.touchstone`).
 THROUGH = 0.05
-#: Element of a circuit without a unit, in SI: a larger one is in a unit that was left out. Doubled, nothing changes.
+#: Largest element of a circuit without a unit, in SI: the unit of a larger one was left out. Doubled, nothing changes.
 LARGEST_ELEMENT: Mapping[str, float] = {"C": 1e-3, "L": 1.0}
 
 #: A reference resistance among the lines above a table.
@@ -39,9 +39,9 @@ _REFERENCE = re.compile(r"(?i)\b(?:z0|z_0|r0|zref|reference (?:impedance|resista
 
 @dataclass(frozen=True)
 class Pair:
-    """Two columns (from 0) that hold an impedance, what they are, and what is not clear about them.
+    """Two columns (from 0) that hold an impedance, their meaning, and the open questions on them.
 
-    ``doubts`` by key of a column map; ``notes`` by column, how their unit was found. A complex number in one cell is
+    ``doubts`` by key of a column map; ``notes`` by column, the reasons for their units. A complex number in one cell is
     both columns.
     """
 
@@ -56,8 +56,8 @@ class Pair:
 def find_pairs(
     layout: TableLayout, known: Sequence[Heading | None], body: Body, reference: float | None
 ) -> list[Pair]:
-    """Every two columns that may hold the impedance, those of the first columns first; pairs of elements of an
-    equivalent circuit only where there is no other."""
+    """Every two columns that may hold the impedance, pairs of the first columns first. Pairs of elements of an
+    equivalent circuit are included only if there is no other."""
     found = []
     for kind in SYMBOLS:
         for place in quantity_columns(known, "whole", kind):
@@ -66,7 +66,7 @@ def find_pairs(
         real, imaginary = quantity_columns(known, "real", kind), quantity_columns(known, "imaginary", kind)
         if len(real) == len(imaginary) == 1:
             found.append(_pair(layout, known, body, kind, "rectangular", (real[0], imaginary[0]), reference))
-        # A bare Z beside a phase is the magnitude, and a phase that does not say of what is that of what is there.
+        # A bare Z beside a phase is the magnitude; a phase of an unstated quantity is that of the one present.
         magnitude = quantity_columns(known, "magnitude", kind) or [
             place for place in quantity_columns(known, "whole", kind) if place not in body.complexes]
         alone = not any(quantity_columns(known, "magnitude", other)
@@ -88,14 +88,14 @@ def reference_of(text: RecordingText, layout: TableLayout) -> float | None:
 
 
 def quantity_columns(known: Sequence[Heading | None], part: str, kind: str) -> list[int]:
-    """The columns of that part of that quantity, at port 1 where it has ports."""
+    """The columns of that part of that quantity, at port 1 if it has ports."""
     return [place for place, heading in enumerate(known)
             if heading and (heading.part, heading.kind) == (part, kind) and (heading.port == 1
                                                                            or kind == "transmission")]
 
 
 def stated_ports(kind: str, reference: float | None) -> tuple[dict[str, object], str]:
-    """What a quantity of ports has besides its unit, and how that was found."""
+    """Entries of a quantity of ports besides its unit, and the reason for them."""
     if kind not in ("reflection", "transmission"):
         return {}, ""
     more: dict[str, object] = {"reference_resistance": REFERENCE_OHM if reference is None else reference}

@@ -1,4 +1,4 @@
-"""The column map that is proposed where headings leave a doubt.
+"""The column map that is proposed if headings leave a doubt.
 
 No heading is contradicted: one that names a part or a quantity is proposed as that, or not at all.
 """
@@ -16,7 +16,7 @@ from workbench.readers.layouts import Body, TableLayout, handle
 from workbench.readers.pairs import Pair, stated_ports
 from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS, MAGNITUDE_UNITS, PHASE_UNITS, RecordedQuantity
 
-#: Units of what is no half of an impedance: voltage, current, power, time, temperature.
+#: Units of quantities that are no half of an impedance: voltage, current, power, time, temperature.
 _FOREIGN = re.compile(r"(?:[(/\[]|\bin |_)\s*(?:[munpkM]|μ|µ)?(?:V|A|W|s|sec|°?C|degC|K|dBm|dBV)"
                       r"(?:pp|rms|_?RMS)?\s*[)\]]?\s*$")
 
@@ -24,7 +24,7 @@ _FOREIGN = re.compile(r"(?:[(/\[]|\bin |_)\s*(?:[munpkM]|μ|µ)?(?:V|A|W|s|sec|�
 def proposal(
     layout: TableLayout, body: Body, known: Sequence[Heading | None], pair: Pair | None, doubts: Mapping[str, str]
 ) -> str:
-    """The text of the column map that is most likely meant; nothing where any map would contradict a heading."""
+    """The text of the most likely column map; "" if any map would contradict a heading."""
     strangers = [p for p, heading in enumerate(known) if heading is None]
     place = next((p for p, heading in enumerate(known) if heading and heading.part == "frequency"), [*strangers, 0][0])
     if all(heading is None for heading in known):
@@ -79,7 +79,7 @@ def proposal(
 
 
 def _contradicts(layout: TableLayout, places: tuple[int, int, int], quantity: Mapping[str, object]) -> bool:
-    """Whether a quantity is none of what the headings of its columns say."""
+    """Whether a quantity contradicts the headings of its columns."""
     resistance = {"reference_resistance": 1.0} if "reference_resistance" in quantity else {}
     frequency, first, second = (layout.headings[place] for place in places)
     if len({frequency, first, second}) < len(set(places)):
@@ -91,7 +91,7 @@ def _contradicts(layout: TableLayout, places: tuple[int, int, int], quantity: Ma
 
 
 def _as_table(quantity: RecordedQuantity, *, negated: bool) -> dict[str, object]:
-    """The entries of a quantity as a column map has them."""
+    """The entries of a quantity in a column map."""
     found: dict[str, object] = {"kind": quantity.kind, "form": quantity.form, "unit": quantity.unit}
     if quantity.form == "polar":
         found["phase_unit"] = quantity.phase_unit
@@ -107,7 +107,7 @@ def _as_table(quantity: RecordedQuantity, *, negated: bool) -> dict[str, object]
 
 
 def _rising(body: Body) -> int:
-    """The first column that rises or falls throughout, which a frequency does; the first one if none does."""
+    """The first column that rises or falls throughout, as a frequency does; the first one if none does."""
     for place in range(body.values.shape[1]):
         steps = np.diff(body.values[:, place])
         # A count of rows rises by one.
@@ -129,9 +129,8 @@ def _half(heading: Heading | None) -> dict[str, object]:
 def _guess(
     layout: TableLayout, body: Body, known: Sequence[Heading | None], frequency: int
 ) -> tuple[tuple[int, int, int], dict[str, object]] | None:
-    """Columns and quantity where no pair was found: a gain if one is named, else what halves of a pair there are; None
-    where too few columns are left that may be one.
-    """
+    """Columns and quantity if no pair was found: a gain if one is named, else the existing halves of pairs; None if too
+    few columns are left."""
     others = [place for place in range(layout.width) if place != frequency]
     seen = [heading or (hint(layout.headings[place]) if layout.headings else None)
             for place, heading in enumerate(known)]
@@ -155,7 +154,7 @@ def _guess(
     form = "rectangular" if gain is None and rectangular else "polar"
     phase = place_of("phase")
     if gain is not None:
-        # The phase of a gain stands behind it.
+        # The phase of a gain follows it.
         angles = [p for p in others if (heading := seen[p]) is not None and heading.part == "phase"]
         phase = min(angles, key=lambda p: (p < gain, p), default=None)
     halves = [place_of("magnitude", "whole"), phase] if form == "polar" else [
@@ -166,7 +165,7 @@ def _guess(
     if first is None:
         first = _beside(layout, seen, [p for p in others if p != second], parts[0])
     if second is None:
-        # Where nothing is known of it, the second half of a pair stands beside the first.
+        # Without any other clue, the second half of a pair is beside the first.
         second = _beside(layout, seen, sorted((p for p in others if p != first), key=lambda p: (
             first is not None and p < first, p)), parts[1])
     if first is None or second is None:

@@ -28,7 +28,7 @@ ELEMENT_UNITS: Mapping[str, Mapping[str, float]] = {
     "G": MAGNITUDE_UNITS["admittance"], "B": MAGNITUDE_UNITS["admittance"], "D": {"1": 1.0, "%": 1e-2},
     "Q": {"1": 1.0},
 }
-#: What of a series and of a parallel circuit is reactive and what is lossy. D and Q belong to either.
+#: Reactive and lossy elements of a series and of a parallel circuit. D and Q belong to either.
 SERIES = (("Cs", "Ls", "X"), ("Rs", "D", "Q"))
 PARALLEL = (("Cp", "Lp", "B"), ("Rp", "G", "D", "Q"))
 #: Pairs of elements that are one impedance, the reactive one first; either order of a pair is read. Rs with X and G
@@ -36,13 +36,13 @@ PARALLEL = (("Cp", "Lp", "B"), ("Rp", "G", "D", "Q"))
 CIRCUITS = tuple(f"{one}-{two}" for reactive, lossy in (PARALLEL, SERIES) for one in reactive for two in lossy
                  if (one, two) not in (("X", "Rs"), ("B", "G")))
 CONFIGURATIONS = ("series", "shunt")
-#: Reference resistance of reflection and transmission where a file states none (ohm): that of nearly every analyser.
+#: Reference resistance (ohm) of reflection and transmission if a file states none: that of nearly every analyser.
 REFERENCE_OHM = 50.0
 
 
 @dataclass(frozen=True)
 class RecordedQuantity:
-    """What two columns of numbers mean.
+    """Meaning of two columns of numbers.
 
     ``kind``: "impedance", "admittance", "gain", "reflection", "transmission" or "circuit"; ``form``: "polar"
     (magnitude, phase), "rectangular" (real, imaginary) or "complex" (both in one cell); ``unit``: a unit of
@@ -50,12 +50,11 @@ class RecordedQuantity:
     minus the phase or minus the imaginary part.
 
     A gain is that of a shunt divider: the voltage across a reference resistor in series with the specimen over the
-    voltage across both, H = R / (R + Z); ``inverse`` if the file gives the ratio the other way up.
-    A reflection is S11 = (Z - R) / (Z + R) at ``reference_resistance`` R, 50 ohm unless stated. A transmission is S21
-    between two ports of R with the specimen in the ``configuration`` "shunt" (from the line to ground, 2 Z / (2 Z + R))
-    or "series" (in the line, 2 R / (2 R + Z)).
-    A circuit is a pair of :data:`CIRCUITS`, in the order of the columns: the ``form`` is then its name, such as
-    "Cp-D", ``unit`` that of the first column and ``second_unit`` that of the second.
+    voltage across both, H = R / (R + Z); ``inverse`` if the file gives the ratio the other way up. A reflection is S11
+    = (Z - R) / (Z + R) at ``reference_resistance`` R, 50 ohm unless stated. A transmission is S21 between two ports of
+    R with the specimen in the ``configuration`` "shunt" (from the line to ground, 2 Z / (2 Z + R)) or "series" (in the
+    line, 2 R / (2 R + Z)). A circuit is a pair of :data:`CIRCUITS`, in the order of the columns: the ``form`` is then
+    its name, such as "Cp-D", ``unit`` that of the first column and ``second_unit`` that of the second.
 
     Raises:
         ValueError: a word or unit that is none of these, or an entry that does not belong to the kind.
@@ -115,7 +114,7 @@ class RecordedQuantity:
     def impedance(
         self, first: NDArray[np.float64], second: NDArray[np.float64], frequency: NDArray[np.float64] | None = None
     ) -> NDArray[np.complex128]:
-        """Z (n,) ohm from the two columns; infinite where the quantity leaves nothing else (admittance zero).
+        """Impedance Z (n,) ohm from the two columns; infinite for an admittance of zero.
 
         Raises:
             ValueError: a circuit without its `frequency` (n,) Hz.
@@ -144,8 +143,11 @@ class RecordedQuantity:
         raise AssertionError(self.kind)  # held by __post_init__
 
     def unsigned_losses(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-        """Whether D or Q is written without the sign of the reactance, which some meters do: it is positive at most of
-        the points (n,) at which the reactive element is negative, and there are such points."""
+        """Whether D or Q is written without the sign of the reactance, as some meters do.
+
+        It is if D or Q is positive at most of the points (n,) at which the reactive element is negative, and there are
+        such points.
+        """
         if self.kind != "circuit":
             return False
         (reactive, size), (lossy, losses) = self._elements(first, second)
@@ -178,7 +180,7 @@ class RecordedQuantity:
                      "Ls": omega * size, "X": size}[reactive]
         if lossy in ("D", "Q"):
             # D is the real part over the reactive one as the meter signs it: w Cp for a capacitance, w Ls for an
-            # inductance, and the size of it where the meter gives D no sign.
+            # inductance, or its magnitude if the meter gives D no sign.
             of = imaginary if reactive in ("Cp", "Ls", "X", "B") else -imaginary
             if self.unsigned_losses(first, second):
                 of = np.abs(of)

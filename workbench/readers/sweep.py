@@ -1,4 +1,4 @@
-"""From the points of a file, in whatever order they stand, to a spectrum: the order of a sweep carries no physics."""
+"""From the points of a file, in any order, to a spectrum: the order of a sweep carries no physics."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from workbench.readers.findings import Finding
 from workbench.readers.text import RecordingText, check_impedance
 from workbench.results.spectrum import Origin, Spectrum
 
-#: The setting of an origin that says what was put in order or left out.
+#: The setting of an origin that lists the points put in order or left out.
 PUT_IN_ORDER = "put in order"
-#: Frequencies closer than this (relative) are one: digits lost in a unit. Doubled, nothing changes, since no analyser
+#: Largest relative difference of equal frequencies: digits lost in a unit. Doubled, nothing changes, since no analyser
 #: steps by a thousandth of a hertz at 1 MHz.
 ONE_FREQUENCY = 1e-9
-#: Values at one frequency that differ by less (relative) are one value, rounded. Doubled, twice the noise goes unsaid.
+#: Largest relative difference of equal values at one frequency: rounding. Doubled, twice the noise goes unsaid.
 ONE_VALUE = 1e-6
-#: Values at one frequency that differ by this many times as much as neighbouring frequencies do, and by this much
-#: (relative), or by the last of these in any case, are of two states of a device. Doubled, a drift of twice the size is
+#: Least difference of values at one frequency that belong to two states of a device: this many times that of
+#: neighbouring frequencies and this share, or the last share in any case. Doubled, a drift of twice the size is
 #: averaged with milder words.
 TWO_STATES = (3.0, 0.02, 0.25)
 
 
-#: Readings beside the first of their frequency from which on they tell the noise: that of ten is known to 16 %. Halved,
-#: it would be known to 22 %.
+#: Least number of repeated readings that determine the noise: ten determine it to 16 %, five to 22 %.
 REPEATS = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The spectrum that a file holds and what was noticed while it was put in order."""
+    """The spectrum that a file holds, and the findings made while it was put in order."""
 
     spectrum: Spectrum
     findings: tuple[Finding, ...] = ()
@@ -47,8 +46,8 @@ def in_order(
 
     Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
     overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
-    Where nothing states the noise, repeated readings show it. Findings say so, after `findings`, and the origin's
-    setting :data:`PUT_IN_ORDER` holds their words.
+    Without a stated noise, repeated readings give it. Findings report this, after `findings`, and the origin's setting
+    :data:`PUT_IN_ORDER` holds their words.
 
     Raises:
         InputError: fewer than two frequencies, a negative one, an impedance that is zero or not finite.
@@ -101,15 +100,14 @@ def in_order(
     elif uncertainty is not None:
         uncertainty = uncertainty[order]
     if found:
-        # A spectrum goes on without its findings, and its origin is shown wherever it is.
+        # A spectrum is used without its findings, but its origin is shown everywhere.
         said = " ".join("; ".join(finding.message for finding in found).split())
         origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: said})
     return Recorded(Spectrum(frequency, impedance, uncertainty, origin, shared_uncertainty), tuple(found))
 
 
 def _noise(impedance: NDArray[np.complex128], mean: NDArray[np.complex128], groups: NDArray[np.int64]) -> float:
-    """The standard deviation of real and imaginary part, each, of readings about the `mean` of their group, relative
-    to it."""
+    """Relative standard deviation of the real and imaginary part, each, of readings about the `mean` of their group."""
     off = np.abs(impedance - mean[groups]) / np.abs(mean[groups])
     return float(np.sqrt(np.sum(off**2) / (2.0 * (len(groups) - len(mean)))))
 
@@ -120,7 +118,7 @@ def _lines(named: Sequence[int]) -> str:
 
 
 def _order(steps: NDArray[np.float64], lines: Sequence[int]) -> str:
-    """How frequencies that neither rise nor fall throughout stand in the file."""
+    """The order in the file of frequencies that neither rise nor fall throughout, in words."""
     signs = np.sign(steps)
     moves = signs[signs != 0.0]
     if np.count_nonzero(np.diff(moves)) == 1:
@@ -140,7 +138,7 @@ def _joined(
     frequency: NDArray[np.float64], impedance: NDArray[np.complex128], mean: NDArray[np.complex128],
     groups: NDArray[np.int64], counts: NDArray[np.int64],
 ) -> Finding:
-    """What is said of frequencies that stand in the file more than once: `frequency` and `mean` of every group."""
+    """The finding on frequencies that occur more than once: `frequency` and `mean` of every group."""
     size = np.abs(mean)
     apart = np.zeros(len(mean))
     np.maximum.at(apart, groups, np.abs(impedance - mean[groups]) / np.maximum(size[groups], 1e-300))

@@ -1,4 +1,5 @@
-"""The text of a recording: loaded once, with its digest, and turned into numbers with loud complaints."""
+"""The text of a recording: loaded once, with its digest, and turned into numbers, with an error for every faulty cell.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from workbench.instruments.waveform_table import recognised
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
-#: A line that begins so is no row.
+#: Signs at the beginning of a line that is no row.
 COMMENTS = ("%", "#", "!")
 
 #: Encodings by the byte-order mark that declares them; the marks of UTF-32 begin as those of UTF-16 do.
@@ -29,16 +30,16 @@ _BYTE_ORDER_MARKS = ((codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf
 #: Encodings without a mark, of Western Europe and of East Asia.
 _ENCODINGS = ("cp1252", "shift_jis", "gbk")
 #: Letters beyond ASCII that headings need: a text of these, of Latin letters and of those of East Asia was decoded
-#: rightly. The hooked f is what the first byte of a Greek letter in Shift-JIS looks like.
+#: rightly. The first byte of a Greek letter in Shift-JIS looks like the hooked f.
 _EXPECTED = frozenset("°ºΩΩµμθϑΘφϕΦ∠δγ²³′″−–’“”±×·…®©«» ")
 _STRANGE_LATIN = "ƒ"
 _EAST_ASIAN = 0x2E80
 
 _REAL = r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
-#: A complex number, with its imaginary unit before or behind the second part.
+#: A complex number, with its imaginary unit before or after the second part.
 _COMPLEX = re.compile(
     rf"(?:\( *)?([+-]? *{_REAL}) *([+-]) *(?:[ijIJ] *\*? *({_REAL})|({_REAL}) *\*? *[ijIJ])(?: *\))?(?![\w.])")
-#: A complex number as a pair in brackets. Behind a letter they hold the ports of S(1,1).
+#: A complex number as a pair in brackets. After a letter, brackets hold the ports of S(1,1).
 _BRACKETED = re.compile(rf"(?<![\w'\"])\(\s*([+-]?{_REAL})\s*[,;]\s*([+-]?{_REAL})\s*\)")
 _PORTS = re.compile(r"(?<=[A-Za-z])\((\d),(\d)\)")
 _WRITTEN = re.compile(rf"([+-]?{_REAL})([+-]{_REAL})j")
@@ -53,7 +54,7 @@ class RecordingText:
     sha256: str
 
     def error(self, line: int, column: int | None, value: object, expected: str) -> InputError:
-        """The complaint about one place; `line` and `column` count from one."""
+        """The error about one place; `line` and `column` count from one."""
         place = f"line {line}" if column is None else f"line {line}, column {column}"
         return InputError(self.path, place, value, expected)
 
@@ -85,7 +86,7 @@ def load_text(path: Path) -> RecordingText:
         raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
     if not data.strip():
         raise InputError(str(path), "file", f"{len(data)} bytes", "a recording; this file is empty")
-    # A waveform in a Tektronix .ISF file is binary behind a text header; it deserves its own name.
+    # A waveform in a Tektronix .ISF file is binary after a text header; it deserves its own message.
     if _is_binary(data) and data[:8].upper().startswith((b":WFMP", b"WFMP")):
         raise _waveform(str(path), data[:40].decode("latin-1"))
     text = _decoded(data)
@@ -106,10 +107,10 @@ def _decoded(data: bytes) -> str | None:
     """The text that the bytes hold; None if they hold none."""
     for mark, encoding in _BYTE_ORDER_MARKS:
         if data.startswith(mark):
-            # A last half character is what a file cut short ends with.
+            # A file cut short may end with half a character.
             return data.decode(encoding, errors="ignore")
     if _is_binary(data):
-        # Without a mark every other byte of UTF-16 is zero, since what instruments write is ASCII nearly throughout.
+        # Without a mark every other byte of UTF-16 is zero, since instruments write ASCII nearly throughout.
         for encoding, zeros in (("utf-16-le", data[1::2]), ("utf-16-be", data[::2])):
             if len(zeros) > 8 and zeros.count(0) > 0.9 * len(zeros):
                 text = data.decode(encoding, errors="ignore")
@@ -153,8 +154,8 @@ def _waveform(path: str, value: str) -> InputError:
 def cells(line: str, delimiter: str) -> list[str]:
     """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave.
 
-    A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of
-    it, and any number of blanks is one delimiter. A complex number is one cell, however it is written: "3.3-52.6j",
+    A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of it,
+    and any number of blanks is one delimiter. A complex number is one cell, however it is written: "3.3-52.6j",
     "(3.3,-52.6)" and "3.3 - i52.6" become "3.3-52.6j".
     """
     line = _kept_whole(line.strip(" "))
@@ -203,7 +204,7 @@ def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decim
     """The number in one cell.
 
     Raises:
-        InputError: the cell holds no number, NaN or infinity, or a decimal comma where none was declared.
+        InputError: the cell holds no number, NaN or infinity, or an undeclared decimal comma.
     """
     plain = cell.replace(",", ".") if decimal == "," else cell
     if _NUMBER.fullmatch(plain):
@@ -246,7 +247,7 @@ def numbers(
 
 
 def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], lines: Sequence[int]) -> None:
-    """Raise where `impedance` (n,) ohm is zero or not finite."""
+    """Raise if `impedance` (n,) ohm is anywhere zero or not finite."""
     wrong = ~np.isfinite(impedance) | (impedance == 0.0)
     if np.any(wrong):
         index = int(np.argmax(wrong))
@@ -255,8 +256,11 @@ def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], line
 
 @dataclass(frozen=True)
 class RowCells:
-    """The rows of a table as text: ``cells`` of every row and the ``lines`` (from one) they stand on, ``skipped`` lines
-    below the first row that are none, and the line ``beyond`` at which another table begins (None: no other)."""
+    """The rows of a table as text.
+
+    ``cells`` of every row and the ``lines`` (from one) they stand on; ``skipped``, the lines below the first row that
+    are no rows; ``beyond``, the line at which another table begins (None: no other).
+    """
 
     cells: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
@@ -293,7 +297,7 @@ class RowCells:
         return found[0], found[1]
 
     def loosely(self, place: int, *, decimal: str) -> NDArray[np.float64]:
-        """The numbers (n,) of a column, NaN where a cell is none."""
+        """The numbers (n,) of a column, NaN for a cell that is none."""
         return np.array([float(_plain(row[place], decimal)) if place < len(row) and is_number(row[place], decimal)
                          else np.nan for row in self.cells])
 

@@ -1,5 +1,5 @@
-"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1; network analysers use e^{+j w t}, as a spectrum
-does.
+"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1; network analysers use e^{+j w t}, like a
+spectrum.
 
 The IBIS Open Forum's specification, versions 1.1 and 2.0 (2009) and 2.1 (2024), rules: options of the line ``#`` stand
 in any order and default to GHz, S, MA and R 50; in version 1 all parameters are normalised to R, so that z = Z / R and
@@ -30,18 +30,18 @@ _SUFFIX = re.compile(r"\.[syzgh](\d+)p")
 _KEYWORD = re.compile(r"\[([^\]]*)\]\s*(.*)")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
-#: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and
-#: one that is in hertz shows itself so. Doubled, nothing changes.
+#: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and a
+#: frequency above this shows that it is in hertz. Doubled, nothing changes.
 _HIGHEST_HZ = 3e12
-#: |S21| above which a device is not at port 1 alone: leakage of a fixture is below -26 dB. Doubled, one that couples
+#: S21| above which a device is not at port 1 alone: leakage of a fixture is below -26 dB. Doubled, one that couples
 #: 10 % is taken for one at port 1.
 _THROUGH = 0.05
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the line ``#`` and the keywords say: factor to hertz, parameter, format, reference resistance of every port
-    (ohm), ``version`` (1 or 2), number of ``ports`` (0: not said), and whether a line ``#`` ``stands`` there."""
+    """Content of the line ``#`` and of the keywords: factor to hertz, parameter, format, reference resistance of every
+    port (ohm), ``version`` (1 or 2), number of ``ports`` (0: not stated), and whether a line ``#`` ``stands`` there."""
 
     unit: float = 1e9
     parameter: str = "s"
@@ -71,7 +71,7 @@ def parse_touchstone(text: RecordingText) -> Recorded:
     """Read the file; of several ports, the impedance at port 1.
 
     Raises:
-        InputError: an option or keyword that is none, hybrid parameters (G, H), mixed modes, rows of a wrong length or
+        InputError: an unknown option or keyword, hybrid parameters (G, H), mixed modes, rows of a wrong length or
             number, an impedance that is zero or infinite.
     """
     options, data = _options(text)
@@ -106,7 +106,7 @@ def parse_touchstone(text: RecordingText) -> Recorded:
 
 
 def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding:
-    """What is said of a file of several ports."""
+    """The finding on a file of several ports."""
     letter = options.parameter.upper()
     ends = {"s": f"ended with {options.reference[-1]:g} ohm", "z": "open", "y": "shorted"}[options.parameter]
     rest = "port 2" if ports == 2 else "the other ports"
@@ -163,7 +163,7 @@ def _options(text: RecordingText) -> tuple[Options, list[tuple[int, list[str]]]]
 
 
 def _keyword(text: RecordingText, line: int, options: Options, name: str, value: str) -> Options:
-    """The options with what a keyword of version 2 says."""
+    """The options, updated by a keyword of version 2."""
     match name:
         case "version":
             if not value.startswith(("1", "2")):
@@ -263,7 +263,7 @@ def _complex(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex1
 
 
 def _impedance(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex128]:
-    """Z (n,) ohm at port 1."""
+    """Impedance Z (n,) ohm at port 1."""
     value, resistance = _complex(pair, options), options.reference[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         match options.parameter:

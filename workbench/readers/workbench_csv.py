@@ -1,5 +1,5 @@
-"""The workbench's own file, written by :func:`workbench.results.spectrum.write_csv`; the origin's lines may be
-missing."""
+"""The workbench's own file, written by :func:`workbench.results.spectrum.write_csv`; the origin's lines may be missing.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 def recognises_workbench_csv(text: RecordingText) -> bool:
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
     names = cells(header, ",")
-    # Another program may call its frequency so; its other columns tell.
+    # Another program may use this name for its frequency; its other columns tell.
     return names[0].startswith(COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(COLUMNS[1:]))
 
 
@@ -56,7 +56,7 @@ def _key(comment: str) -> str:
 
 
 def _shared_uncertainty(text: RecordingText, comments: list[tuple[int, str]]) -> float:
-    """What the line of the uncertainty that all points share says, 0 without one."""
+    """The uncertainty that all points share, from its line; 0 without one."""
     found = 0.0
     for line, content in comments:
         if _key(content) == SHARED_UNCERTAINTY:

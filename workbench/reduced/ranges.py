@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
-from geometry.names import whole
-from geometry.stretch import movable, tied
+from geometry.names import parent_place
+from geometry.stretch import admissible_range, canonical_names
 from materials.registry import Registry
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.operators import FullOperators, assemble
@@ -308,7 +308,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         InputError: a name that is neither a coefficient nor a length, a range that holds no number, or two ranges for
             radii that coincide.
     """
-    first, lengths = tied(chip), chip.dimensions()
+    first, lengths = canonical_names(chip), chip.dimensions()
     flexed = flexible_within(problem, chip, ranges)
     found: dict[str, tuple[float, float]] = {}
     for key, ends in ranges.items():
@@ -320,8 +320,8 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         low, high = map(float, ends)
         if not low < high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
-        if known in first and movable(chip, known, low, high) != (low, high):
-            least, most = movable(chip, known)
+        if known in first and admissible_range(chip, known, low, high) != (low, high):
+            least, most = admissible_range(chip, known)
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range that keeps away from the "
                              f"next radii, within {least:g} to {most:g} m")
         if not low <= real_part(flexed.values, known) <= high:
@@ -413,7 +413,7 @@ def compacted(
     for q, integral in enumerate(model.operators.integrals):
         coefficient, constant = _separated(integral.coefficient, moving, values)
         if constant != 0.0:
-            place = whole(integral.place) if by_place else ""
+            place = parent_place(integral.place) if by_place else ""
             groups.setdefault((coefficient, place), {})[q] = constant
     integrals: list[Integral] = []
     weights: list[Real] = []

@@ -1,4 +1,4 @@
-"""What all pictures share: VTK without a display, the frame around a picture, units for an axis, atomic saving."""
+"""Common parts of all pictures: VTK without a display, the frame around a picture, units for an axis, atomic saving."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from workbench.acoustics.forces import Excitation
 
-#: For quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
+#: Colour map for quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
 SIGNED_COLOURS = "RdBu_r"
 PLAIN_COLOURS = "viridis"
 
@@ -32,10 +32,10 @@ ROLE_COLOURS = {
     "sidewall": "#c9b2d6", "cavity": "#bfe3f2", "bond": "#b5651d", "superstrate": "#e8b4bc", "sample": "#9ccb86",
     "layer": "#d9cfa3",
 }
-#: What is coloured by no field and is not a known role.
+#: Colour of regions without a field and without a known role.
 OTHER_COLOUR = "#cccccc"
 
-#: Free share of a photograph beside what is in it, each side: doubled, a chip is 3 % smaller.
+#: Free share of a photograph at each side. Doubled, a chip is 3 % smaller.
 MARGIN = 0.03
 
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
@@ -51,7 +51,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class DrawnShape:
-    """Something to photograph: ``points`` (N, 3) m; ``cells`` (M, k) point numbers of polygons, of lines where k is 2.
+    """A shape to photograph: ``points`` (N, 3) m; ``cells`` (M, k) point numbers of polygons, of lines if k is 2.
 
     ``colour``: a name of matplotlib's or ``#rrggbb``, or one for every point, (N, 3) in 0 to 255. ``light``: shares of
     ambient, diffuse and specular light; None shows the colour as it is. ``width`` of lines in dots.
@@ -91,7 +91,7 @@ def photograph(
     It looks at their middle from `azimuth` (degrees from +x, about z) and `elevation`, as large as they fit with a
     margin of :data:`MARGIN`, whatever their shape. Three lights move with the camera.
     """
-    # The second registers what draws.
+    # The second one registers the drawing functions.
     rendering, _, support = vtk_modules("vtkRenderingCore", "vtkRenderingOpenGL2", "util.numpy_support")
     renderer, window = rendering.vtkRenderer(), rendering.vtkRenderWindow()
     for shape in shapes:
@@ -111,7 +111,7 @@ def photograph(
     camera.ParallelProjectionOn()
     towards = np.array([math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)])
     sideways = np.array([-math.sin(turn), math.cos(turn), 0.0])
-    # Across, up and towards the camera, of every point.
+    # Coordinates across, up and towards the camera, of every point.
     axes = np.stack([sideways, np.cross(towards, sideways), towards])
     seen = np.concatenate([shape.points for shape in shapes]) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -174,7 +174,7 @@ def _actor(shape: DrawnShape) -> Any:
 
 
 def role_colour(region: str) -> str:
-    """The colour of a region or solid by its role, its number and anything after a dot aside."""
+    """The colour of a region or solid by its role, without its number and anything after a dot."""
     role = region.split(".")[0].rstrip("0123456789").rstrip("_")
     return ROLE_COLOURS.get(role, OTHER_COLOUR)
 
@@ -188,7 +188,7 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def typeset(excitation: Excitation) -> str:
-    """The line that says what field a force was computed in, with its symbols set for matplotlib."""
+    """The line that describes the field of a force, with its symbols set for matplotlib."""
     return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
 
 

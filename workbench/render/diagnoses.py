@@ -1,4 +1,4 @@
-"""What a diagnosis found, at a glance: every state before and after, and what share of the mismatch each part takes."""
+"""A diagnosis at a glance: every state before and after, and the share of the mismatch that each part takes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-#: States side by side, and the size of each in inches.
+#: Number of states side by side, and the size of each in inches.
 _ACROSS, _WIDTH, _HEIGHT = 3, 4.4, 3.9
 _AFTER, _BEFORE = LINE_COLOURS[:2]
 
@@ -37,7 +37,7 @@ class StatePicture:
 
 
 def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, after: str) -> Path:
-    """|Z| of every state over what is left of ln Z, both with what `before` and `after` name. Writes `path`.
+    """Draw |Z| of every state above the residual of ln Z, both with the lines `before` and `after`. Writes `path`.
 
     Raises:
         ValueError: no states.
@@ -68,11 +68,11 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
 
 
 def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
-    """One state into axes for |Z| and for what is left; what a legend shows of it."""
+    """One state into axes for |Z| and for the residual; the lines for a legend."""
     megahertz = state.frequency / 1e6
     dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
                        alpha=0.5, markeredgewidth=0.0)
-    # A per cent and thirty stand side by side: far below the noise nothing is to be seen.
+    # One per cent and thirty stand side by side; nothing far below the noise is visible.
     lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise))
     lines = []
     for impedance, colour, style in ((state.before, _BEFORE, "--"), (state.after, _AFTER, "-")):
@@ -80,7 +80,7 @@ def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
         left = 100.0 * np.abs(np.log(impedance / state.measured))
         lower.plot(megahertz, np.maximum(left, lowest), color=colour, linestyle=style, linewidth=0.9)
         lines.append(line)
-    # Of the two parts of ln Z together, each of that standard deviation.
+    # For the two parts of ln Z together, each of that standard deviation.
     band = lower.fill_between(megahertz, lowest, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd")
     upper.set_yscale("log")
     upper.set_title(state.name, fontsize=10)
@@ -95,10 +95,10 @@ def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
 
 
 def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """One bar from nothing to all of the mismatch: the share that each name takes, and what is left. Writes `path`.
+    """Draw one bar for the whole mismatch: the share that each name takes, and the unexplained rest. Writes `path`.
 
     Raises:
-        ValueError: a share below zero, or more than all.
+        ValueError: a share below zero, or a sum above one.
     """
     if any(share < 0.0 for share in shares.values()) or sum(shares.values()) > 1.0 + 1e-9:
         raise ValueError(f"shares of {', '.join(f'{name} {share:g}' for name, share in shares.items())}: expected none "

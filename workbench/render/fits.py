@@ -14,7 +14,7 @@ from workbench.render.plots import LINE_COLOURS, SpectrumLike, save_impedance, t
 
 Real = NDArray[np.float64]
 
-#: Where several panels share a picture: more would be too many to read.
+#: Largest number of panels side by side in one picture: more would be too many to read.
 PANELS_ACROSS = 3
 
 
@@ -22,7 +22,7 @@ PANELS_ACROSS = 3
 class Interval:
     """One parameter for a picture: fitted value with the ends of its interval, the start and its prior uncertainty.
 
-    All in one unit; ``prior`` is None where nothing was known before; ``remark`` is set beside it.
+    All are in one unit; ``prior`` is None if nothing was known before; ``remark`` is set beside it.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Interval:
 def draw_fit(
     measured: SpectrumLike, start: SpectrumLike, fitted: SpectrumLike, path: Path, *, title: str = ""
 ) -> Path:
-    """Magnitude and phase of the recording, of the start and of the fit, and below each the residual of the fit.
+    """Draw magnitude and phase of the recording, of the start and of the fit, and below each the residual of the fit.
 
     As in Fig. 5 of Acevedo-Espinosa et al. (RP-UEIS). All three on the same frequencies. Writes `path`.
     """
@@ -77,10 +77,10 @@ def draw_fit(
 
 
 def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: str = "") -> Path:
-    """A correlation matrix (p, p) with its numbers. Writes `path`.
+    """Draw a correlation matrix (p, p) with its numbers. Writes `path`.
 
     Raises:
-        ValueError: as many names as rows are needed.
+        ValueError: the numbers of names and rows differ.
     """
     matrix = np.asarray(matrix, dtype=float)
     count = len(names)
@@ -105,7 +105,7 @@ def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: s
 
 
 def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = "") -> Path:
-    """Fitted values with their 95 % intervals against what was known before, each in units of its start. Writes `path`.
+    """Draw fitted values with their 95 % intervals against prior knowledge, each in units of its start. Writes `path`.
 
     Grey: the start with 95 % of its prior. A parameter that starts at zero is drawn in units of its prior.
 
@@ -158,7 +158,7 @@ def draw_sensitivity(
     real: Sequence[tuple[str, float, float | None]], imaginary: Sequence[tuple[str, float, float | None]], path: Path,
     *, thresholds: tuple[float, float], title: str = ""
 ) -> Path:
-    """The ranking of Algorithm 1: rows of (name, normalised slope, published slope or None), steepest first.
+    """Draw the ranking of Algorithm 1: rows of (name, normalised slope, published slope or None), steepest first.
 
     As Table 2 of Acevedo-Espinosa et al. (RP-UEIS), with the thresholds that drop a parameter. Writes `path`.
 
@@ -192,7 +192,7 @@ def draw_sensitivity(
 
 
 def draw_costs(scalings: Real, costs: Mapping[str, Real], path: Path, *, title: str = "") -> Path:
-    """The cost (s,) of every labelled part over its scaling (s,): Algorithm 1 takes their slopes. Writes `path`.
+    """Draw the cost (s,) of every labelled part over its scaling (s,): Algorithm 1 takes their slopes. Writes `path`.
 
     Raises:
         ValueError: nothing to draw.
@@ -217,7 +217,7 @@ def draw_gel_study(
     measured: SpectrumLike, predicted: Mapping[str, tuple[SpectrumLike, float]], path: Path, *,
     resonance: float | None = None, title: str = "",
 ) -> Path:
-    """The recording beside predictions for several gel thicknesses, each with the mean error (%) of its |Z|.
+    """Draw the recording beside predictions for several gel thicknesses, each with the mean error (%) of its |Z|.
 
     As in Fig. 6 of Acevedo-Espinosa et al. (RP-UEIS), `resonance` (Hz) marked. Writes `path`.
 
@@ -248,11 +248,11 @@ def draw_batch(
     devices: Sequence[str], values: Mapping[str, tuple[Real, Real, Real]], outliers: Mapping[str, Sequence[str]],
     path: Path, *, title: str = "",
 ) -> Path:
-    """Every parameter over the devices: value with interval, the median as a line, outliers as red crosses.
+    """Draw every parameter over the devices: value with interval, the median as a line, outliers as red crosses.
 
     Args:
-        values: by label (with its unit) the values and the ends of their intervals, each (len(devices),), NaN where a
-            device has no such parameter.
+        values: by label (with its unit) the values and the ends of their intervals, each (len(devices),), NaN for a
+            device without such a parameter.
         outliers: by label the devices that lie outside.
 
     Raises:

@@ -1,4 +1,4 @@
-"""All pictures of a state at one frequency, and of a chip as a solid: what the command line draws."""
+"""All pictures of a state at one frequency, and of a chip as a solid, for the command line."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from workbench.render.canvas import Picture
 from workbench.simulation.gathering import GAS
 from workbench.simulation.run import Snapshot
 
-#: Fields that can be asked for by name.
+#: Fields that can be requested by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")
 
-#: A fluid thinner than this part of the chip's height is no more than a line in a picture.
+#: Thickness of a fluid, as a share of the chip's height, below which it is no more than a line in a picture.
 VISIBLE = 0.01
 
 _Pictures = list[Picture]
 
 
 def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
-    """The pictures named by `only` (:data:`FIELDS`), written to `folder`; by default all that exist for the state and
-    mean something: the pressure in a gas is left out.
+    """Write the pictures named by `only` (:data:`FIELDS`) to `folder`; by default all that exist for the state and are
+    useful: the pressure in a gas is left out.
 
     Raises:
-        InputError: a picture asked for by name that does not exist for the state, and why.
+        InputError: a requested picture that does not exist for the state, with the reason.
     """
     makers: Mapping[str, Callable[[Snapshot, Path], tuple[_Pictures, str]]] = {
         "displacement": _displacement, "pressure": _pressure, "gorkov": _gorkov, "cutaway": _cutaway,
@@ -58,7 +58,7 @@ def _displacement(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 
 
 def _pressure(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
-    """Pressure close up in the cavity or, without fluid there, in the thickest fluid."""
+    """The pressure close up in the cavity or, without fluid there, in the thickest fluid."""
     from workbench.render import sections
 
     mesh = shot.fields.mesh
@@ -97,7 +97,7 @@ def _losses(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 
     if not sum(shot.losses.values()) > 0.0:
         return [], "no material of the state has a loss"
-    # A region without a loss has its bar too: that it loses nothing is a statement of its material.
+    # A region without a loss has its bar too: it is a statement of its material.
     losses = {**dict.fromkeys(shot.problem.materials, 0.0), **shot.losses}
     path = plots.draw_loss_budget(losses, folder / f"losses_{shot.state}.png",
                                   title=f"where the power goes, {shot.state}")
@@ -113,7 +113,7 @@ def _mesh(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 
 
 def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:
-    """The CAD view from the STL files of a chip's parts, cut through the axis and pulled apart along z."""
+    """Draw the CAD view from the STL files of a chip's parts, cut through the axis and pulled apart along z."""
     from workbench.render import solids
 
     shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if name != CAVITY]

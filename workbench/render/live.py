@@ -20,7 +20,7 @@ from workbench.render.sections import at_largest, region_edges
 if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
 
-#: Width of a picture in dots, that of the page's; and points of the raster along each side of a dot, whose mean it is.
+#: Width of a picture in dots, as on the page, and points of the raster along each side of a dot, which is their mean.
 _DOTS, _POINTS = 880, 2
 #: Steps of the strip of colours that stands for a map.
 _STRIP = 9
@@ -30,8 +30,9 @@ _STRIP = 9
 class LivePicture:
     """A field in the section, mirrored about the axis: ``png`` fills ``window`` (left, right, bottom, top; mm).
 
-    ``low`` and ``high`` in ``unit`` are what the ends of ``colours`` (CSS) stand for; ``outline`` are lines of regions
-    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with what they are; ``tall`` how many times heights are enlarged.
+    ``low`` and ``high`` in ``unit`` are the values at the ends of ``colours`` (CSS); ``outline`` are lines of regions
+    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with their names; ``tall`` is the factor by which heights are
+    enlarged.
     """
 
     name: str
@@ -48,8 +49,8 @@ class LivePicture:
 
 
 def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePicture]:
-    """u_z in the solids and, where there is a fluid in the cavity, its pressure and the potential with its traps; each
-    is drawn when it is asked for."""
+    """The pictures of u_z in the solids and, with a fluid in the cavity, of its pressure and of the potential with its
+    traps; each is drawn on request."""
     mesh = fields.mesh
     yield _signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)
     if CAVITY in fields.fluid_regions:
@@ -89,7 +90,7 @@ def _picture(
 
     regions = [each for each in mesh.regions if np.isfinite(values[mesh.nodes_of([each])]).all()]
     there = mesh.points[mesh.nodes_of(regions)]
-    # The solids are seen among what they hold; a field of the cavity alone close up.
+    # The solids are shown among their surroundings; a field of the cavity alone close up.
     shown = mesh.points if len(regions) > 1 else there
     radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
     across, up = _DOTS // 2, max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))

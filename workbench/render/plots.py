@@ -19,12 +19,13 @@ if TYPE_CHECKING:
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
 
-#: Points drawn for one of a computed spectrum, and how many a line has at most: two for every dot of a picture's width.
+#: Points drawn per point of a computed spectrum, and the largest number of a line: two for every dot of a picture's
+#: width.
 BETWEEN, MOST_POINTS = 8, 20_000
 
 
 class SpectrumLike(Protocol):
-    """What is drawn of a spectrum: frequency (n,) Hz and impedance (n,) complex ohm, time factor e^{+j w t}."""
+    """Interface of a spectrum to draw: frequency (n,) Hz and impedance (n,) complex ohm, time factor e^{+j w t}."""
 
     @property
     def frequency(self) -> NDArray[np.float64]: ...
@@ -35,10 +36,10 @@ class SpectrumLike(Protocol):
 def draw_spectra(
     spectra: Mapping[str, SpectrumLike], path: Path | str, *, measured: Sequence[str] = (), title: str = ""
 ) -> Path:
-    """Magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
+    """Draw magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
 
-    Between the points of a line its interpolant is drawn, from which figures of merit are taken: a resonance on which
-    there are three points is round.
+    Between the points of a line its interpolant is drawn, from which figures of merit are taken: a resonance with three
+    points is round.
 
     As in Fig. 7 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
 
@@ -60,7 +61,7 @@ def draw_spectra(
             frequency = np.interp(np.linspace(0.0, points[-1], points[-1] * BETWEEN + 1), points, frequency)
             impedance = spectrum.interpolant()(frequency)
         megahertz = frequency / 1e6
-        # Dots drawn first: the model's line stays visible on a dense measurement.
+        # Dots are drawn first: the model's line stays visible on a dense measurement.
         style = ({"linestyle": "", "marker": "o", "markersize": 3.0, "alpha": 0.55, "markeredgewidth": 0.0, "zorder": 1}
                  if label in measured else {"linestyle": "-", "linewidth": 1.5, "zorder": 2})
         magnitude.plot(megahertz, np.abs(impedance), color=colour, label=label, **style)
@@ -69,7 +70,7 @@ def draw_spectra(
 
 
 def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, title: str) -> Path:
-    """Label what shows |Z| (logarithmic) and its phase over MHz, one above the other, and write `path`."""
+    """Label the axes of |Z| (logarithmic) and its phase over MHz, one above the other, and write `path`."""
     magnitude.set_yscale("log")
     magnitude.set_ylabel("|Z| (Ω)")
     magnitude.set_title(title)
@@ -89,8 +90,11 @@ def draw_residuals(
     frequency: NDArray[np.float64], residuals: Mapping[str, NDArray[np.float64]], path: Path, *, label: str,
     title: str = "", band: float | None = None,
 ) -> Path:
-    """Labelled residuals (n,) over `frequency` (n,) in Hz; `label` names the quantity with its unit, and a shaded
-    `band` of plus and minus that much shows what noise alone would do. Writes `path`."""
+    """Draw labelled residuals (n,) over `frequency` (n,) in Hz. Writes `path`.
+
+    `label` names the quantity with its unit; a shaded `band` of plus and minus that much shows the effect of noise
+    alone.
+    """
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     if band is not None:
@@ -109,7 +113,7 @@ def draw_residuals(
 
 
 def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """Dissipated power (W) by region, largest on top, each with its share of the whole; none is "lossless". Writes
+    """Draw dissipated power (W) by region, largest on top, each with its share of the whole; none is "lossless". Writes
     `path`.
 
     Raises:
@@ -137,8 +141,8 @@ def draw_convergence(
     size: NDArray[np.float64], errors: Mapping[str, NDArray[np.float64]], path: Path, *, title: str,
     order: float | None = None,
 ) -> Path:
-    """Labelled relative errors (n,) over cell `size` (n,) in m, both logarithmic, with a dashed line of slope `order`
-    through the finest point of the first. Writes `path`.
+    """Draw labelled relative errors (n,) over cell `size` (n,) in m, both logarithmic, with a dashed line of slope
+    `order` through the finest point of the first. Writes `path`.
 
     Raises:
         ValueError: no errors.
@@ -167,7 +171,7 @@ def draw_convergence(
 
 
 def tidy(axes: Axes, *, both: bool = False) -> None:
-    """Light grid lines behind what is drawn (`both`: minor ones too), and no frame above and to the right."""
+    """Set light grid lines behind the curves (`both`: minor ones too), and no frame above and to the right."""
     axes.grid(visible=True, which="both" if both else "major", color="#e4e4e4", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -13,7 +13,8 @@ from workbench.render.plots import LINE_COLOURS, tidy
 
 
 def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None = None) -> Path:
-    """Gor'kov potential along the axis and, at the height of `trap` (the deepest unless given), along the radius.
+    """Draw the Gor'kov potential along the axis and, at the height of `trap` (the deepest unless given), along the
+    radius.
 
     As in Fig. 9b of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
 

@@ -1,7 +1,7 @@
 """The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
 
 Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
-Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, and says so), a
+Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, with a note), a
 colour bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is
 largest.
 """
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
 _DOTS_PER_INCH = 160
-#: Points of the raster along each side of a dot, whose mean it is: edges and thin layers are smooth.
+#: Points of the raster along each side of a dot, which is their mean: edges and thin layers are smooth.
 _POINTS = 2
 _OUTLINE = "#303030"
-#: Regions that are pointed at, and all others.
+#: Colours of marked regions, and of all others.
 _MARKED, _UNMARKED = "#d55e00", "#eeeeee"
-#: A region thinner than this share of the section's height is pointed at by an arrow too.
+#: Thickness of a region, as a share of the section's height, below which an arrow points at it too.
 _THIN = 0.02
 #: Least height of a picture over its width: a flatter section has its heights enlarged. Doubled, a whole chip would be.
 _FLATTEST = 0.08
@@ -51,7 +51,7 @@ _FLATTEST = 0.08
 
 @dataclass(frozen=True)
 class _Window:
-    """The rectangle of the r-z plane that is shown, in metres, and how many times heights are enlarged."""
+    """The shown rectangle of the r-z plane in metres, and the factor by which heights are enlarged."""
 
     left: float
     right: float
@@ -61,7 +61,7 @@ class _Window:
 
 
 def draw_axial_displacement(fields: Fields, path: Path) -> Path:
-    """u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    """Draw u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
         fields.mesh, values, path, unit="m", label="axial displacement $u_z$", window=_window(fields.mesh.points),
@@ -70,7 +70,7 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 
 def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> Path:
-    """Pressure in the fluids of the whole section, or close up in the one `region`. Writes `path`."""
+    """Draw the pressure in the fluids of the whole section, or close up in the one `region`. Writes `path`."""
     pressure, shown = fields.pressure, fields.mesh.points
     if region is not None:
         nodes = fields.mesh.nodes_of([region])
@@ -85,7 +85,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
 
 
 def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
-    """Gor'kov potential, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    """Draw the Gor'kov potential, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     forces = report.forces
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
@@ -107,7 +107,8 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 
 
 def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
-    """The regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`."""
+    """Draw the regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Patch
 
@@ -129,10 +130,10 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
 
 
 def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: str) -> Path:
-    """The regions in pale grey, those that are `marked` in colour. Writes `path`.
+    """Draw the regions in pale grey, those that are `marked` in colour. Writes `path`.
 
     Raises:
-        ValueError: a marked region is none of the mesh.
+        ValueError: a marked region that the mesh does not have.
     """
     from matplotlib.patches import Patch
 
@@ -175,7 +176,8 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
 
 
 def phase_title(fields: Fields, phase: float) -> str:
-    """Two lines: frequency and drive, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
+    """Two lines: frequency and drive, and the moment in the cycle at which a field of that `phase` (degrees, e^{-i w
+    t}) is shown."""
     # With e^{-i w t} a larger phase comes later; 360 degrees later is the same time.
     later = round(phase - np.degrees(np.angle(fields.voltage))) % 360
     return (f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}\n"
@@ -185,7 +187,7 @@ def phase_title(fields: Fields, phase: float) -> str:
 def _draw_signed(
     mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
 ) -> Path:
-    """The regions all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
+    """Draw the regions all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
     largest = float(np.nanmax(np.abs(values)))
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
@@ -197,7 +199,7 @@ def _draw_signed(
 
 
 def _window(points: FloatArray) -> _Window:
-    """All of the (K, 2) `points` and their mirror images, with a margin."""
+    """The window of all (K, 2) `points` and their mirror images, with a margin."""
     radius, low, high = points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
     margin = 0.015 * max(2.0 * radius, high - low)
     below = min(margin, 0.1 * (high - low))
@@ -210,7 +212,7 @@ def _extent(window: _Window) -> tuple[float, float, float, float]:
 
 
 def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
-    """A figure with axes for the section, heights enlarged as the window says; below, axes for a bar or legend."""
+    """A figure with axes for the section, heights enlarged as the window demands; below, axes for a bar or legend."""
     left, right, below, above = 0.75, 0.25, 1.3, 0.6
     height = window.tall * (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
     if window.tall > 1.0:
@@ -280,7 +282,7 @@ def _show(
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:
-    """Hair lines around every region."""
+    """Draw hair lines around every region."""
     from matplotlib.collections import LineCollection
 
     axes.add_collection(LineCollection(region_edges(mesh), colors=_OUTLINE, linewidths=0.25))

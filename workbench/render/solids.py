@@ -50,7 +50,8 @@ class Solid:
 
 
 def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
-    """The surface in an STL file, named by the file. STL has no unit: CAD programs mostly write millimetres (1e-3).
+    """Read the surface in an STL file, named by the file. STL has no unit: CAD programs mostly write millimetres
+    (1e-3).
 
     Raises:
         FileNotFoundError: no such file.
@@ -66,8 +67,8 @@ def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
 
 
 def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path:
-    """The section revolved by `degrees`, so that one looks inside: u_z in the solids, fluids in plain pale blue, and
-    nothing where there is nothing.
+    """Draw the section revolved by `degrees`, open to the inside: u_z in the solids, fluids in plain pale blue, and
+    vacuum empty.
 
     Drawn at the phase at which u_z is largest. Writes `path`.
     """
@@ -124,7 +125,8 @@ def draw_solids(
     solids: Sequence[Solid], path: Path, *, title: str, opacity: float = 1.0, explode: float = 0.0,
     cut_open: bool = False,
 ) -> Path:
-    """The solids of a CAD model with their names, in the colours of their roles, the first at the bottom of the legend.
+    """Draw the solids of a CAD model with their names, in the colours of their roles, the first at the bottom of the
+    legend.
 
     `explode` (m) is the extra gap drawn between consecutive solids along z, so that inner faces can be seen; `cut_open`
     leaves out the half in front of the plane y = 0. Writes `path`.
@@ -173,7 +175,7 @@ def _arrays(data: Any, corners: int) -> tuple[FloatArray, IntArray]:
 
 
 def _clean(data: Any) -> Any:
-    """`data` with every point once, as files of triangles do not have it."""
+    """The `data` with every point once, which files of triangles do not guarantee."""
     (filters,) = vtk_modules("vtkFiltersCore")
     merge = filters.vtkCleanPolyData()
     merge.SetInputData(data)
@@ -236,7 +238,7 @@ def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatAr
 
 
 def _section_outlines(mesh: NodalMesh, degrees: float) -> tuple[FloatArray, IntArray]:
-    """Points and lines of the outlines of the regions on the two cut faces, a hair in front of them."""
+    """Points and lines of the outlines of the regions on the two cut faces, slightly in front of them."""
     edges = border_lines(mesh, mesh.region)
     pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()

@@ -23,26 +23,28 @@ Real = NDArray[np.float64]
 #: Dots per inch: a report holds many of these pictures.
 DOTS = 100
 
-#: Quantiles at which the colours of parallel coordinates end, so that a few points far off do not take all of them.
+#: Quantiles at which the colours of parallel coordinates end, so that a few distant points do not take all of them.
 COLOURED = (0.02, 0.98)
 
-#: Lines of a picture of parallel coordinates: more hide each other.
+#: Largest number of lines in a picture of parallel coordinates: more hide each other.
 MOST_LINES = 1500
 
-#: Columns with no more different values than this are drawn value by value, others in bins.
+#: Largest number of different values of a column that is drawn value by value; others are drawn in bins.
 FEW_VALUES = 12
 
-#: Bins along an axis: a bin of a pair holds some five points on average, within these limits.
+#: Mean number of points in a bin of a pair, and the least and largest number of bins along an axis.
 POINTS_IN_BIN, FEWEST_BINS, MOST_BINS = 5, 4, 24
 
-#: Parameters in a picture of pairs: more would be too small to read.
+#: Largest number of parameters in a picture of pairs: more would be too small to read.
 MOST_IN_PAIRS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class StudyColumn:
-    """Something that varied, or a figure: its ``label`` with the unit, ``values`` (n,) in that; or, where there are
-    ``words``, their numbers in that list."""
+    """A varied number or a figure: its ``label`` with the unit, and ``values`` (n,) in that unit.
+
+    If there are ``words``, the values are their numbers in that list.
+    """
 
     label: str
     values: Real
@@ -50,12 +52,12 @@ class StudyColumn:
 
     @property
     def few(self) -> Real:
-        """Its different values where they are few; empty otherwise."""
+        """Its different values if they are few; empty otherwise."""
         found = np.unique(self.values[np.isfinite(self.values)])
         return found if len(found) <= FEW_VALUES else np.zeros(0)
 
     def edges(self, points_in_bin: int, dimensions: int) -> Real:
-        """Ends of bins that hold about so many points on average where there are that many dimensions."""
+        """Ends of bins that hold about `points_in_bin` points on average in that many dimensions."""
         few = self.few
         if len(few) > 1:
             middles = 0.5 * (few[1:] + few[:-1])
@@ -69,10 +71,10 @@ class StudyColumn:
 
 
 def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """Every point as a line across one axis for each column, coloured by `colour`. Writes `path`.
+    """Draw every point as a line across one axis for each column, coloured by `colour`. Writes `path`.
 
-    Of many points :data:`MOST_LINES`, evenly taken; points that have no colour are left out, and lines end where a
-    figure is missing.
+    Of many points :data:`MOST_LINES` are taken evenly; points without a colour are left out, and lines end at a missing
+    figure.
 
     Raises:
         ValueError: no point has a colour.
@@ -116,14 +118,14 @@ def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Pat
 
 
 def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """A figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of those that lie
-    near. Writes `path`."""
+    """Draw a figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of near points.
+    Writes `path`."""
     rows = math.ceil(len(parameters) / PANELS_ACROSS)
     across = min(PANELS_ACROSS, len(parameters))
     figure = new_figure(3.4 * across + 0.6, 2.8 * rows + 0.4)
     panels = figure.subplots(rows, across, squeeze=False, sharey=True)
     for axes, parameter in zip(panels.flat, parameters, strict=False):
-        # Few points are drawn large and dark; of many, each is faint so that they show where they are dense.
+        # Few points are drawn large and dark; of many, each is faint so that dense places show.
         count = max(1, parameter.values.size)
         axes.plot(parameter.values, found.values, linestyle="", marker="o", color="#404040", markeredgewidth=0.0,
                   markersize=min(5.0, max(2.0, 60.0 / math.sqrt(count))), alpha=min(0.7, max(0.2, 150.0 / count)),
@@ -147,7 +149,7 @@ def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Pat
 
 
 def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """A figure over every pair of parameters, the mean over all points that lie near. Writes `path`.
+    """Draw a figure over every pair of parameters, as the mean over all near points. Writes `path`.
 
     Raises:
         ValueError: fewer than two parameters, or more than :data:`MOST_IN_PAIRS`.
@@ -165,7 +167,7 @@ def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path,
     left = 0.25 + 0.07 * beside + 0.15 * lines
     width, height = 2.3 * size + 1.4 + left, 2.1 * size + 1.4
     figure = new_figure(width, height)
-    # Margins in inches: a layout that is solved for takes most of a second for fifteen panels.
+    # Margins in inches: an automatic layout takes most of a second for fifteen panels.
     figure.subplots_adjust(left=left / width, right=1.0 - 1.4 / width, bottom=0.9 / height, top=1.0 - 0.5 / height,
                            wspace=0.08, hspace=0.08)
     panels = figure.subplots(size, size, squeeze=False, sharex="col", sharey="row")
@@ -191,7 +193,7 @@ def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path,
 
 def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
                  count: int = MOST_IN_PAIRS) -> tuple[StudyColumn, ...]:
-    """The parameters, in their order, whose near points' medians of a figure differ most; all if they are few."""
+    """The parameters, in their order, along which the local median of a figure varies most; all if they are few."""
     def spread(parameter: StudyColumn) -> float:
         _, _, middle, _ = _quantiles(parameter, found)
         return float(np.ptp(middle)) if middle.size else 0.0
@@ -201,10 +203,10 @@ def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
 
 
 def _ends(values: Real) -> tuple[float, float]:
-    """The lowest and the highest of what is known; not the same, so that a scale can be made of them."""
+    """The lowest and the highest known value, made different so that a scale can be made of them."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    # A flat scale has no middle; one per mille to both sides, or one where all is zero.
+    # A flat scale has no middle: one per mille is added to both sides, or one if all is zero.
     margin = 0.0 if low < high else (1e-3 * abs(low) or 1.0)
     return low - margin, high + margin
 
@@ -224,7 +226,7 @@ def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, 
 
 
 def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real]:
-    """Edges along both parameters, and the mean (n, m) of a figure in every bin, NaN where no point lies."""
+    """Edges along both parameters, and the mean (n, m) of a figure in every bin, NaN in an empty one."""
     edges = [each.edges(POINTS_IN_BIN, 2) for each in (first, second)]
     known = np.isfinite(found.values)
     at = first.values[known], second.values[known]
@@ -234,7 +236,7 @@ def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> t
 
 
 def _label(axes: Axes, column: StudyColumn, side: str) -> None:
-    """The label of one side, and the words in place of its numbers."""
+    """Set the label of one side, and the words in place of its numbers."""
     (axes.set_xlabel if side == "x" else axes.set_ylabel)(_broken(column.label), fontsize=8)
     axes.tick_params(labelsize=7)
     if column.words:
@@ -246,6 +248,6 @@ def _label(axes: Axes, column: StudyColumn, side: str) -> None:
 
 
 def _broken(text: str) -> str:
-    """A name on two lines or more, broken behind slashes and before its last part and its unit."""
+    """A name on two lines or more, broken after slashes and before its last part and its unit."""
     name, bracket, unit = text.partition(" (")
     return name.replace("/", "/\n").replace(".", "\n.") + (f"\n({unit}" if bracket else "")

@@ -1,4 +1,4 @@
-"""Pictures of tolerances: what moves a figure, where its samples lie, and what the yield is."""
+"""Pictures of tolerances: the influences on a figure, the distribution of its samples, and the yield."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: Where several panels share a picture: more would be too many to read.
+#: Largest number of panels side by side in one picture: more would be too many to read.
 PANELS_ACROSS = 3
-#: Bars of a tornado: what is below them moves the figure less than can be seen.
+#: Largest number of bars of a tornado: smaller influences are invisible.
 BARS = 12
 PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
 
 
 @dataclass(frozen=True, eq=False)
 class Tornado:
-    """What moves one figure: ``title`` with its unit, ``labels`` of numbers with what each grows by, and ``changes``
-    (k,) of the figure, largest first."""
+    """Influences on one figure: ``title`` with its unit, ``labels`` of numbers with their steps, and ``changes`` (k,)
+    of the figure, largest first."""
 
     title: str
     labels: tuple[str, ...]
@@ -39,8 +39,7 @@ class Tornado:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Samples (n,) of one figure, in the unit that ``title`` tells, and the ends (-inf, inf: none) it must lie within.
-    """
+    """Samples (n,) of one figure, in the unit of its ``title``, and its limits (-inf, inf: none)."""
 
     title: str
     values: Real
@@ -61,7 +60,8 @@ class YieldBar:
 
 
 def draw_tolerance(found: Tolerance, folder: Path | str) -> dict[str, Picture]:
-    """The pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to `folder`.
+    """Draw the pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to
+    `folder`.
 
     Figures without derivatives are left out of the tornado.
     """
@@ -114,7 +114,7 @@ def _short(name: str) -> str:
 
 
 def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> Path:
-    """What each number changes each figure by as it grows, and (lighter) as it shrinks. Writes `path`.
+    """Draw the change of each figure as each number grows, and (lighter) as it shrinks. Writes `path`.
 
     Raises:
         ValueError: nothing to draw.
@@ -145,7 +145,7 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
 
 
 def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "") -> Path:
-    """Samples of every figure, those that meet what is required in colour, with the limits and the chip as stated.
+    """Draw samples of every figure, those that meet the requirement in colour, with the limits and the stated chip.
 
     Writes `path`.
 
@@ -161,7 +161,7 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
     for axes, each in zip(grid, panels, strict=False):
         there = each.values[np.isfinite(each.values)]
         met = (there >= each.low) & (there <= each.high)
-        # Freedman and Diaconis as numpy has it; two at least, for figures that hardly differ.
+        # The rule of Freedman and Diaconis, as in numpy; at least two, for figures that hardly differ.
         edges = np.histogram_bin_edges(there, bins="auto") if np.ptp(there) > 0.0 else 2
         axes.hist([there[met], there[~met]], bins=edges, stacked=True, color=[PASSED, FAILED],
                   label=["meets it", "does not"])
@@ -183,7 +183,7 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
 
 
 def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Path:
-    """The yield of every requirement with its interval, and the linear estimate beside it. Writes `path`.
+    """Draw the yield of every requirement with its interval, and the linear estimate beside it. Writes `path`.
 
     Raises:
         ValueError: nothing to draw.

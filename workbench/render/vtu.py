@@ -1,8 +1,8 @@
 """A field as a VTU file for ParaView: all regions, Lagrange cells of the fields' order, complex amplitudes as two real
 arrays.
 
-VTK takes the nodes of a Lagrange cell to be equally spaced, so the fields' polynomials are given by their values there
-instead of at the Gauss-Lobatto nodes. What is probed or plotted along a line is then the solution itself.
+VTK assumes that the nodes of a Lagrange cell are equally spaced, so the fields' polynomials are given by their values
+there, not at the Gauss-Lobatto nodes. Probes and plots along a line then show the solution itself.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def write_vtu(fields: Fields, path: Path) -> Path:
     """Write every array of `fields` to `path`, all at once; returns `path`.
 
     r is VTK's x and z its y, in metres; vectors get a third component of zero. Complex `name` becomes `name_real` and
-    `name_imag` (time factor e^{-i w t}); what a region does not carry is NaN there, and a field that no region carries
-    is left out. Cell array `region` is the index of its name in field array `region_names`; field arrays `frequency`
-    (Hz) and `voltage` (V, complex as two) are kept.
+    `name_imag` (time factor e^{-i w t}). A field is NaN in a region without it, and is left out if no region has it.
+    Cell array `region` is the index of its name in field array `region_names`; field arrays `frequency` (Hz) and
+    `voltage` (V, complex as two) are kept.
 
     Raises:
         ValueError: a suffix other than .vtu.
@@ -45,7 +45,7 @@ def write_vtu(fields: Fields, path: Path) -> Path:
     along_r, along_z = np.array(Lagrange(mesh.order).indices).T
     grid = pyvista.UnstructuredGrid({pyvista.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
     for name, at_nodes in arrays.items():
-        # A field that lives nowhere has no range, which makes readers complain.
+        # A field without any value has no range, which makes readers complain.
         if np.isnan(at_nodes).all():
             continue
         values = _equally_spaced(mesh, at_nodes)
@@ -67,6 +67,6 @@ def _equally_spaced(mesh: NodalMesh, values: NDArray[Any]) -> NDArray[Any]:
     """The interpolant of nodal `values` (N, ...) at as many points, equally spaced in every cell: (N, ...)."""
     weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))
     result = np.empty_like(values)
-    # Cells agree on the nodes they share: what an edge holds depends on its own nodes alone.
+    # Cells agree on the nodes they share: the values on an edge depend on its own nodes alone.
     result[mesh.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, values[mesh.cells], optimize=True)
     return result

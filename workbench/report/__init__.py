@@ -1,1 +1,1 @@
-"""What ``-o DIR`` receives: JSON records, and report.html, one file that opens offline."""
+"""Results as tables, as JSON records, and as report.html, one file that opens offline: one module a product."""

@@ -30,7 +30,7 @@ def compared_figures_table(comparison: Comparison) -> TextTable:
 
 
 def distance_table(comparison: Comparison) -> TextTable:
-    """How far apart the spectra are over their common band."""
+    """Distances of the two spectra over their common band."""
     return TextTable(("over the common band", "value"), (
         ("MAPE of |Z| (%)", number_text(comparison.mape_percent)),
         ("rms of ln(Z_sim / Z_meas)", number_text(comparison.rms_log_residual)),

@@ -1,4 +1,4 @@
-"""What the numbers of the reports mean, in one sentence each: shown on their headings and listed below their tables.
+"""Meanings of the numbers in the reports, in one sentence each: shown on their headings and listed below their tables.
 
 The glossary of the documentation has the same words (a test compares them).
 """
@@ -42,7 +42,7 @@ DEFINITIONS = {
 
 
 def definition(heading: str) -> str | None:
-    """What a heading such as "f0 (MHz)" means, if it is one of :data:`DEFINITIONS`."""
+    """The meaning of a heading such as "f0 (MHz)", if it is one of :data:`DEFINITIONS`."""
     return DEFINITIONS.get(_name(heading))
 
 

@@ -23,7 +23,7 @@ from workbench.design.search import Optimum
 from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
 from workbench.render.plots import draw_spectra
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
 
 #: Optima of one choice that a report lists.
 LISTED = 8
@@ -98,7 +98,7 @@ def lengths_table(design: Design, chosen: Confirmed | RoundedDesign) -> TextTabl
 
 
 def active_table(candidate: RoundedDesign, objective: DesignObjective) -> TextTable:
-    """What holds the optimum, and what moving it is worth."""
+    """The bounds that hold the optimum, and the gain from moving each."""
     verb = "more" if objective.maximise else "less"
     return TextTable(("held by", "moved outwards by", objective.figure), tuple(
         (each.text, each.step, f"{100.0 * each.gain:.3g} % {verb}") for each in candidate.active))
@@ -177,7 +177,7 @@ def models_table(design: Design) -> TextTable:
 
 
 def starts_text(searched: Searched) -> str:
-    """How many starts ended at the best optimum."""
+    """The number of starts that ended at the best optimum, in a sentence."""
     if not searched.attempts:
         return "an evolutionary search: one population"
     descents, ends = sum(len(each.descents) for each in searched.attempts), len(searched.optima)
@@ -186,7 +186,7 @@ def starts_text(searched: Searched) -> str:
 
 
 def summary_lines(design: Design) -> Sequence[str]:
-    """What a command says at the end, a sentence a line."""
+    """The outcome in sentences: confirmed or not, the starts, and sides of the model that the optimum lies at."""
     chosen = design.chosen
     lines = [design.best.statement if design.best else design.why_not, starts_text(chosen)]
     if chosen.open_sides:
@@ -269,8 +269,7 @@ def _front(found: Design, folder: Path) -> Picture:
 
 
 def _label(objective: DesignObjective) -> str:
-    shown = reported_figure(objective.figure).shown
-    return f"{objective.figure} ({shown})" if shown else objective.figure
+    return with_unit(objective.figure, reported_figure(objective.figure).shown)
 
 
 def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.names import whole
+from geometry.names import parent_place
 from workbench.acoustics.fields import section_nodes
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.decision import NOT_FINISHED
@@ -134,7 +134,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     mesh = max((recording.problem.mesh for recording in found.model.fitted.recordings),
                key=lambda each: each.mesh.t.shape[1])
     nodes, _ = section_nodes(mesh)
-    marked = [name for name in dict.fromkeys(map(whole, found.where)) if name in nodes.regions]
+    marked = [name for name in dict.fromkeys(map(parent_place, found.where)) if name in nodes.regions]
     if marked:
         pictures.append(Picture(draw_marked(nodes, marked, folder / "where.png", title="Where it sits"),
                                 f"The section of the chip, with {' and '.join(marked)} marked"))
@@ -196,7 +196,7 @@ def _known(known: Sequence[FoundNumber]) -> TextTable:
 
 
 def _known_physics(known: Sequence[Contribution]) -> TextTable:
-    """What every effect with known constants changes."""
+    """Changes by every effect with known constants."""
     return TextTable(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
         (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
                                   for value in (row.f0_change, row.q_change)),
@@ -275,7 +275,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
 
 
 def _state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    """What is written of a state as it was fitted."""
+    """A state as it was fitted, for a JSON file."""
     spectrum = fitted_spectrum(fit, state)
     figures, _ = measured_figures(spectrum)
     return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,

@@ -46,7 +46,7 @@ def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
 
 
 def parameter_table(result: FitResult, prepared: Prepared) -> TextTable:
-    """As Table 3 of Acevedo-Espinosa et al. (RP-UEIS), with intervals."""
+    """Every fitted parameter, as in Table 3 of Acevedo-Espinosa et al. (RP-UEIS), with intervals."""
     rows = []
     for e in result.estimates:
         p = e.parameter
@@ -72,7 +72,7 @@ def without_prior(table: TextTable) -> TextTable:
 
 
 def derived_table(result: FitResult, prepared: Prepared) -> TextTable | None:
-    """As Table 4 of the paper, None for a transducer."""
+    """Wave speeds and moduli that follow from the fit, as in Table 4 of the paper; None for a transducer."""
     found = derived_quantities(result, prepared)
     if not found:
         return None
@@ -81,7 +81,7 @@ def derived_table(result: FitResult, prepared: Prepared) -> TextTable | None:
 
 
 def match_table(result: FitResult) -> TextTable:
-    """How far start and fit are from every recording."""
+    """Distances of start and fit from every recording."""
     rows = []
     for m in result.recordings:
         rows += [(f"{m.name}: MAPE of |Z| (%)", number_text(m.before.mape_percent), number_text(m.after.mape_percent)),
@@ -96,7 +96,7 @@ def match_table(result: FitResult) -> TextTable:
 
 
 def gel_table(cases: Sequence[GelCase]) -> TextTable:
-    """As section 4.3 of the paper."""
+    """Errors for every thickness of the gel, as in section 4.3 of the paper."""
     return TextTable(("gel (um)", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "MAPE in the paper (%)"), tuple(
         (f"{1e6 * c.thickness:g}", number_text(c.comparison.mape_percent), number_text(c.comparison.rms_log_residual),
          "" if _published(c.thickness) is None else f"{_published(c.thickness):g}") for c in cases))

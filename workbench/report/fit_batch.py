@@ -12,7 +12,7 @@ from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.batch import OUTLIER, BatchColumn
 from workbench.render.fits import draw_batch
 from workbench.report.fit import number_in_unit
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
 
 
 def devices_table(records: Mapping[str, Mapping[str, Any]]) -> TextTable:
@@ -32,11 +32,6 @@ def batch_columns_table(columns: Sequence[BatchColumn]) -> TextTable:
          number_text(c.dispersion_percent, 3), ", ".join(c.outliers)) for c in columns))
 
 
-def _headed(column: BatchColumn) -> str:
-    unit = shown_unit(column.unit)
-    return f"{column.name} ({unit})" if unit else column.name
-
-
 def values_table(columns: Sequence[BatchColumn]) -> TextTable:
     """Every quantity of every device; outliers are marked (!)."""
     devices = list(dict.fromkeys(device for c in columns for device in c.devices))
@@ -44,7 +39,7 @@ def values_table(columns: Sequence[BatchColumn]) -> TextTable:
     for c in columns:
         cells = {device: number_in_unit(v, c.unit) + (" (!)" if device in c.outliers else "")
                  for device, v in zip(c.devices, c.values, strict=True)}
-        rows.append((_headed(c), *(cells.get(d, "") for d in devices)))
+        rows.append((with_unit(c.name, shown_unit(c.unit)), *(cells.get(d, "") for d in devices)))
     return TextTable(("quantity", *devices), tuple(rows))
 
 
@@ -61,7 +56,7 @@ def write_batch_report(
         devices = tuple(dict.fromkeys(device for c in columns for device in c.devices))
         drawn, outliers = {}, {}
         for c in columns:
-            label = _headed(c)
+            label = with_unit(c.name, shown_unit(c.unit))
             rows = dict(zip(c.devices, np.stack([c.values, c.low, c.high], axis=1) * shown_factor(c.unit), strict=True))
             table = np.array([rows.get(device, np.full(3, np.nan)) for device in devices])
             drawn[label] = (table[:, 0], table[:, 1], table[:, 2])

@@ -1,4 +1,4 @@
-"""A run of the bench as tables and as a page."""
+"""A run of the bench as tables and as a page; imported pairs of waveforms as a table."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from workbench.bench.impedance import PointImpedance
+from workbench.bench.pairs import WaveformPair, degrees
 from workbench.bench.run_file import Run
 from workbench.bench.setup import BenchSetup
 from workbench.bench.spectra import LevelSpectrum
@@ -67,3 +69,14 @@ def _uncertainty_table(found: LevelSpectrum) -> TextTable:
     if not math.isnan(found.drift):
         rows.append(("disagreement of repeated points over their noise", number_text(found.drift, 2)))
     return TextTable(("standard uncertainty", "value"), tuple(rows))
+
+
+def pairs_table(pairs: Sequence[WaveformPair], values: Sequence[PointImpedance] | None) -> TextTable:
+    """The ratio of every pair of waveforms, and the impedance where a resistor gives one."""
+    columns = ("pair", "frequency (Hz)", "ratio", "phase (degrees)", "uncertainty (%)")
+    rows = [(p.name, f"{p.fit.frequency:.6g}", f"{abs(p.ratio):.5g}", f"{degrees(p.ratio):.2f}",
+             f"{100.0 * p.relative:.2g}") for p in pairs]
+    if values is None:
+        return TextTable(columns, tuple(rows))
+    return TextTable((*columns, "|Z| (ohm)", "phase of Z (degrees)"), tuple(
+        (*row, f"{abs(v.value):.5g}", f"{degrees(v.value):.2f}") for row, v in zip(rows, values, strict=True)))

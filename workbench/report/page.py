@@ -136,7 +136,7 @@ def _cell(text: str, *, first: bool) -> str:
 
 
 def _legend(meanings: Mapping[str, str]) -> str:
-    """What headings mean, below their table; nothing where there are none."""
+    """HTML of the meanings of headings, below their table; empty where there are none."""
     rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(words)}</dd>" for name, words in meanings.items())
     return f'<dl class="legend">{rows}</dl>' if rows else ""
 
@@ -144,6 +144,11 @@ def _legend(meanings: Mapping[str, str]) -> str:
 def number_text(value: float, digits: int = 4) -> str:
     """A number for a table: `digits` significant digits."""
     return f"{value:.{digits}g}" if math.isfinite(value) else str(value)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A heading: the name with its unit in brackets, if it has one."""
+    return f"{name} ({unit})" if unit else name
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> Path:

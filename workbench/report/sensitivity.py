@@ -73,7 +73,7 @@ def write_sensitivity_report(title: str, found: Sensitivity, folder: Path) -> Pa
 
 
 def sensitivity_record(found: Sensitivity) -> dict[str, Any]:
-    """What ``sensitivity.json`` holds beside the transducer and its band."""
+    """The content of ``sensitivity.json``, but for the transducer and its band."""
     return {
         "scalings": [float(x) for x in found.scalings], "kept": [local_name(name) for name in found.kept()],
         "spectra": found.spectra, "full_solves": found.solves, "wall_seconds": found.seconds,

@@ -21,7 +21,7 @@ from workbench.render.studies import (
     draw_slices,
     most_telling,
 )
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
 
 #: Reasons that a report lists.
 MOST_REASONS = 12
@@ -37,7 +37,7 @@ def statistics_table(result: StudyResult) -> TextTable:
     for each in result.statistics:
         shown = figure_named(each.figure)
         values = (each.lowest, each.low, each.median, each.high, each.highest, each.mean)
-        rows.append((_headed(each.figure, shown.shown), each.state, f"{each.count} of {each.points}",
+        rows.append((with_unit(each.figure, shown.shown), each.state, f"{each.count} of {each.points}",
                      *(_told(value, shown.factor) for value in values)))
     return TextTable(("figure", "state", "points", "lowest", "5 %", "median", "95 %", "highest", "mean"), tuple(rows))
 
@@ -56,7 +56,7 @@ def extremes_table(result: StudyResult) -> TextTable:
 
 
 def _place(result: StudyResult, row: int) -> str:
-    """What varies, at one row of the table."""
+    """The values of what varies, at one row of the table."""
     told = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
@@ -81,7 +81,7 @@ def confirmed_table(result: StudyResult) -> TextTable:
             extent, size = next((s.highest - s.lowest, abs(s.highest)) for s in result.statistics
                                 if (s.state, s.figure) == (state, name))
             rows.append((
-                _headed(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
+                with_unit(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
                 *(("", "", "", "") if worst is None else (
                     _told(worst.reduced, shown.factor), _told(worst.full, shown.factor),
                     number_text(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
@@ -101,10 +101,6 @@ def missing_table(result: StudyResult) -> TextTable | None:
     shown = [(reason, str(count)) for count, reason in found[:MOST_REASONS]]
     rest = sum(count for count, _ in found[MOST_REASONS:])
     return TextTable(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
-
-
-def _headed(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name
 
 
 def _told(value: float, factor: float) -> str:
@@ -136,13 +132,13 @@ def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
 
 
 def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
-    """What varies, and the figures, at the points of one state in the units they are shown in."""
+    """Columns of what varies and of the figures, at the points of one state, in the units they are shown in."""
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
-        StudyColumn(_headed(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
+        StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
         if isinstance(axis, VariedNumber) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
         for at, axis in enumerate(plan.axes)]
-    figures = [StudyColumn(_headed(name, figure_named(name).shown),
+    figures = [StudyColumn(with_unit(name, figure_named(name).shown),
                            found.columns[name][there] / figure_named(name).factor)
                for name in plan.figures]
     return parameters, figures

@@ -18,7 +18,7 @@ from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.files.writing import replacing
 from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
-from workbench.report.page import Block, Note, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, TextTable, number_text, with_unit, write_report
 
 
 def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
@@ -27,7 +27,7 @@ def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
 
 
 def law_in_words(each: Number) -> str:
-    """How uncertain a number is: limits of a uniform law, or a standard uncertainty."""
+    """The uncertainty of a number in words: limits of a uniform law, or a standard uncertainty."""
     if each.law == "uniform":
         return f"within {amount(each.name, each.half_width)}"
     return f"standard uncertainty {amount(each.name, each.deviation)}"
@@ -93,11 +93,10 @@ def unclear_tightenings(found: Tolerance) -> str:
 
 
 def sensitivities_table(found: Tolerance) -> TextTable:
-    """How far each number moves each figure, by its standard uncertainty or by one per cent, largest first in the first
-    figure."""
+    """Changes of each figure as each number grows by its standard uncertainty or by one per cent, those that change the
+    first figure most first."""
     known = found.sensitivities
-    heads = [f"{each.label} ({change_unit(each.figure)[0]})" if each.figure.shown else each.label
-             for each in found.asked]
+    heads = [with_unit(each.label, change_unit(each.figure)[0]) for each in found.asked]
     changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.asked}
     rows = []
     for k in known.ranked(found.asked[0].label):
@@ -109,7 +108,7 @@ def sensitivities_table(found: Tolerance) -> TextTable:
 
 
 def inputs_table(found: Tolerance) -> TextTable:
-    """What is uncertain, by how much, and who says so."""
+    """Every uncertain number, its law, and who states it."""
     rows = []
     for each in found.uncertainty.inputs:
         mean = f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip()

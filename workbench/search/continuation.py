@@ -94,7 +94,7 @@ def tempered(
         refusals += found.refusals
         costs[number] = found.cost
         progress("searching", (number + 1) / (last + 1))
-        if number < last and rival is not None and found.cost > worse * rival.costs.get(number, np.inf):
+        if rival is not None and found.cost > worse * rival.costs.get(number, np.inf):
             break
     return TemperedMinimum(x, found.residual, found.cost, found.converged, iterations, found.reason, tuple(refusals),
                            begin, costs, number == last)

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 End = TypeVar("End")
 
-#: Standard errors that ends of one optimum differ by at most.
+#: Standard errors that ends of one optimum differ by at most. Those of one optimum are within 0.9 in the campaigns of
+#: the tests. With twice as many, the optima of a film of gel, 8 % apart where an error is 1 %, are nearly one.
 ERRORS = 3.0
 
-#: Share of its scale that a parameter differs by at most. It holds for descents that end well before the optimum where
-#: the data determine a parameter far better than its scale.
+#: Share of its scale that a parameter differs by at most. It serves where nothing says how well the data determine it,
+#: or far better than a descent goes. Ends of one optimum are within 1e-4 of the priors of a disc and 9e-4 of the ranges
+#: of a design; with twice the share nothing known changes.
 SHARE = 0.05
 
 #: Information about a direction, relative to that about the one seen best, below which nothing is known of it.

@@ -1,4 +1,4 @@
-"""Whether, where and how strongly particles gather in a field, in a few sentences; and if not, why."""
+"""Sentences on whether, where and how strongly particles gather in a field, and on the reason if they do not."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from workbench.acoustics.traps import Trap, TrapReport, find_traps, time_to
 from workbench.model.particles import net_weight
 from workbench.simulation.run import Snapshot
 
-#: Part of the cavity's volume whose particles must come to rest in the liquid for them to be said to gather there.
-#: Doubled, a trap that a tenth of the particles reach is called none.
+#: Share of the cavity's volume whose particles must come to rest in the liquid to gather there. Doubled, a trap that a
+#: tenth of the particles reach does not count.
 FEW = 0.05
-#: Seconds to focus above which particles are said to gather slowly: doubled, a quarter of an hour of focusing a full
-#: cavity passes without a word.
+#: Time to focus (s) above which particles gather slowly. Doubled, a quarter of an hour for a full cavity passes without
+#: a word.
 SLOW = 60.0
 #: Barrier in J below which thermal motion carries a particle out of a trap: ten times k T at 25 degC.
 THERMAL = 10.0 * 1.380649e-23 * 298.15
-#: kg/m^3 below which a fluid is a gas. No liquid is lighter than 400, no gas at a bench denser than 20.
+#: Density in kg/m^3 below which a fluid is a gas. No liquid is lighter than 400, no gas at a bench denser than 20.
 GAS = 100.0
-#: Steps, as a factor of the voltage, in which it is looked for where particles would be held, and how far: finer steps
-#: would promise more than a bench's drive is known to, and no amplifier of a bench has more.
+#: Step, as a factor of the voltage, and largest factor of the search for a voltage that holds particles. Finer steps
+#: would promise more than the accuracy of a bench's drive, and no amplifier of a bench has more.
 STEP, HIGHEST = 1.2, 15.0
 #: Share of height or radius within which a place on a wall is on the floor, the lid or the side wall.
 _AT = 0.02
@@ -34,7 +34,7 @@ _AT = 0.02
 
 @dataclass(frozen=True)
 class Gathering:
-    """The answer for one state: ``gathers`` is None where there is no particle to ask about; ``sentences`` say it."""
+    """The answer for one state: ``gathers`` is None if there is no particle; ``sentences`` describe it."""
 
     state: str
     gathers: bool | None
@@ -45,7 +45,7 @@ class Gathering:
 
 
 def gathering(shot: Snapshot) -> Gathering | None:
-    """Where the particles of a state gather; None without a cavity."""
+    """The answer whether and where the particles of a state gather; None without a cavity."""
     if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
@@ -111,7 +111,7 @@ def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
 
 
 def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
-    """Why particles do not come to rest in the liquid, and what would change it."""
+    """The reason why particles do not come to rest in the liquid, and a remedy."""
     forces, excitation = report.forces, report.excitation
     weight = abs(net_weight(forces.particle, forces.fluid))
     falling = [trap for trap in free if not trap.holds and trap.lift is not None and trap.lift < weight]
@@ -133,7 +133,7 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
 
 
 def _enough(report: TrapReport) -> str:
-    """At which voltage traps in the liquid would hold particles, found with the potential of that voltage."""
+    """The voltage at which traps in the liquid would hold particles, found with the potential of that voltage."""
     voltage, factor = 2.0 * report.excitation.voltage, 1.0
     while factor < HIGHEST:
         factor *= STEP
@@ -146,7 +146,7 @@ def _enough(report: TrapReport) -> str:
 
 
 def _antinode(forces: ParticleForces, trap: Trap) -> str:
-    """Where the energy of the particle is largest on the vertical line through a trap at a wall, and what that says."""
+    """The place of the largest energy on the vertical line through a trap at a wall, and its meaning."""
     nodes = forces.mesh.points
     z = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 101)
     values = raster(forces.mesh, forces.potential, np.array([trap.radius]), z, [forces.region])[0]
@@ -161,7 +161,7 @@ def _antinode(forces: ParticleForces, trap: Trap) -> str:
 
 
 def _on_walls(report: TrapReport) -> str:
-    """Where the particles come to rest that do not stay in the liquid; empty if there are few."""
+    """The places of particles that do not stay in the liquid; empty if there are few."""
     places = [f"{_wall_words(trap, report.forces)} ({percent(trap.share)})" for trap in
               sorted(report.traps, key=lambda trap: -trap.share) if trap.on_wall and trap.holds and trap.share >= FEW]
     if report.settled >= FEW:
@@ -171,7 +171,7 @@ def _on_walls(report: TrapReport) -> str:
 
 
 def place_words(trap: Trap) -> str:
-    """Where a trap is, in words."""
+    """The place of a trap, in words."""
     across = "on the axis" if trap.radius == 0.0 else f"in a ring of radius {trap.radius * 1e3:.2f} mm"
     return f"{across}, {trap.above_floor * 1e3:.2f} mm above the floor"
 
@@ -198,7 +198,7 @@ def percent(share: float) -> str:
 
 
 def rounded(value: float) -> str:
-    """Two significant digits, as one says them: 170 rather than 1.7e+02."""
+    """Two significant digits in plain notation: 170 rather than 1.7e+02."""
     return f"{float(f'{value:.2g}'):g}"
 
 

@@ -1,18 +1,18 @@
-"""How far Z is off for the mesh, estimated on the mesh itself by what fields of a higher order would add.
+"""Error of Z due to the mesh, estimated on the mesh itself from the addition of fields of a higher order.
 
-The fields of order q = p + :data:`MORE` hold those of order p, and *surplus* functions besides: on every edge and in
+The fields of order q = p + :data:`MORE` contain those of order p and *surplus* functions besides: on every edge and in
 every element the integrated Legendre polynomials of the orders above p. A state x of order p leaves a residual r in
 them. The charge is stationary, so its error is a quadratic form of the residual,
 
     Q_q - Q_p = r^T S^-1 r,    S = A_ss - A_sp A_pp^-1 A_ps,
 
-A_ss being the block of the surplus functions. These are of short waves, and mostly A_ss is all there is; it is
-factorised once, at the middle of the band. Where a resonance moves by what is no longer little to its width, the rest
-counts too. A_pp^-1 is then that of the reduced model, which holds the resonances, and S that in the direction of
-y = A_ss^-1 r: with b = r^T y and c = y^T A_sp A_pp^-1 A_ps y the error is b^2 / (b - c), complex and signed at every
-frequency. (Zienkiewicz, de S. R. Gago and Kelly 1983, Comput. Struct. 16, 53: the hierarchical concept in finite
-element analysis; Bank and Smith 1993, SIAM J. Numer. Anal. 30, 921: a posteriori error estimates based on hierarchical
-bases.) Of what a singular corner costs one more order tells only a part: see `tests/benchmarks/discretisation.py`.
+with A_ss the block of the surplus functions. These have short waves, and A_ss mostly dominates; it is factorised once,
+at the middle of the band. The second part of S counts if a resonance moves by a notable part of its width. A_pp^-1 is
+then that of the reduced model, which holds the resonances, and S that in the direction of y = A_ss^-1 r: with b = r^T y
+and c = y^T A_sp A_pp^-1 A_ps y the error is b^2 / (b - c), complex and signed at every frequency. (Zienkiewicz, de S.
+R. Gago and Kelly 1983, Comput. Struct. 16, 53: the hierarchical concept in finite element analysis; Bank and Smith
+1993, SIAM J. Numer. Anal. 30, 921: a posteriori error estimates based on hierarchical bases.) One more order shows only
+a part of the error of a singular corner: see `tests/benchmarks/discretisation.py`.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 
-#: Orders above that of the fields whose functions are the surplus.
+#: Number of orders above that of the fields whose functions are the surplus.
 MORE = 1
 
 
-#: Entries of the surplus functions at the nodes that are smaller are none.
+#: Magnitude below which entries of the surplus functions at the nodes are rounding.
 ROUNDING = 1e-14
 
-#: Frequencies at which the error is estimated: each takes as long as a hundredth of a reduced model.
+#: Number of frequencies at which the error is estimated: each takes as long as a hundredth of a reduced model.
 SAMPLES = 13
 
 
 def samples(frequency: Real, impedance: Complex, count: int = SAMPLES) -> tuple[Integers, Real]:
-    """Where to look at the error of a spectrum (n,), for its rms over the whole: indices (k,) and weights (k,).
+    """Samples of a spectrum (n,) for the rms of its error over the whole: indices (k,) and weights (k,).
 
-    The mean over the spectrum of a function is about the sum of its values there by the weights, which add up to one.
-    A mesh shifts resonances, so the error is large where ln Z is steep: half of the `count` samples lie evenly, the
-    others where the square of that slope is.
+    The mean of a function over the spectrum is about the sum of its values there times the weights, which add up to
+    one. A mesh shifts resonances, so the error is large where ln Z is steep: half of the `count` samples lie evenly,
+    the others in proportion to the square of that slope.
     """
     steep = np.abs(np.gradient(np.log(impedance.real + 1j * impedance.imag), np.log(frequency))) ** 2
     density = 0.5 / frequency.size + 0.5 * steep / max(float(steep.sum()), np.finfo(float).tiny)
@@ -108,7 +108,7 @@ class _Surplus:
     """The functions that a higher order adds to the fields of a mesh.
 
     ``finer``: the model of that order; ``embedding`` (its size, size) of the mesh's own unknowns in it; ``basis`` (its
-    size, n) the surplus functions in it; ``operators`` the model on these alone, without what acts across a layer.
+    size, n) the surplus functions in it; ``operators`` the model on these alone, without terms across a layer.
     """
 
     finer: FullOperators
@@ -117,7 +117,7 @@ class _Surplus:
     operators: FullOperators
 
     def images(self, fields: Complex, coefficients: Complex) -> Complex:
-        """A x (size of the finer model, n) of its `fields` (the same) at n frequencies."""
+        """Products A x (size of the finer model, n) for its `fields` (the same shape) at n frequencies."""
         return np.stack([self.finer.images(state, g[:, None])[:, 0]
                          for state, g in zip(fields.T, coefficients, strict=True)], axis=1)
 
@@ -153,7 +153,7 @@ def _surplus(operators: FullOperators) -> _Surplus:
         basis += _map(nodes, own[:, where], functions, rows, numbering[component], basis.shape)
     # The electrode, whose nodes share one unknown.
     voltage = sparse.csr_array(([1.0], ([finer.size - 1], [operators.size - 1])), shape=embedding.shape)
-    part = finer.of(np.array([q for q, integral in enumerate(finer.integrals) if not integral.facing], dtype=int))
+    part = finer.of(np.array([q for q, integral in enumerate(finer.integrals) if not integral.opposite], dtype=int))
     places = {name: _restricted(place, fine.element_dofs[:, place.elements], own[:, place.elements], functions)
               for name, place in part.places.items()}
     return _Surplus(finer, embedding + voltage, basis,
@@ -163,15 +163,15 @@ def _surplus(operators: FullOperators) -> _Surplus:
 def _map(
     nodes: Integers, functions: Integers, values: Real, rows: Integers, columns: Integers, shape: tuple[int, ...]
 ) -> sparse.csr_array:
-    """Unknowns of the higher order by those of some functions, but for the electrode.
+    """The map from the unknowns of some functions to those of the higher order, without the electrode.
 
     `values` (nodes, functions) of every element at the `nodes` (nodes, cells) for the `functions` (functions, cells);
-    their unknowns are `rows` and `columns` by their number, -1 where they have none.
+    their unknowns are `rows` and `columns` by their number, -1 for none.
     """
     node, function = np.nonzero(np.abs(values) > ROUNDING)
     row, column, value = nodes[node].ravel(), functions[function].ravel(), np.repeat(values[node, function],
                                                                                     nodes.shape[1])
-    # What two elements share is the same from both.
+    # Shared entries of two elements are equal.
     _, first = np.unique(row.astype(np.int64) * columns.size + column, return_index=True)
     row, column, value = rows[row[first]], columns[column[first]], value[first]
     kept = (row >= 0) & (row < shape[0] - 1) & (column >= 0)
@@ -195,7 +195,7 @@ def _values(low: int, high: int) -> Real:
 def _surplus_functions(low: int, high: int) -> Real:
     """Values (local nodes, functions) at the nodes of order `high` of the functions that it adds to order `low`.
 
-    First those of the edges bottom, right, top, left, then those inside.
+    First come those of the edges bottom, right, top, left, then those inside.
     """
     nodes = gauss_lobatto(high)
     bubbles = {k: _bubble(k, nodes) for k in range(2, high + 1)}

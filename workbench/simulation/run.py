@@ -48,29 +48,29 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Called with what is being done and the fraction of it that is done.
+#: Called with the present activity and its finished fraction.
 Progress = Callable[[str, float], None]
 
 
-#: Frequencies within the half-power width of a resonance from which on its figures can be told. Doubled, grids that are
-#: right to 0.1 % would be accused.
+#: Least number of frequencies within the half-power width of a resonance that determine its figures. Doubled, grids
+#: that are right to 0.1 % would raise a finding.
 RESOLVED = 2
 
-#: Relative distances from a frequency at which the fields are solved where it does not converge: within a line of a
+#: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
 #: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
 BESIDE = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
 
-#: Frequencies that may fail to converge for each one that does, and so many in any case, before a spectrum is given up:
-#: a model that is singular everywhere is not held by anything. Doubled, that takes twice as long to be said.
+#: Number of frequencies that may fail to converge for each one that does, and number in any case, before a spectrum is
+#: given up: a model that is singular everywhere is not held by anything. Doubled, the message takes twice as long.
 HOLES, FEW = 0.5, 5
-#: Largest error of a mesh over its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small example chip (of
-#: a singular corner one more order tells a part). Only said in the warning; doubled, it would frighten more.
+#: Largest ratio of the error of a mesh to its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small
+#: example chip (one more order shows a part of the error of a singular corner). Used in the warning alone.
 TOLD = 3.0
 
 
 class MeshTooCoarse(UserWarning):
     """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
-    larger error than asked for."""
+    larger error than requested."""
 
 
 def no_progress(_activity: str, _fraction: float) -> None:
@@ -83,7 +83,7 @@ class Snapshot(Brief):
 
     ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
     ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
-    ``findings`` are sentences on what was assumed of the materials, and on what could not be solved as asked.
+    ``findings`` are sentences on assumptions about the materials, and on failed solves.
     """
 
     chip: Chip
@@ -99,13 +99,13 @@ class Snapshot(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Snapshot, Shown):
-    """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
+    """One state of a chip, simulated over a band; the snapshot is at f0, or at the requested frequency.
 
-    ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
+    ``figures`` is None if the band has no resonance, and ``no_resonance`` gives the reason. ``error`` is the largest
     estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
-    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
-    the largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step. ``left_out`` (Hz) are
-    the frequencies asked for that the spectrum lacks, because the solve there did not converge.
+    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual`` the
+    largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step. ``left_out`` (Hz) are the
+    requested frequencies that the spectrum lacks, because the solve there did not converge.
     """
 
     operators: FullOperators
@@ -149,7 +149,7 @@ class Simulation(Snapshot, Shown):
 
 
 def frequency_grid(band: tuple[float, float], points: int) -> Real:
-    """`points` equally spaced frequencies (Hz) over `band`, both ends included.
+    """Equally spaced frequencies (points,) in Hz over `band`, both ends included.
 
     Raises:
         InputError: fewer than 5 points, or a band that is not rising and positive.
@@ -164,7 +164,7 @@ def frequency_grid(band: tuple[float, float], points: int) -> Real:
 
 
 def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]:
-    """The band (Hz) asked for, or the chip's own.
+    """The requested band (Hz), or the chip's own.
 
     Raises:
         InputError: a band that nobody drives such a chip in, and that the chip does not list as unusual.
@@ -184,7 +184,7 @@ class Laps:
         self._started = time.perf_counter()
 
     def __call__(self, name: str) -> None:
-        """The step called `name` ends now."""
+        """End the step called `name` now."""
         now = time.perf_counter()
         self.seconds[name], self._started = now - self._started, now
 
@@ -216,13 +216,13 @@ def simulate(
         full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         tolerance: relative error of the reduced model's impedance.
-        drive: how the device is driven; 10 Vpp at the electrodes if not given.
+        drive: drive of the device; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation.
         assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
         on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
 
     Raises:
-        InputError: something in the chip, its materials or the arguments; a model there is no memory for.
+        InputError: a mistake in the chip, its materials or the arguments; a model there is no memory for.
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
@@ -277,7 +277,7 @@ def _assuming(registry: Registry | None, assumed_losses: bool) -> Registry:
 
 
 def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
-    """A finding that names the `frequencies` (Hz), of so many `asked` for, at which nothing could be solved."""
+    """A finding that names the `frequencies` (Hz), of `asked` requested ones, at which no solve converged."""
     if not frequencies:
         return ()
     listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
@@ -286,7 +286,7 @@ def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) ->
 
 
 def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
-    """A finding that next to no frequencies lie in the resonance; none where enough do."""
+    """A finding that hardly any frequencies lie in the resonance; none if enough do."""
     if merit is None:
         return ()
     width = merit.f2 - merit.f1
@@ -300,7 +300,7 @@ def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
 
 
 def _undamped(device: FilledChip) -> str:
-    """Why a solve may not converge, as far as the materials tell."""
+    """The reason why a solve may not converge, as far as the materials show it."""
     lossless = [f"{material.name} ({region})" for region, material in device.materials.items()
                 if not isinstance(material, Fluid) and is_lossless(material)]
     if not lossless:
@@ -316,7 +316,7 @@ def _check_tolerance(tolerance: float) -> None:
 def _mesh_error(
     model: ReducedModel, frequencies: Real, problem: Problem, accuracy: float | Discretisation, progress: Progress
 ) -> MeshErrorEstimate:
-    """The estimated error of the mesh, with a warning where it is above the one asked for."""
+    """The estimated error of the mesh, with a warning if it is above the requested one."""
     progress("error of the mesh", 0.0)
     error = mesh_error(model, frequencies, problem.values)
     if isinstance(accuracy, float) and error.rms > accuracy:
@@ -330,7 +330,7 @@ def _mesh_error(
 
 
 def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
-    """The figures of a spectrum, or why there are none."""
+    """The figures of a spectrum, or the reason why there are none."""
     try:
         return figures(spectrum), ""
     except NoResonance as missing:
@@ -352,7 +352,7 @@ def snapshot(
     """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
 
     Raises:
-        InputError: something in the chip, its materials or the arguments.
+        InputError: a mistake in the chip, its materials or the arguments.
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
     device = fill(chip, state, _assuming(registry, assumed_losses))
@@ -381,10 +381,10 @@ def _snapshot(
 
 
 def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -> Solution:
-    """The full solution at `frequency` (Hz), or at the nearest of :data:`BESIDE` where it does not converge there.
+    """The full solution at `frequency` (Hz), or at the nearest of :data:`BESIDE` if it does not converge there.
 
     Raises:
-        NotConverged: nor there.
+        NotConverged: it converges at none of them.
     """
     try:
         return solve_full(operators, np.array([frequency]), problem.values)
@@ -468,7 +468,7 @@ def _traps(device: FilledChip, found: Fields) -> TrapReport | None:
 
 
 def _reduced_to(error: float) -> str:
-    """How a spectrum was found whose estimated relative error is at most so much."""
+    """Description of a spectrum by the reduced model with that largest estimated relative error."""
     return f"reduced model, estimated relative error at most {error:.1e}"
 
 

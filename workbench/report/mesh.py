@@ -1,4 +1,4 @@
-"""Meshes of several accuracies beside one finer than all, as a table, as a record and as a page."""
+"""The mesh of a chip as a table; meshes of several accuracies beside a finer one as a table, a record and a page."""
 
 from __future__ import annotations
 
@@ -10,12 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from geometry.mesh import elements_per_wavelength
+from workbench.model.problem import Problem
 from workbench.render.plots import draw_convergence
 from workbench.report.page import Picture, TextTable, number_text, write_report
 from workbench.simulation.run import Simulation
 
 #: The columns of ``convergence.json``.
 RECORDED = ("accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_error", "rms_error")
+
+
+def cells_table(problem: Problem, highest: float) -> TextTable:
+    """Cells of every region, and how many of them lie on a wavelength at the `highest` frequency (Hz)."""
+    mesh = problem.mesh
+    speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
+    counts = elements_per_wavelength(mesh, speeds, highest)
+    return TextTable(("region", "cells", "elements per wavelength"), tuple(
+        (region, str(len(mesh.mesh.subdomains[region])), f"{counts[region]:.1f}" if region in counts else "empty")
+        for region in mesh.section.regions))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,67 @@
+"""Pairs of waveforms: their ratio, and the spectrum that many of them make with a resistor."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from workbench.bench.impedance import PointImpedance
+from workbench.bench.sine_fit import SineFit
+from workbench.files.writing import write_atomic
+from workbench.results.spectrum import Origin, Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class WaveformPair:
+    """One pair: the fit to both waveforms, and whether one of them is cut flat."""
+
+    name: str
+    fit: SineFit
+    clipped: bool
+
+    @property
+    def ratio(self) -> complex:
+        """Total over reference, e^{+j w t}."""
+        return complex(self.fit.amplitude[0] / self.fit.amplitude[1])
+
+    @property
+    def relative(self) -> float:
+        """Relative standard uncertainty of the ratio."""
+        return float(np.hypot(*(self.fit.uncertainty / np.abs(self.fit.amplitude))))
+
+
+def pairs_spectrum(
+    pairs: Sequence[WaveformPair], values: Sequence[PointImpedance], resistance: float, tolerance: float
+) -> Spectrum:
+    """The pairs as a spectrum, measured with a reference resistor of so many ohm and limits as a fraction.
+
+    `values` are their impedances.
+
+    Raises:
+        ValueError: frequencies that do not rise from pair to pair.
+    """
+    frequency = np.array([pair.fit.frequency for pair in pairs])
+    impedances = np.array([value.value for value in values])
+    noise = np.array([value.random for value in values])
+    common = np.abs(impedances) * tolerance / math.sqrt(3.0)
+    settings = {"reference resistor": f"{resistance:g} ohm, limits {tolerance:.3%}", "compensation": "none"}
+    return Spectrum(frequency, impedances, np.hypot(noise, common),
+                    Origin("measured", ", ".join(pair.name for pair in pairs), settings=settings))
+
+
+def write_ratios(pairs: Sequence[WaveformPair], path: Path) -> None:
+    """Write the ratio of every pair as CSV."""
+    lines = ["pair,frequency_hz,ratio_magnitude,ratio_phase_deg,relative_uncertainty,clipped"]
+    lines += [f"{p.name},{p.fit.frequency!r},{abs(p.ratio)!r},{degrees(p.ratio)!r},{p.relative!r},{int(p.clipped)}"
+              for p in pairs]
+    write_atomic(path, "\n".join(lines) + "\n")
+
+
+def degrees(value: complex) -> float:
+    """The phase of a complex number, degrees."""
+    return math.degrees(cmath.phase(value))
