@@ -19,7 +19,7 @@ ROOT = Path(wb.__file__).resolve().parent.parent
 
 
 def main() -> None:
-    """Run the study; its workers are processes that read this file too, hence the guard below."""
+    """Run the study in two processes, and print what it tells."""
     plan = wb.read_study(ROOT / "examples" / "small_study" / "study.toml")
     # Without `overwrite` a run goes on where it was interrupted, and refuses the folder of another study.
     found = wb.study(plan, Path("out") / "study", jobs=2, overwrite=True)

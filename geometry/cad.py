@@ -11,7 +11,7 @@ from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.limits import ONE_DISC
 from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
-from geometry.revolution import CLOSE, cut
+from geometry.revolution import SAME_POINT, cut
 from geometry.step_file import step_part
 from workbench.files.errors import InputError
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Largest area (mm^2) that two faces may have in common without an overlap: far below any intended one, far above
 #: rounding.
-SOME = 1e-7
+LEAST_AREA = 1e-7
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
     else:
         drawn, bottom = _step_section(where, profile.asymmetry, profile.placement), 0.0
     box = drawn.face.BoundingBox()
-    if box.xmin < -CLOSE:
+    if box.xmin < -SAME_POINT:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
-    if box.xmin > CLOSE and "cavity_radius" not in sizes:
+    if box.xmin > SAME_POINT and "cavity_radius" not in sizes:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", ONE_DISC if is_transducer else
                          "an outline that reaches the axis: a layer with a hole has a cavity_radius")
-    if isinstance(where, Script) and box.zmax < CLOSE:
+    if isinstance(where, Script) and box.zmax < SAME_POINT:
         over = "-z" if profile.placement.axis == AXES["z"] else "of the other sign"
         raise InputError(str(where.path), where.function, f"a body upside down, from z = {box.zmin:.4g} to "
                          f"{box.zmax:.4g} mm", "its bottom at z = 0; the key of the profile axis "
@@ -96,7 +96,7 @@ def _outline(outline: Outline, sizes: Mapping[str, float], *, source: str, field
     edges = []
     for number, corner in enumerate(corners):
         begin, end = vector(corners[number - 1].at), vector(corner.at)
-        if (end - begin).Length < CLOSE:
+        if (end - begin).Length < SAME_POINT:
             raise InputError(source, f"{field}[{number}]", place(end), "another place than the point before it")
         if corner.arc is not None:
             edges.append(_arc(begin, vector(corner.arc), end, source=source, field=f"{field}[{number}].arc"))
@@ -110,7 +110,7 @@ def _outline(outline: Outline, sizes: Mapping[str, float], *, source: str, field
         if corner.fillet is None or length(corner.fillet) == 0.0:
             continue
         at = vector(corner.at)
-        vertex = [each for each in face.Vertices() if (each.Center() - at).Length < CLOSE]
+        vertex = [each for each in face.Vertices() if (each.Center() - at).Length < SAME_POINT]
         before = face.Area()
         try:
             rounded = face.fillet2D(length(corner.fillet), vertex)
@@ -125,7 +125,7 @@ def _outline(outline: Outline, sizes: Mapping[str, float], *, source: str, field
 
 def _arc(begin: Any, middle: Any, end: Any, *, source: str, field: str) -> Any:
     across = (middle - begin).cross(end - begin)
-    if across.Length < CLOSE * (end - begin).Length:
+    if across.Length < SAME_POINT * (end - begin).Length:
         raise InputError(source, field, place(middle), "a point beside the line between the two ends")
     return cadquery_module().Edge.makeThreePointArc(begin, middle, end)
 
@@ -136,11 +136,11 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
     for i in range(count):
         for j in range(i + 1, count):
             distance, meeting = closest(edges[i], edges[j])
-            if distance > CLOSE:
+            if distance > SAME_POINT:
                 continue
             shared = [edges[i].endPoint()] * (j == i + 1) + [edges[j].endPoint()] * ((j + 1) % count == i)
             for at in meeting:
-                if not any((at - corner).Length < 10.0 * CLOSE for corner in shared):
+                if not any((at - corner).Length < 10.0 * SAME_POINT for corner in shared):
                     raise InputError(source, field, place(at), f"an outline that does not cross itself: the ways to "
                                      f"points {i} and {j} meet there")
 
@@ -174,7 +174,7 @@ def _section(made: Any, asymmetry: float, placement: Placement, source: str, fie
     if len(faces) != 1:
         raise InputError(source, field, f"{len(faces)} faces and no solid", "one solid, or one face in the plane y = 0")
     box = faces[0].BoundingBox()
-    if max(abs(box.ymin), abs(box.ymax)) > CLOSE:
+    if max(abs(box.ymin), abs(box.ymax)) > SAME_POINT:
         raise InputError(source, field, f"a face from y = {box.ymin:.4g} to {box.ymax:.4g} mm",
                          'a face in the plane y = 0, as of Workplane("XZ")')
     return DrawnLayer(faces[0])
@@ -203,7 +203,7 @@ def measured_part(where: StepPart, asymmetry: float, placement: Placement) -> di
     """
     box = _step_section(where, asymmetry, placement).face.BoundingBox()
     found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
-    found |= {"cavity_radius": box.xmin} if box.xmin > CLOSE else {}
+    found |= {"cavity_radius": box.xmin} if box.xmin > SAME_POINT else {}
     return {name: length / MILLIMETRES for name, length in found.items()}
 
 

@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline
 Real = NDArray[np.float64]
 
 #: Number of points per knot interval at which a curve is sampled. Twice as many find crossings twice as close.
-SAMPLES = 9
+SAMPLES_BETWEEN_KNOTS = 9
 
 #: Points and weights of a quadrature between two knots, exact for polynomials of degree 15.
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -72,7 +72,7 @@ class Curve:
         """Values of t from `start` to `end`, ends included, some between any two knots."""
         low, high = min(start, end), max(start, end)
         inner = sorted({low, high, *(knot for knot in self.knots if low < knot < high)})
-        parts = [np.linspace(a, b, SAMPLES)[:-1] for a, b in pairwise(inner)]
+        parts = [np.linspace(a, b, SAMPLES_BETWEEN_KNOTS)[:-1] for a, b in pairwise(inner)]
         found = np.concatenate([*parts, [high]])
         return found if start <= end else found[::-1]
 

@@ -36,7 +36,7 @@ CORNER = 30.0
 OBLIQUE = 40.0
 
 #: A face is cut beside a steep or curved part at half the width of that part plus this share of the face's height.
-MARGIN = 0.3
+CUT_MARGIN = 0.3
 
 
 def section_of(
@@ -76,7 +76,7 @@ def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], sou
 def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
     """Raise if faces overlap, or do not touch the one below."""
     for (one, first), (other, second) in combinations(faces.items(), 2):
-        common = [each for each in first.intersect(second).Faces() if each.Area() > cad.SOME]
+        common = [each for each in first.intersect(second).Faces() if each.Area() > cad.LEAST_AREA]
         if common:
             worst = max(common, key=lambda face: face.Area())
             raise InputError(source, f"layers {one} and {other}", f"an overlap of "
@@ -86,7 +86,7 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
     for k, name in enumerate(names[1:], start=1):
         below = cadquery_module().Compound.makeCompound([faces[each] for each in names[:k]])
         distance, points = cad.closest(faces[name], below)
-        if distance > cad.CLOSE:
+        if distance > cad.SAME_POINT:
             raise InputError(source, f"layer {name}", f"a gap of {distance:.4g} mm below it, least at "
                              f"{cad.place(points[0])}", "a layer that touches one below it")
 
@@ -97,17 +97,18 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], sou
     around = revolution.half_plane(whole.BoundingBox())
     edge = around.BoundingBox()
     free = around.cut(*faces.values()).Faces()
-    inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.CLOSE
-              and each.BoundingBox().zmax < edge.zmax - cad.CLOSE and each.BoundingBox().zmin > edge.zmin + cad.CLOSE]
-    inside = [each for each in inside if each.Area() > cad.SOME]
-    likely = [each for each in inside if any(faces[wall].distance(each) < cad.CLOSE for wall in walls)]
+    inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.SAME_POINT
+              and each.BoundingBox().zmax < edge.zmax - cad.SAME_POINT
+              and each.BoundingBox().zmin > edge.zmin + cad.SAME_POINT]
+    inside = [each for each in inside if each.Area() > cad.LEAST_AREA]
+    likely = [each for each in inside if any(faces[wall].distance(each) < cad.SAME_POINT for wall in walls)]
     if len(likely) > 1:
-        likely = [each for each in likely if each.BoundingBox().xmin < cad.CLOSE]
+        likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
     wanted = likely if len(likely) == 1 else []
     gaps = [each for each in inside if not any(each is other for other in wanted)]
     if gaps:
         worst = max(gaps, key=lambda face: face.Area())
-        between = [name for name, face in faces.items() if face.distance(worst) < cad.CLOSE]
+        between = [name for name, face in faces.items() if face.distance(worst) < cad.SAME_POINT]
         expected = "layers that leave no gap"
         if not walls:
             expected += "; a cavity is one where layers have a cavity_radius"
@@ -123,7 +124,7 @@ def _opening(faces: Mapping[str, cadquery.Face]) -> str:
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):
         distance, points = cad.closest(first, second)
-        if distance > cad.CLOSE:
+        if distance > cad.SAME_POINT:
             found.append((distance, f"an opening between {one} and {other}, {distance:.4g} mm wide at "
                           f"{cad.place(points[0])}"))
     return min(found)[1] if found else "no room that the layers enclose"
@@ -167,7 +168,7 @@ def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
     for arc in arcs:
         r, _ = arc.polyline
         if np.ptp(r) > 0.0 and _steepest(arc) > OBLIQUE:
-            margin = 0.5 * float(np.ptp(r)) + MARGIN * float(np.ptp(points[1]))
+            margin = 0.5 * float(np.ptp(r)) + CUT_MARGIN * float(np.ptp(points[1]))
             found.append((float(r.min()) - margin, float(r.max()) + margin))
     for low, high in sorted(found):
         if merged and low <= merged[-1][1]:
@@ -234,7 +235,7 @@ def _fused(
     from OCP.BOPAlgo import BOPAlgo_Builder
 
     builder = BOPAlgo_Builder()
-    builder.SetFuzzyValue(cad.CLOSE)
+    builder.SetFuzzyValue(cad.SAME_POINT)
     for _, piece in pieces:
         builder.AddArgument(piece.wrapped)
     builder.Perform()

@@ -23,11 +23,11 @@ Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 #: Two sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
-FLAT = 40.0
+FLAT_TURN = 40.0
 
 
 #: A lock, since gmsh is one session for the whole process: threads take turns.
-_TURN = RLock()
+_GMSH_TURN = RLock()
 
 
 def _keep_broken_pipes_errors() -> None:
@@ -54,7 +54,7 @@ def gmsh_session() -> Iterator[ModuleType]:
         import gmsh
     except (ImportError, OSError) as error:
         raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
-    with _TURN:
+    with _GMSH_TURN:
         if gmsh.isInitialized():
             raise MeshError("a gmsh session is open already; close it before meshing a section")
         gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -182,7 +182,7 @@ def _flat(element: Sequence[int], rim: set[tuple[int, int]], at: Callable[[int],
         before, here, after = element[k - 1], element[k], element[(k + 1) % len(element)]
         if all((min(pair), max(pair)) in rim for pair in ((before, here), (here, after))):
             (r0, z0), (r1, z1) = at(here) - at(before), at(after) - at(here)
-            if abs(math.degrees(math.atan2(r0 * z1 - z0 * r1, r0 * r1 + z0 * z1))) < FLAT:
+            if abs(math.degrees(math.atan2(r0 * z1 - z0 * r1, r0 * r1 + z0 * z1))) < FLAT_TURN:
                 return k
     return None
 

@@ -28,7 +28,7 @@ Integers = NDArray[np.int64]
 SAME_PLACE = 1e-6
 
 #: Largest angle (rad) by which the side of an element turns; in a face that gmsh fills, before it is cut.
-TURN = math.radians(30.0)
+LARGEST_TURN = math.radians(30.0)
 
 #: Largest ratio of the lengths of neighbouring elements that gmsh is to continue from.
 GROWTH = 2.0
@@ -237,7 +237,7 @@ def divisions(layout: SectionLayout, section: FreeSection, size: MeshSize) -> li
             ends = ends if runs[edge] else ends[::-1]
             begin, end = min(begin, ends[0]), min(end, ends[1])
             least = max(least, _least(layout, size, edge, beside[edge]),
-                        (2 if free else 1) * math.ceil(arc.turning / TURN - 1e-9))
+                        (2 if free else 1) * math.ceil(arc.turning / LARGEST_TURN - 1e-9))
         length = max(layout.edges[edge].length for edge in edges)
         if free:
             coarse = division(length, 2.0 * limit, (begin, end), min(size.growth, GROWTH), math.ceil(0.5 * least))

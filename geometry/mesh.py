@@ -29,7 +29,7 @@ from workbench.files.errors import InputError, nearest_names
 
 #: Largest relative difference between a region of the mesh and the section's own arithmetic. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
-VOLUME_TOLERANCE = 1e-9
+STRAIGHT_TOLERANCE = 1e-9
 
 
 #: Largest relative difference for cells with curved sides: polynomials of order 4 leave 2e-8 of an arc that turns by 30
@@ -180,7 +180,7 @@ def _check_rectangles(mesh: skfem.MeshQuad, section: Section) -> None:
     if min(widths.min(), heights.min()) <= 0.0:
         raise MeshError("the mesh has an element without area or with its nodes out of order")
     areas = widths * heights
-    _check_measures(mesh, section, areas, math.pi * (r[0] + r[1]) * areas, VOLUME_TOLERANCE)
+    _check_measures(mesh, section, areas, math.pi * (r[0] + r[1]) * areas, STRAIGHT_TOLERANCE)
 
 
 def _check_cells(mesh: SectionMesh) -> None:

@@ -22,7 +22,7 @@ FLUID_ROLES = (CAVITY, COUPLANT)
 
 #: Least distance of a radius where a layer may end from another line, as a share of the section's radius; a closer one
 #: counts as that line. Doubled, more of them do.
-CLOSEST = 0.005
+CLOSEST_RADII = 0.005
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def _panels(
 
 def apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
     """The radii that keep a distance from breaks and from smaller radii that elements need not be tiny for."""
-    least, kept = CLOSEST * breaks[-1], list[float]()
+    least, kept = CLOSEST_RADII * breaks[-1], list[float]()
     for radius in sorted(radii):
         if all(abs(radius - other) > least for other in (*breaks, *kept)):
             kept.append(radius)

@@ -63,7 +63,7 @@ WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
 
 #: Factor below which a search may move a length out of its range, which makes it unusual: a slip of the unit is larger.
 #: Doubled, a slip between cm and mm in code passes more often.
-MOVED = 30.0
+LARGEST_MOVE = 30.0
 
 #: Factors between units that are mistaken for each other, the likeliest first.
 SLIPS = (1e-3, 1e3, 1e-6, 1e6, 0.1, 10.0, 0.01, 100.0)
@@ -155,7 +155,7 @@ def implausible(name: str, value: float, usual: Range, kind: str, source: str, f
 def moved_beyond(name: str, old: float, new: float) -> bool:
     """Whether a length moves out of its range by so little that a search may have moved it."""
     usual = range_of(name)
-    return usual is not None and new not in usual and old / MOVED < new < MOVED * old
+    return usual is not None and new not in usual and old / LARGEST_MOVE < new < LARGEST_MOVE * old
 
 
 def _how(name: str) -> str:

@@ -26,7 +26,7 @@ from workbench.files.tables import FileTable
 OF_LAYER = ("thickness", "radius", "cavity_radius")
 
 #: Reserved names: a parameter of a profile cannot have them.
-TAKEN = ("material", "density", "gauge")
+RESERVED = ("material", "density", "gauge")
 
 #: A length (m), or the name of one.
 Size = float | str
@@ -188,7 +188,7 @@ def _placement(table: FileTable) -> Placement:
 def _parameters(table: FileTable) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
     found, angles = [], set()
     for name in table:
-        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, *TAKEN}:
+        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, *RESERVED}:
             raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
         inner = table.table(name) if isinstance(table.content[name], Mapping) else None
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from cadquery import Face, Solid
 
 #: Least volume (mm^3) of a solid: far below any intended one, far above rounding.
-SOME = 1e-7
+LEAST_VOLUME = 1e-7
 
 #: Points closer than this (mm) are one point: the same length as `geometry.parts.SAME_LENGTH`.
-CLOSE = 1e-6
+SAME_POINT = 1e-6
 
 #: Azimuths (degrees) at which a solid may be cut; the best is the cut whose revolution shows most of the solid.
 AZIMUTHS = (0.0, 90.0, 45.0, 30.0, 60.0, 75.0)
@@ -60,7 +60,7 @@ def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field
     if solid.isValid() and not SMALLEST <= width <= LARGEST:
         raise InputError(source, field, f"a solid {width:.4g} mm wide", f"{SMALLEST:g} mm to {LARGEST / 1e3:g} m: "
                          "lengths are in millimetres, those that a script gets and those that it draws with")
-    if not solid.isValid() or solid.Volume() <= SOME:
+    if not solid.isValid() or solid.Volume() <= LEAST_VOLUME:
         raise InputError(source, field, f"a solid of {solid.Volume():.4g} mm^3, valid: {solid.isValid()}",
                          "a valid, closed solid")
     found = turned_about(solid, placement, asymmetry * 1e-3, max(asymmetry, SHOWN_WITHIN))
@@ -203,7 +203,7 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
         point, direction = axis
         for k, (area, other, along) in enumerate(found):
             apart = np.cross(point - other, along)
-            if abs(abs(direction @ along) - 1.0) < 1e-9 and np.linalg.norm(apart) < CLOSE:
+            if abs(abs(direction @ along) - 1.0) < 1e-9 and np.linalg.norm(apart) < SAME_POINT:
                 found[k] = (area + face.Area(), other, along)
                 break
         else:
@@ -212,13 +212,13 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
     lines = [(point, direction) for _, point, direction in found[:4]]
     if not lines:
         # The bounding box is exact to some 1e-7 mm; integrals over splines are not.
-        middle = _round(np.array(solid.BoundingBox().center.toTuple()), 10.0 * CLOSE)
+        middle = _round(np.array(solid.BoundingBox().center.toTuple()), 10.0 * SAME_POINT)
         lines = [(middle, np.array(AXES[name])) for name in ("z", "y", "x")]
     for point, direction in lines:
         # The largest component is positive upwards; the point is the point of the axis nearest to the file's origin.
         direction = _round(direction * math.copysign(1.0, direction[np.argmax(np.abs(direction))]), 1e-9)
         direction = direction / np.linalg.norm(direction)
-        nearest = _round(point - (point @ direction) * direction, CLOSE) / MILLIMETRES
+        nearest = _round(point - (point @ direction) * direction, SAME_POINT) / MILLIMETRES
         yield (tuple(direction.tolist()), tuple(nearest.tolist()))
 
 
@@ -253,7 +253,7 @@ def _sector(solid: Solid, whole: Placement) -> Placement | None:
     """The sector of a body about an axis that the solid fills, by volume, or None."""
     standing = upright(solid, whole)
     centre = standing.Center()
-    if math.hypot(centre.x, centre.y) < CLOSE:
+    if math.hypot(centre.x, centre.y) < SAME_POINT:
         return None
     turned = _rotated(standing, -math.degrees(math.atan2(centre.y, centre.x)))
     faces = half_plane(turned.BoundingBox()).intersect(turned).Faces()

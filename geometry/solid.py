@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Largest relative difference between the volume of a solid and the chip's arithmetic. The kernel integrates plain
 #: cylinders to rounding. It describes the edge of a channel in a round wall by a spline, which costs some 1e-8 of the
 #: channel, 1e-11 of the part.
-VOLUME_TOLERANCE = 1e-9
+ROUND_TOLERANCE = 1e-9
 
 
 #: Largest relative difference for shaped layers: the kernel integrates such surfaces numerically, to 1e-9 in trials.
@@ -107,11 +107,11 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
             shape = shape.cut(*channels)
             # In walls that are not round cylinders, the formula for the volume of channels does not hold.
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
-        made[name] = _checked(name, shape, expected[name], VOLUME_TOLERANCE if not chip.is_shaped else (
+        made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
             SHAPED_TOLERANCE + volume_of_ports / expected[name]))
     if chip.holes:
         made[CAVITY] = _checked(CAVITY, _fused(bodies[CAVITY]), expected[CAVITY],
-                                SHAPED_TOLERANCE if chip.is_shaped else VOLUME_TOLERANCE)
+                                SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE)
     return made
 
 
@@ -179,7 +179,7 @@ def volume(shape: Shape) -> float:
     The integration is adaptive: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel
     that ends in round walls.
     """
-    return float(shape.Volume(tol=0.1 * VOLUME_TOLERANCE)) / MILLIMETRES**3
+    return float(shape.Volume(tol=0.1 * ROUND_TOLERANCE)) / MILLIMETRES**3
 
 
 def _checked(name: str, shape: Shape, expected: float, tolerance: float) -> Solid:

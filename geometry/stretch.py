@@ -20,7 +20,7 @@ from geometry.parts import largest_shape
 from geometry.section import cut_section
 
 #: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are a ninth shorter.
-KEPT = 0.1
+KEPT_SHARE = 0.1
 
 
 def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
@@ -50,7 +50,8 @@ def admissible_range(chip: Chip, name: str, low: float = -math.inf, high: float 
         KeyError: the chip has no dimension of that name.
     """
     value, (before, behind) = chip.dimensions()[name].value, mesh_limits(chip, name)
-    return (max(low, value - (1.0 - KEPT) * (value - before)), min(high, value + (1.0 - KEPT) * (behind - value)))
+    moved = 1.0 - KEPT_SHARE
+    return (max(low, value - moved * (value - before)), min(high, value + moved * (behind - value)))
 
 
 @dataclass(frozen=True)

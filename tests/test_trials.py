@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,26 +16,8 @@ import pytest
 import trials
 from concealed import scoring
 from concealed.mechanisms import CATALOGUED, CLASHING, OUTSIDE, SHAPES
-from concealed.running import Piece, work
-
-SAID: dict[str, Any] = {"verdict": "below_detection", "effects": [], "rivals": [], "location": [{"region": "couplant"}],
-                        "held_out": {"again": {"after": {"reduced_chi_square": 1.0}}},
-                        "scores": [{"effect": "fluid absorption"}]}
-
-#: What stands for a diagnosis, by the number of the trial: an answer, an error, none.
-STANDS_IN = f"""
-import json, sys, time
-trial, result = sys.argv[1:]
-if trial.endswith("1"):
-    raise ValueError("a radius came too close to another")
-if trial.endswith("2"):
-    time.sleep(600)
-open(result, "w").write(json.dumps({SAID!r}))
-"""
-
-
-def stands_in(trial: Path, result: Path) -> Sequence[str]:
-    return [sys.executable, "-c", STANDS_IN, str(trial), str(result)]
+from concealed.running import work
+from fake_trials import SAID, stands_in, written_late
 
 
 @pytest.fixture
@@ -79,7 +60,7 @@ def test_a_run_survives_what_fails_and_what_hangs_and_goes_on_where_it_was(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     started = time.monotonic()
-    trials.run(folder, 2, 0.05, command=stands_in, commit=lambda: "abc")
+    trials.run(folder, 2, 0.05, diagnosing=stands_in, commit=lambda: "abc")
     assert time.monotonic() - started < 30.0
     first = found(folder, "abc")
     assert {name: said["verdict"] for name, said in first.items()} == {
@@ -91,30 +72,27 @@ def test_a_run_survives_what_fails_and_what_hangs_and_goes_on_where_it_was(
                for said in first.values())
     assert "0002 failed no answer within 0.05 min" in capsys.readouterr().out
     (folder / "found" / "abc" / "0001.json").unlink()
-    trials.run(folder, 2, 0.05, command=stands_in, commit=lambda: "abc")
+    trials.run(folder, 2, 0.05, diagnosing=stands_in, commit=lambda: "abc")
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["0001"]
 
 
 def test_outcomes_are_kept_by_commit(folder: Path) -> None:
     with pytest.raises(SystemExit, match="abc-dirty: outcomes are those of a commit"):
-        trials.run(folder, 1, 0.05, command=stands_in, commit=lambda: "abc-dirty")
+        trials.run(folder, 1, 0.05, diagnosing=stands_in, commit=lambda: "abc-dirty")
     moving = iter(["abc", "abc", "abd"])
     with pytest.raises(SystemExit, match="moved from abc to abd"):
-        trials.run(folder, 1, 0.05, command=stands_in, commit=lambda: next(moving))
+        trials.run(folder, 1, 0.05, diagnosing=stands_in, commit=lambda: next(moving))
     assert set(found(folder, "abc")) == {"0000"}
     (folder / "trials" / "0002").rmdir()
-    trials.run(folder, 2, 0.05, command=stands_in, commit=lambda: "abd")
+    trials.run(folder, 2, 0.05, diagnosing=stands_in, commit=lambda: "abd")
     assert set(found(folder, "abc")) == {"0000"}
     assert set(found(folder, "abd")) == {"0000", "0001", "0003"}
 
 
 def test_whoever_stops_leaves_nothing_running(tmp_path: Path) -> None:
     mark = tmp_path / "written"
-    late = [sys.executable, "-c", f"import time; time.sleep(3); open({str(mark)!r}, 'w')"]
-    pieces = (Piece(name, command, tmp_path / name)
-              for name, command in (("late", late), ("soon", [sys.executable, "-c", ""])))
-    running = work(pieces, 2, 60.0)
-    assert next(running).piece.name == "soon"
+    running = work([("late", partial(written_late, mark)), ("soon", str)], 2, 60.0)
+    assert next(running).name == "soon"
     running.close()  # type: ignore[attr-defined]
     time.sleep(4.0)
     assert not mark.exists()

@@ -33,7 +33,7 @@ def section(found: SectionFields) -> Iterator[LivePicture]:
 
 @contextlib.asynccontextmanager
 async def served(folder: Path) -> AsyncIterator[LiveView]:
-    view = LiveView(live_chip.session(folder), Drawing(section, lambda found: b""), folder)
+    view = LiveView(live_chip.session(folder), Drawing(section, lambda found: b""), folder, live_chip.diagnosing)
     ready = asyncio.Event()
     serving = asyncio.ensure_future(view.serve(0, lambda address: ready.set()))
     try:

@@ -131,7 +131,7 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
 def test_a_hurried_spectrum_is_the_whole_one_without_tolerances(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("workbench.app.session.SMALL", 0)
+    monkeypatch.setattr("workbench.app.session.SMALL_RANK", 0)
     session.put({THICKNESS: 0.793e-3, RADIUS: 1.507e-3})
     hurried = session.spectrum(hurried=True)
     whole = session._best(session.values)(session.values)
@@ -148,7 +148,7 @@ def test_a_hurried_spectrum_is_the_whole_one_without_tolerances(
 def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("workbench.app.local.SMALL", 0)
+    monkeypatch.setattr("workbench.app.local.SMALL_RANK", 0)
     session.move(THICKNESS, 0.805e-3)
     centre = session.values
     model = session._best(centre)
@@ -288,7 +288,7 @@ def test_a_fit_of_the_freed_numbers_finds_what_was_recorded(tmp_path: Path) -> N
     recording = dataclasses.replace(recording, origin=dataclasses.replace(recording.origin, source="recorded.csv"))
     session = live_chip.session(tmp_path, recording)
     list(session.grow())
-    works = Works(session, tmp_path, None)
+    works = Works(session, tmp_path, None, live_chip.diagnosing)
     with pytest.raises(InputError, match="ticked"):
         works.fit(lambda text: None, lambda: False)
     works.free.add(THICKNESS)
@@ -307,14 +307,14 @@ def test_a_fit_of_the_freed_numbers_finds_what_was_recorded(tmp_path: Path) -> N
 
 
 def test_a_diagnosis_of_one_recording_is_of_the_present_chip(tmp_path: Path, session: Session) -> None:
-    works = Works(session, tmp_path, None)
+    works = Works(session, tmp_path, None, live_chip.diagnosing)
     with pytest.raises(InputError, match="--campaign"):
         works.one_recording(tmp_path)
     session.put({THICKNESS: 0.79e-3})
     recording = simulate(session.present_chip(), accuracy=live_chip.COARSE, points=41).spectrum
     recorded = live_chip.session(tmp_path, recording)
     recorded.put({THICKNESS: 0.79e-3})
-    works = Works(recorded, tmp_path, None)
+    works = Works(recorded, tmp_path, None, live_chip.diagnosing)
     works.free |= {THICKNESS, MODULUS}
     campaign = read_campaign(works.one_recording(tmp_path))
     (state,) = campaign.states
@@ -454,7 +454,7 @@ def test_the_fit_finds_a_gel_far_from_what_is_stated(tmp_path: Path) -> None:
     recording = simulate(plain.chip.with_dimensions({GEL: truth}), accuracy=live_chip.LOOSE, points=61).spectrum
     session = live_chip.film_session(tmp_path, recording=recording)
     session.tolerate(GEL, 15e-6)
-    works = Works(session, tmp_path, None)
+    works = Works(session, tmp_path, None, live_chip.diagnosing)
     works.free.add(GEL)
     said = works.fit(lambda text: None, lambda: False)
     # Meshes of half a per cent of Z, one stretched from 20 um: 1 % of the gel.

@@ -13,7 +13,7 @@ from workbench.acoustics.traps import find_traps
 from workbench.fem.solve import Solution
 from workbench.fitting.joint import FitResult
 from workbench.readers import Reading
-from workbench.results.brief import COLUMNS, LINES, Brief
+from workbench.results.brief import TEXT_COLUMNS, TEXT_LINES, Brief
 from workbench.results.comparison import compare
 from workbench.results.merit import bvd_impedance, figures
 from workbench.results.notebook import Shown, Summary
@@ -27,9 +27,9 @@ SPECTRUM = Spectrum(FREQUENCY, bvd_impedance(
 
 def check(text: str) -> None:
     lines = text.splitlines()
-    assert 1 <= len(lines) <= LINES
-    assert max(map(len, lines)) <= COLUMNS <= 120
-    assert LINES <= 12
+    assert 1 <= len(lines) <= TEXT_LINES
+    assert max(map(len, lines)) <= TEXT_COLUMNS <= 120
+    assert TEXT_LINES <= 12
 
 
 @dataclass(frozen=True, eq=False, repr=False)

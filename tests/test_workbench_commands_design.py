@@ -69,7 +69,7 @@ def written(folder: Path, text: str = GOAL) -> str:
 
 def test_a_goal_leaves_chip_report_and_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert main(["design", written(tmp_path), "-o", str(out), "--workers", "1", "--no-cad"]) == 0
+    assert main(["design", written(tmp_path), "-o", str(out), "--jobs", "1", "--no-cad"]) == 0
     assert {path.name for path in out.iterdir()} == {"best.toml", "design.json", "report.html", "impedance.png",
                                                      "convergence.png"}
     best = read_chip(out / "best.toml")
@@ -92,7 +92,7 @@ def test_the_field_before_and_after_is_drawn(tmp_path: Path, monkeypatch: pytest
     shot = snapshot(chip, "filled", 400e3, accuracy=5e-2)
     monkeypatch.setattr(ChipSolver, "snapshot", lambda self, chip, frequency: shot)
     out = tmp_path / "out"
-    assert main(["design", written(tmp_path), "-o", str(out), "--workers", "1", "--no-cad"]) == 0
+    assert main(["design", written(tmp_path), "-o", str(out), "--jobs", "1", "--no-cad"]) == 0
     assert {path.name for path in (out / "before").iterdir()} == {"pressure_filled.png"}
     assert (out / "after" / "pressure_filled.png").exists()
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -110,7 +110,7 @@ def test_what_is_not_confirmed_leaves_no_chip(
         return replace(found, figures={**found.figures, "e_ac": 1.03 * found.figures["e_ac"]})
 
     monkeypatch.setattr(ChipSolver, "full", off)
-    assert main(["design", written(tmp_path), "-o", str(out), "--workers", "1", "--no-cad"]) == 1
+    assert main(["design", written(tmp_path), "-o", str(out), "--jobs", "1", "--no-cad"]) == 1
     # Not even that of an earlier run.
     assert not (out / "best.toml").exists()
     assert "rejected: the full solve and the model differ by 2.9 % in e_ac" in capsys.readouterr().out
@@ -123,7 +123,7 @@ def test_an_interruption_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(optimisation, "confirmed", interrupted)
     out = tmp_path / "out"
-    assert main(["design", written(tmp_path), "-o", str(out), "--workers", "1", "--no-cad"]) == 130
+    assert main(["design", written(tmp_path), "-o", str(out), "--jobs", "1", "--no-cad"]) == 130
     kept = read_chip(out / "best_so_far.toml")
     assert kept.layer("sidewall").thickness.value == pytest.approx(0.74e-3, abs=1e-6)
     assert "not confirmed" in kept.layer("sidewall").thickness.note
@@ -133,7 +133,7 @@ def test_a_front_leaves_a_chip_for_each_of_its_points(tmp_path: Path) -> None:
     text = GOAL.replace('maximise = "e_ac"', 'maximise = ["e_ac", "f0"]').replace(
         "starts = 3", "starts = 3\nevolutionary = true\npopulation = 8\ngenerations = 5")
     out = tmp_path / "out"
-    assert main(["design", written(tmp_path, text), "-o", str(out), "--workers", "1", "--no-cad"]) == 0
+    assert main(["design", written(tmp_path, text), "-o", str(out), "--jobs", "1", "--no-cad"]) == 0
     record = json.loads((out / "design.json").read_text(encoding="utf-8"))
     chips = sorted((out / "front").iterdir())
     assert len(chips) == len(record["front"]) > 1
@@ -143,7 +143,7 @@ def test_a_front_leaves_a_chip_for_each_of_its_points(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    (["--workers", "0"], "--workers: received 0; expected one or more"), (["--accuracy", "7"], "--accuracy")])
+    (["--jobs", "0"], "--jobs: received 0; expected one or more"), (["--accuracy", "7"], "--accuracy")])
 def test_mistakes_in_options_are_named(
     options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

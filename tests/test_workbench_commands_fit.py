@@ -201,7 +201,7 @@ def test_a_batch_is_summarised_keeps_what_is_good_and_goes_on_where_it_was(
         for name, chip in (("a", "disc"), ("b", "disc"), ("c", "disc"), ("wrong", "wide")))
         + '[[joint]]\nname = "both"\nrecordings = ["b", "c"]\nown = ["bench.gain"]\n')
     out = tmp_path / "out"
-    command = ["fit", "batch", str(listed), *SMALL, "--workers", "2", "-o", str(out)]
+    command = ["fit", "batch", str(listed), *SMALL, "--jobs", "2", "-o", str(out)]
     assert main(command) == 1
     summary = standard_json(out / "summary.json")
     assert set(summary["devices"]) == {"a", "both"}

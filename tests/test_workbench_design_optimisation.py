@@ -29,6 +29,7 @@ from workbench.design.spread import Spread
 from workbench.design.steps import settle
 from workbench.design.variables import MaterialChoice, VariedNumber, changed
 from workbench.files.errors import InputError
+from workbench.jobs.workers import Workers
 from workbench.model.drive import VoltageDrive
 from workbench.reduced.ranges import NotCovered
 
@@ -179,7 +180,8 @@ def test_slopes_are_differences() -> None:
 
 def test_all_starts_find_the_one_optimum() -> None:
     one, search = programme("f0 >= 1.1 MHz"), SearchOptions(starts=10)
-    found = optima(search_all(one, search, one.unknowns({SUBSTRATE: 0.85e-3, SIDEWALL: 0.72e-3})))
+    found = optima(search_all(one, search, one.unknowns({SUBSTRATE: 0.85e-3, SIDEWALL: 0.72e-3}),
+                              workers=Workers()))
     assert len(found[0].starts) == 10
 
 
@@ -197,7 +199,8 @@ def test_two_optima_are_told_apart_and_counted() -> None:
             return replace(other, gradient=turned)
 
     one = programme(hill=Two())
-    found = optima(search_all(one, SearchOptions(starts=6, looked_at=1, descended=1), np.array([0.5, 0.5])))
+    found = optima(search_all(one, SearchOptions(starts=6, looked_at=1, descended=1), np.array([0.5, 0.5]),
+                              workers=Workers()))
     assert len(found) == 2
     assert sorted([*found[0].starts, *found[1].starts]) == list(range(6))
     # The glass of 1 mm is 0.04 mm from the top.
@@ -236,7 +239,8 @@ def test_an_evolutionary_search_finds_the_stock_of_brute_force() -> None:
     values = (0.7e-3, 0.78e-3, 0.9e-3)
     one = programme("f0 >= 1.05 MHz", step=0.02e-3)
     one = replace(one, variables=(VariedNumber(SUBSTRATE, values[0], values[-1]), one.variables[1]))
-    found = evolve([one], [VariedNumber.listed(SUBSTRATE, values)], SearchOptions(population=16, generations=12))
+    found = evolve([one], [VariedNumber.listed(SUBSTRATE, values)], SearchOptions(population=16, generations=12),
+                   workers=Workers())
     assert len(found) == 1
     assert found[0].lengths[SUBSTRATE] == 0.78e-3
     assert found[0].lengths[SIDEWALL] == pytest.approx(0.74e-3, abs=1e-9)
@@ -247,7 +251,7 @@ def test_a_front_lies_between_its_two_optima() -> None:
     # substrate above the hill's top are.
     one = programme(substrate=(0.75, 0.95))
     found = evolve([one, one.under(DesignObjective("f0", maximise=False))], [],
-                   SearchOptions(population=16, generations=15))
+                   SearchOptions(population=16, generations=15), workers=Workers())
     substrates = np.array([each.lengths[SUBSTRATE] for each in found])
     assert len(found) > 5
     # By the first objective: from the hill's top on, thicker and thicker.

@@ -295,7 +295,7 @@ def run_rows(folder: Path) -> set[int]:
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    from workbench.design.executors import LARGE, dask_cluster
+    from workbench.jobs.cluster import LARGE, dask_cluster
 
     plan = read(tmp_path, SOBOL)
     environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
@@ -317,7 +317,7 @@ def test_a_cluster_that_does_not_answer_is_a_clear_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    monkeypatch.setattr("workbench.design.executors.PATIENCE", 0.2)
+    monkeypatch.setattr("workbench.jobs.cluster.PATIENCE", 0.2)
     read(tmp_path, SOBOL)
     address = "tcp://127.0.0.1:1"
     assert main(["study", str(tmp_path / "study.toml"), "--dask", address, "-o", str(tmp_path / "out")]) == 2

@@ -6,7 +6,8 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,10 +28,11 @@ from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales, Weighed
 from workbench.diagnosis.ranking import Score
-from workbench.diagnosis.workers import Workers
+from workbench.diagnosis.tasks import SearchTask
 from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import Parameter
+from workbench.jobs.workers import Processes
 
 SMALL, LARGE = (Effect(name, "bench", "bench", "", (Parameter(name, 0.0, -1.0, 1.0, None, "1"),))
                 for name in ("small", "large"))
@@ -71,14 +73,14 @@ class Made(DiagnosisSearch):
     def least(self) -> float:
         return 0.0
 
-    def attempted(self, name: str, given: tuple[Any, ...]) -> Any:
+    def attempted(self, task: SearchTask) -> Any:
         if self.stops and not self.interrupted and len(self.done) >= self.tasks:
             raise KeyboardInterrupt
-        self.done.append(name)
-        return super().attempted(name, given)
+        self.done.append(task.method.__name__)
+        return super().attempted(task)
 
     def begun(self) -> tuple[list[InitialOptimum], Candidate]:
-        self.work([("a start", "a_start", ())] * 2, must=1)
+        self.work([SearchTask.of("a start", self.a_start)] * 2, must=1)
         return [InitialOptimum(PLACE, 1.0, PLACE)], candidate()
 
     def a_start(self) -> None:
@@ -91,7 +93,7 @@ class Made(DiagnosisSearch):
         return [Score(SMALL, 1.0, 2.0, np.array([0.5]), np.array([0.1]))]
 
     def by_size(self, plain: Candidate) -> list[Candidate]:
-        self.work([("large of any size", "swept", ("large",))])
+        self.work([SearchTask.of("large of any size", self.swept, "large")])
         return self.tried(plain, PLACE, [(LARGE, [PLACE])])
 
     def swept(self, name: str) -> list[InitialOptimum]:
@@ -195,27 +197,30 @@ def test_where_the_device_as_stated_cannot_be_predicted_there_is_no_diagnosis(ta
 
 
 class Slow:
-    """What a worker has: it answers late, with what it was asked."""
+    """A search of a worker that answers late, with what it was asked."""
 
-    def within(self, places: object, name: str, given: tuple[Any, ...]) -> Any:
+    def attempted(self, task: SearchTask) -> Any:
         time.sleep(0.05)
-        return given[0]
+        return task.given[0]
+
+
+class Stopped(Made):
+    """A search that is interrupted at its first task."""
+
+    def attempted(self, task: SearchTask) -> Any:
+        raise KeyboardInterrupt
 
 
 def test_what_workers_still_send_after_an_interruption_is_taken_for_nothing_else() -> None:
     """The answer to a task that was given up is not that of the next one."""
-    with Workers(1, Slow, ()) as workers:
-        made = Made(MODEL)
-        made.fail, made.done, made._workers = {}, [], workers
-        interrupt: Callable[..., Any] = _interrupt
-        made.within = interrupt  # type: ignore[method-assign]
-        assert made.work([("first", "swept", ("first",)), ("second", "swept", ("second",))]) == [None, None]
+    with closing(Processes(1)) as workers:
+        workers.share(Slow)
+        made = Stopped(MODEL)
+        made.done, made._workers = [], workers
+        first, second, third = (SearchTask.of(name, made.swept, name) for name in ("first", "second", "third"))
+        assert made.work([first, second]) == [None, None]
         assert made.interrupted
-        assert made.work([("third", "swept", ("third",))], must=1) == [[]]
-
-
-def _interrupt(*_given: object) -> None:
-    raise KeyboardInterrupt
+        assert workers.map([third]) == ["third"]
 
 
 def test_what_was_not_tried_is_told_once() -> None:

@@ -13,7 +13,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy import sparse
 
-from workbench.fem.factorisation import CHOICE, KNOWN, Factorisation, Ldlt, SuperLU, chosen, factorisation
+from workbench.fem.factorisation import (
+    FACTORISATION_VARIABLE,
+    KNOWN,
+    Factorisation,
+    Ldlt,
+    SuperLU,
+    chosen,
+    factorisation,
+)
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, System, factorise, solve_full
 from workbench.model.problem import Problem
@@ -126,7 +134,7 @@ def test_spectra_are_those_of_either(small_disc: Problem, monkeypatch: pytest.Mo
     pytest.importorskip("rslab", reason="rslab is not installed: there is nothing to compare SuperLU with")
     spectra = []
     for name in KNOWN:
-        monkeypatch.setenv(CHOICE, name)
+        monkeypatch.setenv(FACTORISATION_VARIABLE, name)
         operators = assemble(small_disc.mesh, small_disc.terms)
         assert type(operators.free.factorisation) is KNOWN[name]
         spectra.append(solve_full(operators, np.array([350e3, 940e3]), small_disc.values).impedance)
@@ -134,19 +142,19 @@ def test_spectra_are_those_of_either(small_disc: Problem, monkeypatch: pytest.Mo
 
 
 def test_the_environment_chooses_and_a_name_it_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CHOICE, "superlu")
+    monkeypatch.setenv(FACTORISATION_VARIABLE, "superlu")
     assert chosen() == "superlu"
     assert isinstance(factorisation(sparse.csc_matrix(np.eye(3))), SuperLU)
     for wrong in ("SuperLU", "umfpack", ""):
-        monkeypatch.setenv(CHOICE, wrong)
-        with pytest.raises(ValueError, match=rf"{CHOICE} is '{wrong}'; expected one of superlu, rslab"):
+        monkeypatch.setenv(FACTORISATION_VARIABLE, wrong)
+        with pytest.raises(ValueError, match=rf"{FACTORISATION_VARIABLE} is '{wrong}'; expected one of superlu, rslab"):
             factorisation(sparse.csc_matrix(np.eye(3)))
 
 
 def test_a_folder_that_happens_to_have_the_name_is_not_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.delenv(FACTORISATION_VARIABLE, raising=False)
     monkeypatch.setattr(sys, "path", [])
     monkeypatch.delitem(sys.modules, "rslab", raising=False)
     assert chosen() == "superlu"

@@ -1,13 +1,8 @@
-"""Batches: the file that lists them, processes that lose nothing, outliers, summaries."""
+"""Batches: the file that lists them, outliers, summaries."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +12,6 @@ from support import quadratic
 
 from materials import Registry
 from workbench.files.errors import InputError
-from workbench.fitting import batch
 from workbench.fitting.batch import (
     BatchMember,
     Job,
@@ -26,7 +20,6 @@ from workbench.fitting.batch import (
     finished,
     outlying,
     read_batch,
-    run_commands,
     summarise,
 )
 from workbench.report.fit_batch import summary_record
@@ -135,74 +128,6 @@ def test_only_a_whole_result_of_the_same_key_is_finished(tmp_path: Path) -> None
     (tmp_path / "fit.json").write_text('{"key": "k"}')
     assert finished(tmp_path, "k") == {"key": "k"}
     assert finished(tmp_path, "other") is None
-
-
-#: Stands for a fit: leaves a trace of its process and of the threads it may use.
-TRACE = """
-import os, sys
-from pathlib import Path
-Path(sys.argv[1]).write_text(f"{os.getpid()} {os.environ['OPENBLAS_NUM_THREADS']}")
-"""
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_every_command_is_run_and_failures_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
-) -> None:
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
-    commands = {name: [sys.executable, "-c", TRACE, str(tmp_path / name)] for name in ("a", "b")}
-    commands["bad"] = [sys.executable, "-c", "import sys; print('error: why', file=sys.stderr); sys.exit(2)"]
-    commands["long"] = [sys.executable, "-c",
-                        "import sys; print('on the way\\nerror: why\\n\\na = 1\\nb = 2', file=sys.stderr); sys.exit(2)"]
-    commands["mute"] = [sys.executable, "-c", "import sys; sys.exit(3)"]
-    said: list[tuple[str, str]] = []
-    failed = run_commands(commands, workers=workers, report=lambda name, activity: said.append((name, activity)))
-    assert failed == {"bad": "why", "long": "why\n\na = 1\nb = 2", "mute": "ended with 3"}
-    traces = [(tmp_path / name).read_text().split() for name in ("a", "b")]
-    assert all(threads == "1" for _, threads in traces)
-    assert len({pid for pid, _ in traces}) == 2
-    assert sorted(said) == sorted([(name, "fitting") for name in commands] + [
-        ("a", "done"), ("b", "done"), ("bad", "failed"), ("long", "failed"), ("mute", "failed")])
-    running = [sum(a == "fitting" for _, a in said[:i]) - sum(a != "fitting" for _, a in said[:i])
-               for i in range(len(said) + 1)]
-    assert max(running) == workers
-
-
-INTERRUPTED = """
-import sys
-from pathlib import Path
-from workbench.fitting.batch import run_commands
-
-folder = Path(sys.argv[1])
-slow = "import os, sys, time; from pathlib import Path; Path(sys.argv[1]).write_text(str(os.getpid())); time.sleep(600)"
-quick = "import sys; from pathlib import Path; Path(sys.argv[1]).write_text('done')"
-commands = {name: [sys.executable, "-c", code, str(folder / name)] for name, code in (("slow", slow), ("quick", quick))}
-try:
-    run_commands(commands, workers=2, report=lambda *_: None)
-except KeyboardInterrupt:
-    sys.exit(130)
-"""
-
-
-def test_an_interrupt_ends_the_commands_and_keeps_what_is_finished(tmp_path: Path) -> None:
-    # A script without a guard, too: it must not be run a second time.
-    script = tmp_path / "script.py"
-    script.write_text(INTERRUPTED)
-    surroundings = {**os.environ, "PYTHONPATH": str(Path(batch.__file__).parents[2])}
-    process = subprocess.Popen([sys.executable, str(script), str(tmp_path)], env=surroundings)
-    try:
-        deadline = time.monotonic() + 60.0
-        while not all((tmp_path / name).exists() and (tmp_path / name).read_text() for name in ("slow", "quick")):
-            assert time.monotonic() < deadline
-            assert process.poll() is None
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)  # to it alone, as another program would
-        assert process.wait(timeout=30.0) == 130
-    finally:
-        process.kill()
-    assert (tmp_path / "quick").read_text() == "done"
-    with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "slow").read_text()), 0)  # gone: it has been waited for
 
 
 def test_outliers_are_judged_robustly() -> None:

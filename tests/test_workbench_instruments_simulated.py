@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.instruments.circuit import IDEAL, NOTHING, TYPICAL, Circuit, device_of, open_circuit, resistor
+from workbench.instruments.circuit import IDEAL, OPEN_RESISTANCE, TYPICAL, Circuit, device_of, open_circuit, resistor
 from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, FaultKind
 from workbench.instruments.instrument import InstrumentError
 from workbench.instruments.opening import open_bench, who_answers
@@ -268,7 +268,7 @@ def test_what_open_short_and_load_find_takes_all_of_the_circuit_out() -> None:
     def cross_ratio(a: complex, b: complex, c: complex, d: complex) -> complex:
         return (a - b) * (c - d) / ((a - d) * (c - b))
 
-    known = (NOTHING, 0.0, 50.0, 8.0 - 3.0j)
+    known = (OPEN_RESISTANCE, 0.0, 50.0, 8.0 - 3.0j)
     assert cross_ratio(*map(shown, known)) == pytest.approx(cross_ratio(*known), rel=1e-6)
     # Uncorrected, 1.3 ohm of the leads and 2 % of the gains.
     assert abs(shown(8.0 - 3.0j) / (8.0 - 3.0j) - 1) > 0.05

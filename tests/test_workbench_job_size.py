@@ -55,7 +55,7 @@ def test_a_lost_point_in_the_band_is_refused_at_once(chip: Chip, monkeypatch: py
         raise AssertionError("a mesh was made")
 
     monkeypatch.setattr("workbench.model.problem.meshed", never)
-    monkeypatch.setenv(job_size.CHOICE, "16 GB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "16 GB")
     wb.simulate, wb.range_model  # noqa: B018 - loaded before the clock starts
     began = time.process_time()
     for make in (lambda: wb.simulate(wide), lambda: wb.snapshot(wide, None, 1e6),
@@ -73,10 +73,10 @@ def test_a_lost_point_in_the_band_is_refused_at_once(chip: Chip, monkeypatch: py
 
 
 def test_a_coarser_accuracy_is_proposed_where_that_fits(chip: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(job_size.CHOICE, "500 MB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "500 MB")
     with pytest.raises(InputError, match=r"at most 500 MB, .*: the accuracy 0\.05 %"):
         wb.simulate(chip, "filled", accuracy=1e-4)
-    monkeypatch.setenv(job_size.CHOICE, "20 MB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "20 MB")
     with pytest.raises(InputError, match="neither another accuracy nor a lower band would fit"):
         wb.simulate(chip, "filled")
 
@@ -90,14 +90,14 @@ def test_a_coarser_accuracy_is_proposed_where_that_fits(chip: Chip, monkeypatch:
 def test_every_command_refuses(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(job_size.CHOICE, "20 MB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "20 MB")
     assert main([*command, str(tmp_path / "out")]) == 2
     assert "20 MB, the memory that is free here" in " ".join(capsys.readouterr().err.split())
     assert not list((tmp_path / "out").rglob("*.csv"))
 
 
 def test_points_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(job_size.CHOICE, "1 GB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "1 GB")
     check_points(100_000, source="simulate")
     with pytest.raises(InputError, match=r"points: received 1000000000; expected at most 200 000: every frequency"):
         wb.simulate(read_chip(DISC), points=1_000_000_000)
@@ -106,9 +106,9 @@ def test_points_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_memory_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     free = free_memory()
     assert free is None or 1e6 < free < 1e15
-    monkeypatch.setenv(job_size.CHOICE, "12 GB")
+    monkeypatch.setenv(job_size.MEMORY_VARIABLE, "12 GB")
     assert memory_to_use() == 12e9
     for wrong in ("12", "-1 GB", "much"):
-        monkeypatch.setenv(job_size.CHOICE, wrong)
-        with pytest.raises(InputError, match=job_size.CHOICE):
+        monkeypatch.setenv(job_size.MEMORY_VARIABLE, wrong)
+        with pytest.raises(InputError, match=job_size.MEMORY_VARIABLE):
             memory_to_use()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
 import statistics
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -192,6 +194,52 @@ def test_a_function_fits_on_a_screen() -> None:
 def test_test_folders_are_not_packages() -> None:
     # tests/geometry/__init__.py would hide the real geometry.
     assert not list((ROOT / "tests").rglob("__init__.py"))
+
+
+#: Rooms whose docstrings and comments are held to plain sentences. The rest of `workbench` is added as it is rewritten.
+PLAIN_ROOMS = (
+    "geometry", "materials", "workbench.acoustics", "workbench.app", "workbench.bench", "workbench.fem",
+    "workbench.files", "workbench.instruments", "workbench.physics", "workbench.readers", "workbench.render",
+    "workbench.results", "workbench.simulation", "workbench.model.discretisation", "workbench.model.drive",
+    "workbench.model.job_size", "workbench.model.particles", "workbench.model.problem",
+)
+#: A sentence that begins so names its subject late or never.
+RIDDLE = re.compile(r"(?:^|[.:;!?]\s+|\n\s*\n\s*)(What|How|By what|As of|The same)\b")
+
+
+def docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """The line and the text of every docstring of a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node)
+            if text is not None:
+                yield node.body[0].lineno, text
+
+
+def comment_blocks(text: str) -> Iterator[tuple[int, str]]:
+    """The line and the text of every comment, with the lines that continue it."""
+    found: list[tuple[int, int, str]] = []
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            line, words = token.start[0], token.string.lstrip("#: ")
+            if found and found[-1][1] == line - 1:
+                found[-1] = found[-1][0], line, f"{found[-1][2]} {words}"
+            else:
+                found.append((line, line, words))
+    return ((begin, words) for begin, _, words in found)
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if name.startswith(PLAIN_ROOMS)])
+def test_a_sentence_names_its_subject_first(module: str) -> None:
+    text = FILES[module].read_text(encoding="utf-8")
+    assert not [f"line {line}: {words[:60]}" for line, words in (*docstrings(TREES[module]), *comment_blocks(text))
+                if RIDDLE.search(words)]
+
+
+@pytest.mark.parametrize(
+    "text", ["What is left.", "A copy. The same of others.", "One.\n\nHow it is done.", "As of x."])
+def test_a_riddle_would_be_found(text: str) -> None:
+    assert RIDDLE.search(text)
 
 
 #: A path of one machine, a folder beside the checkout, a note that is not part of the project, a package index.

@@ -159,7 +159,7 @@ def test_derivatives_are_exact(name: str, radius: float) -> None:
 
 def test_the_series_meets_the_closed_form() -> None:
     angle = np.exp(-0.25j * np.pi)
-    below, above = (bubbles._heat(np.array([(bubbles.SMALL + shift) * angle])) for shift in (-1e-12, 1e-12))
+    below, above = (bubbles._heat(np.array([(bubbles.SERIES_BELOW + shift) * angle])) for shift in (-1e-12, 1e-12))
     assert below[0][0] == pytest.approx(above[0][0], rel=1e-10)
     # The first term left out, 4 / 18243225 y^12, is 4e-10 of the slope.
     assert below[1][0] == pytest.approx(above[1][0], rel=2e-9)

@@ -20,11 +20,11 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
 from workbench.physics import solid
-from workbench.physics.loss_laws import ADMISSIBLE, SMALL, FractionalLoss
+from workbench.physics.loss_laws import ADMISSIBLE, SERIES_BELOW, FractionalLoss
 
 REFERENCE = 1e6
 FRACTIONAL = FractionalLoss("substrate", "pla")
-EXPONENTS = (0.0, 0.5 * SMALL, 0.2, 0.5, 0.8, 1.0)
+EXPONENTS = (0.0, 0.5 * SERIES_BELOW, 0.2, 0.5, 0.8, 1.0)
 
 
 def law(exponent: float, shear: complex = 1.0, bulk: complex = 0.0) -> dict[str, complex]:
@@ -83,11 +83,11 @@ def test_a_loss_without_exponent_stiffens_by_the_rule_of_thumb() -> None:
 
 def test_the_series_for_small_exponents_continues_the_closed_form() -> None:
     frequency = np.array([1e3, 0.3e6, 1e6, 20e6])
-    below, above = (modulus(SMALL * (1.0 + side * 1e-9), frequency) for side in (-1.0, 1.0))
+    below, above = (modulus(SERIES_BELOW * (1.0 + side * 1e-9), frequency) for side in (-1.0, 1.0))
     # The series' next term, a^3 m^4 / 24 with m = 7.
     assert np.abs(above - below).max() < 2e-7
     shear = FRACTIONAL.integrals()[1].coefficient
-    slopes = [shear.derivative(2.0 * np.pi * frequency, law(SMALL * (1.0 + side * 1e-9)), "pla.loss_exponent")
+    slopes = [shear.derivative(2.0 * np.pi * frequency, law(SERIES_BELOW * (1.0 + side * 1e-9)), "pla.loss_exponent")
               for side in (-1.0, 1.0)]
     assert np.abs(slopes[1] - slopes[0]).max() < 3e-4  # its derivative
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from workbench.files.writing import write_json
 from workbench.render.canvas import Picture
 from workbench.report.comparison import comparison_record
 from workbench.report.definitions import DEFINITIONS, definition
@@ -31,7 +32,6 @@ from workbench.report.page import (
     TextTable,
     Verbatim,
     number_text,
-    write_json,
     write_report,
 )
 from workbench.results.comparison import compare

@@ -44,6 +44,7 @@ from workbench.diagnosis.findings import InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
+from workbench.diagnosis.tasks import SearchTask  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402
 from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
@@ -118,11 +119,11 @@ class Replayed(DiagnosisSearch):
     def is_over(self) -> bool:
         return self.clock > self.budget
 
-    def attempted(self, name: str, given: tuple[Any, ...]) -> Any:
-        key = (name, hashlib.sha256(repr([named(each) for each in given]).encode()).hexdigest())
+    def attempted(self, task: SearchTask) -> Any:
+        key = (task.method.__name__, hashlib.sha256(repr([named(each) for each in task.given]).encode()).hexdigest())
         if key not in self.kept:
             started = time.perf_counter()
-            self.kept[key] = Kept(super().attempted(name, given), time.perf_counter() - started)
+            self.kept[key] = Kept(super().attempted(task), time.perf_counter() - started)
         self.clock += self.kept[key].seconds
         return self.kept[key].result
 

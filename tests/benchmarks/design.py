@@ -1,6 +1,6 @@
 """The three design tasks of the examples: what is gained, how many starts agree, what full solves say, the time.
 
-    .venv/bin/python tests/benchmarks/design.py [half_wave_chip stock_glass beads_at_one_watt] [--workers 2]
+    .venv/bin/python tests/benchmarks/design.py [half_wave_chip stock_glass beads_at_one_watt] [--jobs 2]
 
 Asked for: better than at first, the best optimum from at least 8 of 10 starts (of the choice of stock it belongs to),
 full solves within 1 %, at most 180 s each. Exit status 1 if a task misses one of these. The time of the processor is
@@ -13,7 +13,6 @@ import argparse
 import sys
 import time
 import warnings
-from contextlib import nullcontext
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +20,6 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
-from workbench.design.executors import processes  # noqa: E402
 from workbench.design.goal import read_goal  # noqa: E402
 from workbench.design.optimisation import Design, optimise  # noqa: E402
 from workbench.report.design import figure_in_unit  # noqa: E402
@@ -36,19 +34,18 @@ ROW = "{:<20}{:>14}{:>14}{:>10}{:>10}{:>12}{:>9}{:>11}  {}"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tasks", nargs="*", default=TASKS, metavar="TASK", help=f"of {', '.join(TASKS)} (default all)")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes for the starts (default 2)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="starts at a time (default 2)")
     with_json(parser)
     options = parser.parse_args()
     print(ROW.format("task", "before", "after", "change", "starts", "difference", "time", "processor", "missed"),
           flush=True)
     passed = True
-    with (measurements(options.json) as found,
-          processes(options.workers) if options.workers > 1 else nullcontext() as executor):
+    with measurements(options.json) as found:
         for task in options.tasks:
             begun = time.process_time()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                outcome = optimise(read_goal(GOALS / f"{task}.toml"), executor=executor)
+                outcome = optimise(read_goal(GOALS / f"{task}.toml"), jobs=options.jobs)
             passed &= _tell(task, outcome, time.process_time() - begun, found)
     return 0 if passed else 1
 

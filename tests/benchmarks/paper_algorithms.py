@@ -33,6 +33,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import sweep  # noqa: E402
+from workbench.files.writing import write_json  # noqa: E402
 from workbench.fitting.joint import fit_parameters  # noqa: E402
 from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN  # noqa: E402
 from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
@@ -40,7 +41,6 @@ from workbench.model.discretisation import ACCURACY  # noqa: E402
 from workbench.model.numbers import LOSS, real_part  # noqa: E402
 from workbench.model.problem import Problem, build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.report.page import write_json  # noqa: E402
 from workbench.reproduction.fits import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
 from workbench.reproduction.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.results.spectrum import Spectrum  # noqa: E402

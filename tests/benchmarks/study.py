@@ -31,11 +31,11 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
-from workbench.design.executors import dask_cluster  # noqa: E402
 from workbench.design.parts import numbers_by_name, parts_of  # noqa: E402
 from workbench.design.plan import Study, read_study  # noqa: E402
 from workbench.design.study import study  # noqa: E402
 from workbench.files.quantities import parse_quantity  # noqa: E402
+from workbench.jobs.cluster import dask_cluster  # noqa: E402
 
 STUDY = """
 [study]

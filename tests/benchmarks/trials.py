@@ -20,31 +20,26 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.mechanisms import CATALOGUED, CLASHING, MECHANISMS, NONE, OUTSIDE, SHAPES  # noqa: E402
-from concealed.running import Piece, claimed, release, work  # noqa: E402
+from concealed.running import claimed, release, work  # noqa: E402
 from concealed.scoring import FAILED, read_outcomes, score, table  # noqa: E402
-from concealed.trial import make_trial  # noqa: E402
+from concealed.tasks import diagnose_one, make_one  # noqa: E402
 
-from workbench.diagnosis.appraisal import diagnose  # noqa: E402
-from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.files.writing import write_atomic  # noqa: E402
-from workbench.report.diagnosis import diagnosis_record  # noqa: E402
+from workbench.jobs.workers import Task  # noqa: E402
 
 #: In one round every mechanism of the catalogue is hidden once, and so many times nothing, something outside the
 #: catalogue, and two effects at once: of 300 trials at least 40 with nothing and 30 with two effects.
@@ -52,10 +47,6 @@ NOTHING, FOREIGN, PAIRS = 7, 6, 5
 
 #: Minutes that making a trial may take.
 MAKING = 60.0
-
-
-#: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
-MINUTES = 8.0
 
 
 def schedule(seed: int, *, shapes: bool = False, conceal: str = "") -> Iterator[tuple[str, ...]]:
@@ -86,31 +77,13 @@ def _pair(rng: np.random.Generator) -> tuple[str, ...]:
 def make(folder: Path, first: int, trials: int, seed: int, jobs: int, *, shapes: bool = False, conceal: str = ""
          ) -> None:
     """Write those of the trials from number `first` on that are not there yet."""
-    own = [sys.executable, str(Path(__file__).resolve()), "make", str(folder), "--seed", str(seed), "--trials", "1",
-           *(["--shapes"] if shapes else []), *(["--conceal", conceal] if conceal else [])]
-    pieces = (Piece(f"{number:04d}", [*own, "--first", str(number)], folder / "making" / f"{number:04d}.log")
-              for number in range(first, first + trials) if not (folder / "trials" / f"{number:04d}").exists())
+    mechanisms = enumerate(schedule(seed, shapes=shapes, conceal=conceal))
+    pieces = ((f"{number:04d}", partial(make_one, folder, number, seed, mechanism))
+              for number, mechanism in islice(mechanisms, first, first + trials)
+              if not (folder / "trials" / f"{number:04d}").exists())
     for ended in work(pieces, jobs, 60.0 * MAKING):
-        print(f"{ended.piece.name}: {ended.reason}" if ended.reason else ended.piece.log.read_text().strip(),
-              flush=True)
-
-
-def make_one(folder: Path, number: int, seed: int, *, shapes: bool = False, conceal: str = "") -> None:
-    """Write a trial, unless it is there or somebody else is at it."""
-    trial, truth = folder / "trials" / f"{number:04d}", folder / "truth" / f"{number:04d}.json"
-    if trial.exists() or not claimed(folder / "making", number):
-        return
-    mechanism = next(islice(schedule(seed, shapes=shapes, conceal=conceal), number, None))
-    started = time.perf_counter()
-    unfinished = folder / "making" / f"{number:04d}.{os.getpid()}"
-    shutil.rmtree(unfinished, ignore_errors=True)
-    found = make_trial(1000 * seed + number, mechanism, unfinished)
-    truth.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(truth, json.dumps(found.to_dict(), indent=1) + "\n")
-    trial.parent.mkdir(parents=True, exist_ok=True)
-    unfinished.rename(trial)
-    print(f"{number:04d} {' and '.join(mechanism)}: {found.detectability:.1f} sigmas, "
-          f"{time.process_time():.0f} s of CPU, {time.perf_counter() - started:.0f} s", flush=True)
+        if ended.reason or ended.words:
+            print(f"{ended.name}: {ended.reason}" if ended.reason else ended.words, flush=True)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -123,20 +96,9 @@ def commit_of() -> str:
                           text=True, check=True).stdout.strip()
 
 
-def diagnose_one(trial: Path, result: Path) -> None:
-    """Diagnose a trial here, into a file."""
-    with threadpool_limits(limits=1):
-        found = diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES)
-    write_atomic(result, json.dumps(diagnosis_record(found), indent=1) + "\n")
-
-
-def _diagnosing(trial: Path, result: Path) -> Sequence[str]:
-    return [sys.executable, str(Path(__file__).resolve()), "diagnose", str(trial), "--into", str(result)]
-
-
 def run(folder: Path, jobs: int, minutes: float, *, uncommitted: bool = False,
-        command: Callable[[Path, Path], Sequence[str]] = _diagnosing, commit: Callable[[], str] = commit_of) -> None:
-    """Diagnose the trials that are not diagnosed at this commit yet; `command` is what diagnoses one into a file.
+        diagnosing: Callable[[Path, Path], str] = diagnose_one, commit: Callable[[], str] = commit_of) -> None:
+    """Diagnose the trials that are not diagnosed at this commit yet; `diagnosing` diagnoses one into a file.
 
     Raises:
         SystemExit: the checkout has changes that are not committed, or moves on meanwhile.
@@ -148,7 +110,7 @@ def run(folder: Path, jobs: int, minutes: float, *, uncommitted: bool = False,
     results, unfinished = folder / "found" / tried, folder / "running" / tried
     results.mkdir(parents=True, exist_ok=True)
 
-    def pieces() -> Iterator[Piece]:
+    def pieces() -> Iterator[tuple[str, Task[str]]]:
         for trial in sorted((folder / "trials").iterdir()):
             done = results / f"{trial.name}.json"
             if done.exists() or not claimed(unfinished, int(trial.name)):
@@ -160,26 +122,25 @@ def run(folder: Path, jobs: int, minutes: float, *, uncommitted: bool = False,
             now = commit()
             if now != tried:
                 raise SystemExit(f"the checkout has moved from {tried} to {now}: outcomes are those of one commit")
-            yield Piece(trial.name, command(trial, unfinished / f"{trial.name}.json"), unfinished / f"{trial.name}.log")
+            yield trial.name, partial(diagnosing, trial, unfinished / f"{trial.name}.json")
 
     for ended in work(pieces(), jobs, 60.0 * minutes):
-        name = f"{ended.piece.name}.json"
+        name = f"{ended.name}.json"
         said = (json.loads((unfinished / name).read_text()) if not ended.reason else
                 {"verdict": FAILED, "reason": ended.reason, "effects": [], "rivals": [], "location": [], "held_out": {},
                  "scores": []})
         said |= {"cpu_seconds": ended.seconds, "wall_seconds": ended.wall, "commit": tried}
         write_atomic(results / name, json.dumps(said, indent=1) + "\n")
         (unfinished / name).unlink(missing_ok=True)
-        release(unfinished, int(ended.piece.name))
-        print(f"{ended.piece.name} {said['verdict']} "
+        release(unfinished, int(ended.name))
+        print(f"{ended.name} {said['verdict']} "
               f"{ended.reason or ' and '.join(e['name'] for e in said['effects'])} {ended.wall:.0f} s", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("job", choices=("make", "run", "score", "table", "diagnose"))
-    parser.add_argument("folder", type=Path, help="of the trials; for `table`, a file of outcomes; for `diagnose`, "
-                        "that of one trial")
+    parser.add_argument("job", choices=("make", "run", "score", "table"))
+    parser.add_argument("folder", type=Path, help="of the trials; for `table`, a file of outcomes")
     parser.add_argument("--trials", type=int, default=300)
     parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seed", type=int, default=1)
@@ -195,16 +156,11 @@ def main() -> None:
     # What runs is stopped with this process, not left behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     match options.job:
-        case "make" if options.trials == 1:
-            make_one(options.folder, options.first, options.seed, shapes=options.shapes,
-                     conceal=options.conceal)
         case "make":
             make(options.folder, options.first, options.trials, options.seed, options.jobs, shapes=options.shapes,
                  conceal=options.conceal)
         case "run":
             run(options.folder, options.jobs, options.minutes, uncommitted=options.uncommitted)
-        case "diagnose":
-            diagnose_one(options.folder, options.into)
         case "score":
             score(options.folder, options.commit, options.into)
         case "table":

@@ -23,11 +23,11 @@ NodalArray = NDArray[Any]
 #: Limit of Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
 MOST_STEPS = 20
 #: Largest step, as a share of the size of the cell, after which one more step finds a point to rounding.
-CLOSE = 1e-7
+LAST_STEP = 1e-7
 #: Distance outside a cell, as a share of its size, at which a point still counts as inside.
-INSIDE = 1e-8
+INSIDE_WITHIN = 1e-8
 #: Distance outside a cell, in local coordinates, at which the search for a point in it ends.
-FAR = 0.5
+GIVEN_UP_AT = 0.5
 #: Largest distance, as a share of the size of a cell, by which its curved sides extend past its nodes.
 BEYOND_NODES = 0.05
 #: Largest distance between the middles of two sides that are one, as a share of the whole mesh.
@@ -55,7 +55,7 @@ def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[I
                                   & (near <= high[number, 1] + slack[number, 1])]
         if chosen.size:
             there = _local(nodes[number], places[chosen])
-            inside = (np.abs(there - 0.5) <= 0.5 + INSIDE).all(axis=1)
+            inside = (np.abs(there - 0.5) <= 0.5 + INSIDE_WITHIN).all(axis=1)
             found[chosen[inside]], local[chosen[inside]] = number, np.clip(there[inside], 0.0, 1.0)
     return found, local
 
@@ -72,7 +72,7 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
     at = (places - begin) @ np.linalg.inv(edges)
     if np.abs(begin + x[:, None, None] * edges[0] + x[None, :, None] * edges[1] - nodes).max() < 1e-13 * size:
         return np.asarray(at)
-    at, miss = np.clip(at, -FAR, 1.0 + FAR), np.full(len(places), np.inf)
+    at, miss = np.clip(at, -GIVEN_UP_AT, 1.0 + GIVEN_UP_AT), np.full(len(places), np.inf)
     left = np.arange(len(places))
     for _ in range(MOST_STEPS):
         (f, df), (g, dg) = (tabulated(order, at[left, axis]) for axis in (0, 1))
@@ -85,12 +85,12 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
             step = np.stack([apart[:, 0] * across[:, 1] - apart[:, 1] * across[:, 0],
                              along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]], axis=1) / area[:, None]
         # Far outside a cell its polynomials have no meaning.
-        at[left] = np.clip(at[left] + np.nan_to_num(step), -FAR, 1.0 + FAR)
+        at[left] = np.clip(at[left] + np.nan_to_num(step), -GIVEN_UP_AT, 1.0 + GIVEN_UP_AT)
         miss[left] = np.abs(apart).max(axis=1)
-        left = left[(miss[left] > CLOSE * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
+        left = left[(miss[left] > LAST_STEP * size) & (np.abs(at[left] - 0.5) < 0.5 + GIVEN_UP_AT).all(axis=1)]
         if not left.size:
             break
-    at[miss > CLOSE * size] = np.nan
+    at[miss > LAST_STEP * size] = np.nan
     return at
 
 

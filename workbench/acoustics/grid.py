@@ -13,7 +13,7 @@ IntArray = NDArray[np.int64]
 
 #: Largest distance, as a share of the grid's extent, at which two lines of a grid are one and a point is on a line:
 #: 3e-11 m of 26 mm.
-TOLERANCE = 1e-9
+SAME_LINE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ def cell_grid(low: FloatArray, high: FloatArray) -> CellGrid:
     lines, first = [], []
     for axis in (0, 1):
         ends = np.sort(np.concatenate([low[:, axis], high[:, axis]]))
-        line = ends[np.concatenate([[True], np.diff(ends) > TOLERANCE * (ends[-1] - ends[0])])]
+        line = ends[np.concatenate([[True], np.diff(ends) > SAME_LINE * (ends[-1] - ends[0])])]
         begin, end = (np.abs(line[:, None] - side[:, axis]).argmin(axis=0) for side in (low, high))
         if (end != begin + 1).any():
             raise ValueError(f"cell {np.flatnonzero(end != begin + 1)[0]} is crossed by a line of other cells")

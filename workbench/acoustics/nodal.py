@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics import curved_cells
-from workbench.acoustics.grid import TOLERANCE, CellGrid, cell_grid
+from workbench.acoustics.grid import SAME_LINE, CellGrid, cell_grid
 from workbench.fem.elements import gauss_lobatto, lobatto_weights, polynomials
 from workbench.results.brief import Brief
 
@@ -31,11 +31,11 @@ SIDES = ((0, -1), (0, 1), (1, -1), (1, 1))
 #: Largest ratio of the sizes of two cells whose nodes share a polynomial. Measured on the reference chip, order 4:
 #: between 1.5 and 2.5 the stress does not change by a tenth of its error; at 4 that of the thin bond is 30 times as
 #: large, and at 20, beside the smallest cells of a corner, 1000 times.
-ALIKE = 2.0
+SIMILAR_SIZES = 2.0
 #: Number of nodes of the neighbour on one side that are used for the other end of a cell. Two make the derivative there
 #: 2.5 times as accurate and three times as sensitive to noise, at any order; all of them would make it 3000 times as
 #: sensitive at order 8.
-BEYOND = 2
+NEIGHBOUR_NODES = 2
 #: Largest difference between the shifts of two cells' points, per length, at which the cells count as moved alike.
 SMOOTH = 1e-6
 
@@ -220,10 +220,11 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
     The derivative of a cell's own polynomial is least accurate at the edges, where most of its nodes are. Therefore a
     polynomial through more nodes is differentiated, in each of the two directions by itself. For a node in the half of
     its cell towards a neighbour, it goes through the nodes of both cells. For a node in a half without neighbour, it
-    goes through those of the cell and the next :data:`BEYOND` on its other side, since further ones would amplify noise
-    there. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with interpolation
-    in place of the least-squares fit. A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is
-    no neighbour, and free cells have none. At a node of several cells the gradient is their mean.
+    goes through those of the cell and the next :data:`NEIGHBOUR_NODES` on its other side, since further ones would
+    amplify noise there. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with
+    interpolation in place of the least-squares fit. A cell of another region, or one larger or smaller by more than
+    :data:`SIMILAR_SIZES`, is no neighbour, and free cells have none. At a node of several cells the gradient is their
+    mean.
 
     Raises:
         ValueError: a name that is not a region of the mesh.
@@ -278,8 +279,8 @@ def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) ->
 
     own = lines[chosen]
     for half, towards, away, next_to, far_from in (
-        (first_half, before, after, slice(0, -1), slice(1, 1 + BEYOND)),
-        (1.0 - first_half, after, before, slice(1, None), slice(-1 - BEYOND, -1)),
+        (first_half, before, after, slice(0, -1), slice(1, 1 + NEIGHBOUR_NODES)),
+        (1.0 - first_half, after, before, slice(1, None), slice(-1 - NEIGHBOUR_NODES, -1)),
     ):
         near = np.flatnonzero(towards >= 0)
         add(near, half, [own[near], lines[towards[near]][:, :, next_to]])
@@ -298,7 +299,7 @@ def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
     low, high = mesh.boxes
     size = (high - low)[:, axis]
     ratio = size[beside] / size
-    fit = (mesh.region[beside] == mesh.region) & (ratio < ALIKE) & (ratio > 1.0 / ALIKE)
+    fit = (mesh.region[beside] == mesh.region) & (ratio < SIMILAR_SIZES) & (ratio > 1.0 / SIMILAR_SIZES)
     if mesh.shift is not None:
         # A cell that is moved differently is no neighbour: on the rectangles, the field has a kink there.
         lines = np.moveaxis(mesh.shift[mesh.cells], 1 + axis, 1)
@@ -368,7 +369,7 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
     # A point on a line, or off it by rounding, may be in the cell on either side.
     sides = []
     for lines, place in ((grid.r, points[:, 0]), (grid.z, points[:, 1])):
-        slack = TOLERANCE * (lines[-1] - lines[0])
+        slack = SAME_LINE * (lines[-1] - lines[0])
         slots = np.stack([np.searchsorted(lines, place - slack, side="right"),
                           np.searchsorted(lines, place + slack, side="right")]) - 1
         sides.append(np.where((slots >= 0) & (slots < len(lines) - 1), slots, -1))
@@ -430,7 +431,7 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     if mesh.free:
         across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
-        at_axis = mesh.points[:, 0] <= TOLERANCE * mesh.points[:, 0].max()
+        at_axis = mesh.points[:, 0] <= SAME_LINE * mesh.points[:, 0].max()
         every = np.arange(len(mesh.cells))
         return [(side, np.flatnonzero(apart[:, side] & ~at_axis[edge_nodes(mesh, side, every)].all(axis=1)))
                 for side in range(4)]
@@ -441,7 +442,7 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     for side, (axis, step) in enumerate(SIDES):
         edge = (labels >= 0) & (grid.beside(labels, axis, step) != labels)
         if (axis, step) == (0, -1):
-            edge[grid.r[:-1] <= TOLERANCE * grid.r[-1]] = False
+            edge[grid.r[:-1] <= SAME_LINE * grid.r[-1]] = False
         found.append((side, grid.cell[edge]))
     return found
 
@@ -466,7 +467,7 @@ def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
 def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
     """The part of ascending `place` in every interval of `lines`, ends included, and the weights of the nodes there
     (order + 1, count)."""
-    slack = TOLERANCE * (lines[-1] - lines[0])
+    slack = SAME_LINE * (lines[-1] - lines[0])
     first = np.searchsorted(place, lines[:-1] - slack, side="left")
     last = np.searchsorted(place, lines[1:] + slack, side="right")
     parts = []

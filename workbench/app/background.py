@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 
 from workbench.files.errors import InputError
 from workbench.physics.term import ModelError
@@ -23,9 +19,6 @@ Work = Callable[[Say, Stopped], str]
 
 #: Exceptions that may end a computation without a defect of the program, as on the command line.
 FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError)
-
-#: Seconds between two checks of a process, and seconds it has to end after it was asked to.
-_LOOK, _GRACE = 0.2, 5.0
 
 
 class Background:
@@ -79,26 +72,3 @@ class Background:
             with self._lock:
                 del self._running[kind]
             self._changed(kind, last, False)
-
-
-def run_command(arguments: Sequence[str], stopped: Stopped, log: Path) -> int | None:
-    """Run ``workbench`` with `arguments` as a process of its own, its output in `log`; its exit status, None if it was
-    stopped."""
-    command = [sys.executable, "-P", "-m", "workbench.cli", *arguments]
-    with log.open("w", encoding="utf-8") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
-        while True:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                return process.wait(_LOOK)
-            if stopped():
-                process.terminate()
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(_GRACE)
-                process.kill()
-                return None
-
-
-def last_lines(log: Path) -> Iterator[str]:
-    """The lines of a log that are not blank, last first."""
-    for line in reversed(log.read_text(encoding="utf-8", errors="replace").splitlines()):
-        if line.strip():
-            yield line.strip()

@@ -19,7 +19,7 @@ from workbench.model.problem import Problem
 
 #: Default relative range of a number to either side. Twice as wide, a range model of six lengths has about twice as
 #: many unknowns.
-REACH = 0.05
+RELATIVE_REACH = 0.05
 #: Largest factor between a moved number and the chip's file, beyond its range: the mesh is stretched, and its elements
 #: were made for that length. A length may go as far as a fit searches.
 FARTHEST = 2.0
@@ -29,7 +29,7 @@ TOLERANCES = 2.0
 SAVED_DIGITS = 6
 
 #: Separator of the ends of a range, as in "substrate.thickness=0.8mm..0.9mm".
-ENDS = ".."
+RANGE_MARK = ".."
 
 #: Thinner layers than this (m) are told in micrometres.
 _THIN = 2e-4
@@ -135,7 +135,7 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
     if ends:
         low, high = _ends(name, ends, number.quantity)
     else:
-        reach = max(REACH * abs(value), TOLERANCES * (number.tolerance or 0.0))
+        reach = max(RELATIVE_REACH * abs(value), TOLERANCES * (number.tolerance or 0.0))
         if number.parsed.is_shape and number.tolerance is None:
             reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[number.parsed.coefficient])
         low, high = value - reach, value + reach
@@ -171,10 +171,10 @@ def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
 
 
 def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:
-    low, between, high = text.partition(ENDS)
+    low, between, high = text.partition(RANGE_MARK)
     field = f"--vary {name}"
     if not between:
-        raise InputError("command line", field, text, f"two numbers with {ENDS!r} between them")
+        raise InputError("command line", field, text, f"two numbers with {RANGE_MARK!r} between them")
     one, other = (parse_quantity(end.strip(), dimension, source="command line", field=field) for end in (low, high))
     return one, other
 

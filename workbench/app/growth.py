@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from geometry.chip import Chip
 from materials.registry import Registry
-from workbench.app.elsewhere import Send, elsewhere
 from workbench.fem.operators import assemble
+from workbench.jobs.process import Send, stream
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
@@ -53,19 +54,19 @@ def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
 
     Raises:
         InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
-        RuntimeError: the process ended without a word.
+        WorkerEnded: the process ended by itself.
     """
     plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
     problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
     operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
-    with contextlib.closing(elsewhere(_grow, wanted)) as models:
+    with contextlib.closing(stream(partial(_grow, wanted=wanted))) as models:
         for model, of in models:
             if of != known:
                 raise RuntimeError("the process that makes the model has another mesh of the chip")
             yield replace(model, problem=problem, reduced=replace(model.reduced, full=operators))
 
 
-def _grow(send: Send, wanted: Wanted) -> None:
+def _grow(send: Send, *, wanted: Wanted) -> None:
     """Send every model with the fingerprint of its problem."""
     try:
         for model in growing_here(wanted):

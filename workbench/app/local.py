@@ -23,12 +23,12 @@ from workbench.reduced.reduction import ReducedModel, narrowed
 #: which frequencies of the model are skipped.
 ALONG, AROUND, EVERY = 9, 2, 3
 #: Share of a range to either side of a point for which the model about it is made.
-NEAR = 0.125
+NEAR_SHARE = 0.125
 #: Largest number of unknowns with which a range model itself answers within some ten milliseconds.
-SMALL = 100
+SMALL_RANK = 100
 #: Size of directions, relative to the largest, below which they are left out, for states over the root of their charge.
 #: On the reference chip the impedance is then off by 1e-3 at most; at three times as much by 6e-3.
-NEGLIGIBLE = 1e-3
+NEGLIGIBLE_DIRECTION = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,8 @@ def along(model: RangeModel, name: str) -> Ranges:
 
 def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
     """The reach of a local model for any one number near `centre` (SI)."""
-    return {name: (max(low, centre[name] - NEAR * (high - low)), min(high, centre[name] + NEAR * (high - low)))
+    return {name: (max(low, centre[name] - NEAR_SHARE * (high - low)),
+                   min(high, centre[name] + NEAR_SHARE * (high - low)))
             for name, (low, high) in model.ranges.items()}
 
 
@@ -87,10 +88,10 @@ def local_model(
 ) -> LocalModel | None:
     """The local model about `centre` (SI), or None.
 
-    None for a :data:`SMALL` range model, for an error above the range model's tolerance, and once `stopped`. The error
-    is measured between the points that the model was made of.
+    None for a range model of :data:`SMALL_RANK`, for an error above the range model's tolerance, and once `stopped`.
+    The error is measured between the points that the model was made of.
     """
-    if model.rank <= SMALL:
+    if model.rank <= SMALL_RANK:
         return None
     watched, compact = model.frequency[::EVERY], model.compact
     count = ALONG if len(reach) == 1 else AROUND
@@ -101,7 +102,8 @@ def local_model(
             return None
         found = compact.solve(watched, placed(model.problem.values, values))
         states.append(found.states / np.sqrt(np.abs(found.charge)))
-    made = LocalModel(model, dict(centre), reach, narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE))
+    narrow = narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE_DIRECTION)
+    made = LocalModel(model, dict(centre), reach, narrow)
     for name, (low, high) in reach.items():
         if stopped():
             return None

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workbench.app.elsewhere import Send
 from workbench.app.session import Present
 from workbench.fitting import joint
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.prepare import prepare
+from workbench.jobs.process import Send
 from workbench.model.numbers import Stated, placed
 from workbench.results.spectrum import Spectrum
 
@@ -36,8 +36,8 @@ class Refit:
 
 
 def refit(
-    send: Send, present: Present, values: Mapping[str, float], uncertainties: Mapping[str, float], measured: Spectrum,
-    name: str,
+    send: Send, *, present: Present, values: Mapping[str, float], uncertainties: Mapping[str, float],
+    measured: Spectrum, name: str,
 ) -> None:
     """Fit numbers to a recording of that `name`, from their present `values` (SI) and from the chip's own.
 

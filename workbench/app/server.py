@@ -28,7 +28,7 @@ from workbench.app.panels import DrawnField, curve, described, embedded, figure_
 from workbench.app.section_fields import SectionFields
 from workbench.app.session import NotReady, Session
 from workbench.app.spectrum_view import SpectrumView
-from workbench.app.works import KINDS, REPORT, Works
+from workbench.app.works import KINDS, REPORT, Diagnosing, Works
 from workbench.files.errors import InputError
 from workbench.reduced.ranges import OutOfRange
 
@@ -54,14 +54,15 @@ class Drawing:
 class LiveView:
     """A session on a page of its own server. Serve it by :meth:`serve`; ``address`` opens the page."""
 
-    def __init__(self, session: Session, drawing: Drawing, folder: Path, *, campaign: Path | None = None) -> None:
-        """Chip files and reports go to `folder`, which is made when needed; `campaign` replaces the one recording in a
-        diagnosis."""
+    def __init__(self, session: Session, drawing: Drawing, folder: Path, diagnosing: Diagnosing, *,
+                 campaign: Path | None = None) -> None:
+        """Chip files and reports go to `folder`, which is made when needed; `diagnosing` makes a diagnosis, of the
+        `campaign` or of the one recording."""
         from trame.app import get_server
 
         self.session, self.drawing, self.folder = session, drawing, folder
         self.token, self.address = guard.new_token(), ""
-        self.works = Works(session, folder, campaign)
+        self.works = Works(session, folder, campaign, diagnosing)
         self._background = Background(self._heard)
         self._names = [each.name for each in session.controls]
         self._entries = Counter[str]()

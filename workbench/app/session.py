@@ -25,10 +25,10 @@ from geometry.names import TRANSDUCER
 from geometry.stretch import admissible_range, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
-from workbench.app.controls import REACH, Control, controls, is_inside, wraps
+from workbench.app.controls import RELATIVE_REACH, Control, controls, is_inside, wraps
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
-from workbench.app.local import SMALL, LocalModel, along, in_halves, local_model, local_ranges
+from workbench.app.local import SMALL_RANK, LocalModel, along, in_halves, local_model, local_ranges
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.fem.operators import assemble
@@ -43,12 +43,12 @@ from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, 
 from workbench.results.spectrum import Spectrum
 
 #: Number of frequencies of the band in an answered spectrum; twice as many take twice as long.
-POINTS = 121
+SPECTRUM_POINTS = 121
 #: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
-TOLERANCE = 1e-2
-#: Ratio of the ends of a range above which it is modelled in stages: first for `REACH` to either side of the file's
-#: number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of 1.7 would have
-#: no first stage.
+MODEL_TOLERANCE = 1e-2
+#: Ratio of the ends of a range above which it is modelled in stages: first for `RELATIVE_REACH` to either side of the
+#: file's number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of 1.7
+#: would have no first stage.
 WIDE = 1.5
 #: Largest number of full solves of a model of a whole wide range; its remaining error is shown. Doubled, the model of a
 #: large chip takes some five minutes.
@@ -99,8 +99,8 @@ class Session:
         *,
         registry: Registry | None = None,
         band: tuple[float, float] | None = None,
-        points: int = POINTS,
-        tolerance: float = TOLERANCE,
+        points: int = SPECTRUM_POINTS,
+        tolerance: float = MODEL_TOLERANCE,
         accuracy: float | Discretisation = ACCURACY,
         drive: Drive | None = None,
         recording: Spectrum | None = None,
@@ -337,7 +337,8 @@ class Session:
             low, high = whole[each.name]
             if 0.0 < low * WIDE < high:
                 wide.append(each)
-                low, high = max(low, (1.0 - REACH) * each.value), min(high, (1.0 + REACH) * each.value)
+                low = max(low, (1.0 - RELATIVE_REACH) * each.value)
+                high = min(high, (1.0 + RELATIVE_REACH) * each.value)
             near[each.name] = (low, high)
         if not wide:
             return {WHOLE: whole}
@@ -417,7 +418,7 @@ class Session:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
             model = self._best(values)
             local = next((each for each in self._local if each.holds(model, values)), None)
-        if local is not None or model.rank <= SMALL:
+        if local is not None or model.rank <= SMALL_RANK:
             response = model(values) if local is None else local(values)
             return spectrum_view(response, deviations, model.error, self.recording)
         found = spectrum_view(in_halves(model, values), {} if hurried else deviations, model.error, self.recording)

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from geometry.chip_file import write_chip
-from workbench.app.background import Say, Stopped, last_lines, run_command
-from workbench.app.elsewhere import Send, elsewhere, stand_back
+from workbench.app.background import Say, Stopped
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import NAMED
 from workbench.files.errors import InputError
+from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
+from workbench.jobs.process import STAND_BACK, Send, stream
+from workbench.jobs.workers import Processes
 from workbench.results.spectrum import write_csv
 
 #: Name of each kind of work on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
                             "diagnose": "Diagnosis"}
+
+#: Diagnoses a campaign into a folder, as ``workbench diagnose`` does, and sends the exit status.
+Diagnosing = Callable[..., None]
 
 #: Path of the report of a diagnosis on the page.
 REPORT = "diagnosis/report.html"
@@ -34,13 +38,14 @@ SOLVED = 41
 class Works:
     """The works on a session. ``free`` are the names of numbers that a fit may move.
 
-    A diagnosis goes to a folder within `folder`, and is of the `campaign` or, without one, of the session's recording.
+    A diagnosis goes to a folder within `folder`, and is of the `campaign` or, without one, of the session's recording;
+    `diagnosing` makes it.
     """
 
-    def __init__(self, session: Session, folder: Path, campaign: Path | None) -> None:
-        self._session, self._folder, self.campaign = session, folder, campaign
+    def __init__(self, session: Session, folder: Path, campaign: Path | None, diagnosing: Diagnosing) -> None:
+        self._session, self._folder, self.campaign, self._diagnosing = session, folder, campaign, diagnosing
         self.free: set[str] = set()
-        self._checks = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=stand_back)
+        self._checks = Processes(1, nice=STAND_BACK)
 
     @property
     def report(self) -> Path:
@@ -59,13 +64,13 @@ class Works:
         """Check the model by one full solve at the frequency of the fields."""
         session = self._session
         reduced = session.impedance(frequency)
-        full = self._checks.submit(_impedance, session.present(), frequency).result()
+        full = self._checks.submit(partial(_impedance, session.present(), frequency)).result()
         return (f"a full solve at {frequency / 1e6:.4f} MHz on a mesh of its own: the model is off by "
                 f"{100.0 * abs(reduced / full - 1.0):.2g} % there")
 
     def close(self) -> None:
         """End all work."""
-        self._checks.shutdown(wait=False, cancel_futures=True)
+        self._checks.close()
 
     def full(self, say: Say, stopped: Stopped, solved: Callable[[float, complex], None]) -> str:
         """Solve in full all over the band on a mesh of the present chip's own; `solved` is called with every result."""
@@ -73,7 +78,8 @@ class Works:
         found: list[tuple[float, complex]] = []
         model = self._session.spectrum().spectrum.interpolant()
         wanted = np.linspace(*self._session.band, SOLVED).tolist()
-        for frequency, impedance in elsewhere(_solve, self._session.present(), wanted, stopped=stopped):
+        for frequency, impedance in stream(
+                partial(_solve, present=self._session.present(), frequencies=wanted), stopped=stopped):
             found.append((frequency, impedance))
             solved(frequency, impedance)
             say(f"{len(found)} of {SOLVED} frequencies")
@@ -98,8 +104,9 @@ class Works:
         say(told)
         values, found = session.values, None
         held = {name: number for name, number in values.items() if name not in free}
-        for found in elsewhere(refit, session.present(held), {name: values[name] for name in free},
-                               session.typed_uncertainties(), recording, session.recording_name, stopped=stopped):
+        task = partial(refit, present=session.present(held), values={name: values[name] for name in free},
+                       uncertainties=session.typed_uncertainties(), measured=recording, name=session.recording_name)
+        for found in stream(task, stopped=stopped):
             if isinstance(found, str):
                 say(f"{told}: {found}")
         if not isinstance(found, Refit):
@@ -117,17 +124,17 @@ class Works:
         return told
 
     def diagnose(self, say: Say, stopped: Stopped) -> str:
-        """Run ``workbench diagnose`` as a process, on the campaign or on the one recording."""
+        """Run ``workbench diagnose`` in a process, on the campaign or on the one recording."""
         folder = self.report.parent
         folder.mkdir(parents=True, exist_ok=True)
         campaign = self.one_recording(folder) if self.campaign is None else self.campaign
         say(f"of {campaign}; takes minutes, and goes on beside")
         log = folder / "log.txt"
-        status = run_command(["diagnose", str(campaign), "-o", str(folder)], stopped, log)
-        if status is None:
-            return "stopped"
-        last = next(last_lines(log), "no words")
-        return f"done, see {self.report}" if status == 0 else f"failed: {last}"
+        log.unlink(missing_ok=True)
+        for status in stream(partial(self._diagnosing, campaign=campaign, folder=folder), stopped=stopped, words=log):
+            last = next(last_lines(log), "no words")
+            return f"done, see {self.report}" if status == 0 else f"failed: {last}"
+        return "stopped"
 
     def one_recording(self, folder: Path) -> Path:
         """A campaign of the one recording and the present chip; the ticked numbers are free, or else all.
@@ -143,19 +150,21 @@ class Works:
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.
-        lines = ["[campaign]", f'known = "{NAMED}"', "", "[states.recorded]", f'chip = "{chip.name}"',
-                 f'state = "{session.state}"', 'recording = "recording.csv"', "", "[known]"]
+        known: dict[str, TomlEntry] = {}
         typed = session.typed_uncertainties()
         for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
-                lines.append(f'"{parameter.name}" = "{parameter.prior!r} {parameter.unit}"')
+                known[parameter.name] = f"{parameter.prior!r} {parameter.unit}"
         path = folder / "campaign.toml"
-        write_atomic(path, "\n".join(lines) + "\n")
+        write_atomic(path, "\n".join([
+            toml_table("[campaign]", {"known": NAMED}),
+            toml_table("[states.recorded]", {"chip": chip.name, "state": session.state, "recording": "recording.csv"}),
+            toml_table("[known]", known)]))
         return path
 
 
-def _solve(send: Send, present: Present, frequencies: Sequence[float]) -> None:
+def _solve(send: Send, *, present: Present, frequencies: Sequence[float]) -> None:
     present.solve(send, frequencies)
 
 
@@ -164,3 +173,10 @@ def _impedance(present: Present, frequency: float) -> complex:
     found: list[tuple[float, complex]] = []
     present.solve(found.append, [frequency])
     return found[0][1]
+
+
+def last_lines(log: Path) -> Iterator[str]:
+    """The lines of a log that say something, last first."""
+    for line in reversed(log.read_text(encoding="utf-8", errors="replace").splitlines()):
+        if line.strip():
+            yield line.strip()

@@ -26,6 +26,7 @@ from workbench.files.writing import write_atomic
 from workbench.instruments.feeltech import open_feeltech
 from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Waveform
 from workbench.instruments.opening import open_bench
+from workbench.instruments.tektronix import DIVISIONS
 
 #: Number of attempts to open the bench anew to switch the drive off, and the pause (s) between them.
 _ATTEMPTS_OFF = 5
@@ -40,9 +41,6 @@ _SPARSE = 2.6
 #: remain when the drive is off.
 _TELLING = 20.0
 _LEFT = 0.5
-
-#: Divisions of a record.
-_DIVISIONS = 10.0
 
 #: Largest number of steps of auto-ranging.
 _RANGINGS = 12
@@ -204,7 +202,7 @@ class Rig:
         setup = self.setup
         oscilloscope.set_averages(setup.acquisition.averages)
         middle = 0.5 * (setup.sweep.low + setup.sweep.high)
-        oscilloscope.set_timebase(setup.acquisition.periods / (_DIVISIONS * middle))
+        oscilloscope.set_timebase(setup.acquisition.periods / (DIVISIONS * middle))
         for channel in (setup.oscilloscope.channel_total, setup.oscilloscope.channel_reference):
             self._set_scale(channel, min(setup.levels) / _FULL)
 

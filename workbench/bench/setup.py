@@ -46,6 +46,7 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
+from workbench.instruments.tektronix import AVERAGES, PROBES
 
 #: Resolution of the generator: hertz and volt peak to peak.
 FREQUENCY_RESOLUTION = 0.01
@@ -56,7 +57,6 @@ SOURCE_RESISTANCE = 50.0
 
 KINDS = ("linear", "adaptive")
 DIRECTIONS = ("up", "down", "both")
-AVERAGES = (1, 4, 16, 64, 128)
 
 
 @dataclass(frozen=True)
@@ -268,8 +268,8 @@ def _oscilloscope(table: FileTable) -> OscilloscopeSettings:
         raise table.error("channel_reference", "another channel than channel_total")
     probes = {key: table.whole(key, 10, low=1, high=10) for key in ("probe_total", "probe_reference")}
     for key, factor in probes.items():
-        if factor not in (1, 10):
-            raise table.error(key, "1 or 10")
+        if factor not in PROBES:
+            raise table.error(key, " or ".join(map(str, PROBES)))
     return OscilloscopeSettings(
         port=_line(table, "port"), model=_line(table, "model", OscilloscopeSettings.model),
         baud=table.whole("baud", OscilloscopeSettings.baud, low=1, high=10_000_000), **channels, **probes,

@@ -21,6 +21,7 @@ from workbench.app.session import Session
 from workbench.commands.asked import asked_model, asked_reading
 from workbench.commands.terminal import print_line
 from workbench.files.errors import InputError
+from workbench.jobs.process import Send
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,7 +49,8 @@ def run_app(options: argparse.Namespace, console: Console) -> int:
                       accuracy=asked.accuracy, drive=asked.drive, recording=recording,
                       recording_name="" if options.recording is None else options.recording.name,
                       growing=growing_elsewhere)
-    view = LiveView(session, Drawing(_section, _space), options.folder, campaign=options.campaign)
+    view = LiveView(session, Drawing(_section, _space), options.folder, diagnose_as_command,
+                    campaign=options.campaign)
 
     def ready(address: str) -> None:
         print_line(address)
@@ -60,6 +62,13 @@ def run_app(options: argparse.Namespace, console: Console) -> int:
     with contextlib.suppress(KeyboardInterrupt), _cancelling():
         asyncio.run(view.serve(options.port, ready))
     return 0
+
+
+def diagnose_as_command(send: Send, *, campaign: Path, folder: Path) -> None:
+    """``workbench diagnose`` in this process; sends its exit status."""
+    from workbench.cli import main
+
+    send(main(["diagnose", str(campaign), "-o", str(folder)]))
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,11 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     except InputError as error:
         raise InputError("command line", "--accuracy", options.accuracy, error.expected) from None
     return accuracy
+
+
+def asked_jobs(options: argparse.Namespace) -> int:
+    """How many pieces of work at a time the options ask for, one for each core if they do not say."""
+    return options.jobs or os.cpu_count() or 1
 
 
 def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:

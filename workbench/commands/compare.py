@@ -14,6 +14,7 @@ from workbench.commands.asked import asked_model, asked_reading, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.report.comparison import (
     compared_figures_table,
     comparison_record,
@@ -22,7 +23,6 @@ from workbench.report.comparison import (
     write_comparison_report,
 )
 from workbench.report.figures import figures_record
-from workbench.report.page import write_json
 from workbench.report.simulation import simulation_record
 from workbench.results.comparison import compare
 from workbench.results.merit import measured_figures

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
-from workbench.commands.asked import asked_accuracy, output_folder
+from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
-from workbench.design.executors import processes
 from workbench.design.goal import read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
-from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.report.design import (
     active_table,
@@ -30,7 +25,6 @@ from workbench.report.design import (
     summary_lines,
     write_design_report,
 )
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,9 +35,7 @@ SO_FAR = "best_so_far.toml"
 
 def run_design(options: argparse.Namespace, console: Console) -> int:
     """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
-    workers = os.cpu_count() or 1 if options.workers is None else options.workers
-    if workers < 1:
-        raise InputError("command line", "--workers", options.workers, "one or more")
+    jobs = asked_jobs(options)
     registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), asked_accuracy(options)
     goal = read_goal(options.goal, registry=registry)
     for text in fill(goal.chip, goal.state, registry).findings:
@@ -52,8 +44,8 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
     so_far, best_file = folder / SO_FAR, folder / "best.toml"
     # Or the chip of an earlier run would pass for this one's.
     best_file.unlink(missing_ok=True)
-    with progress_bars(console) as show, _executor(workers) as executor:
-        found = optimise(goal, registry=registry, accuracy=accuracy, executor=executor, report=show,
+    with progress_bars(console) as show:
+        found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, report=show,
                          keep=lambda chip, _point: write_chip(chip, so_far))
         if found.best is not None:
             write_chip(found.best.chip, best_file)
@@ -69,14 +61,6 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
     return 0 if found.best is not None else 1
 
 
-@contextmanager
-def _executor(workers: int) -> Iterator[Executor | None]:
-    """Processes for the starts; none where one worker is enough."""
-    if workers == 1:
-        yield None
-        return
-    with processes(workers) as pool:
-        yield pool
 
 
 def _tell(found: Design) -> None:

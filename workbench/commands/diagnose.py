@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder, say_read_as
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.known_physics import contributions
 from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.readers import READ_AS
 from workbench.report.diagnosis import (
     LEFT,
@@ -23,7 +23,6 @@ from workbench.report.diagnosis import (
     write_diagnosis_report,
     write_stopped,
 )
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -82,9 +81,6 @@ def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:
     Raises:
         InputError: no process, or no time.
     """
-    jobs = os.cpu_count() or 1 if options.jobs is None else options.jobs
-    if jobs < 1:
-        raise InputError("command line", "--jobs", jobs, "one process at least")
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError("command line", "--minutes", options.minutes, "more than no time")
-    return jobs, options.minutes
+    return asked_jobs(options), options.minutes

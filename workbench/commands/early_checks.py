@@ -40,6 +40,9 @@ def check_early(options: argparse.Namespace) -> None:
         text = getattr(options, key, None)
         if isinstance(text, str):
             parse_quantity(text, dimension, source="command line", field=field)
+    jobs = getattr(options, "jobs", None)
+    if jobs is not None and jobs < 1:
+        raise InputError("command line", "--jobs", jobs, "one or more")
     chip, recording = getattr(options, "chip", None), getattr(options, "recording", None)
     if isinstance(chip, Path) and isinstance(recording, Path):
         check_order(recording, chip)

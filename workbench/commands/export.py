@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geometry.chip import read_chip
+from geometry.chip import Chip, read_chip
 from workbench.commands.asked import output_folder
 from workbench.commands.terminal import print_line
 
@@ -15,9 +16,14 @@ if TYPE_CHECKING:
 
 def run_export(options: argparse.Namespace, _console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
-    from geometry.export import export_step, export_stl
-
-    chip, folder = read_chip(options.chip), output_folder(options.output)
-    for path in (export_step(chip, folder / "chip.step"), *export_stl(chip, folder).values()):
+    assembly, parts = export_solids(read_chip(options.chip), output_folder(options.output))
+    for path in (assembly, *parts.values()):
         print_line(str(path))
     return 0
+
+
+def export_solids(chip: Chip, folder: Path) -> tuple[Path, dict[str, Path]]:
+    """Write the solids of a chip: the STEP file of the assembly, and STL files by part."""
+    from geometry.export import export_step, export_stl
+
+    return export_step(chip, folder / "chip.step"), export_stl(chip, folder)

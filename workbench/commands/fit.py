@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
-import sys
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_accuracy, output_folder, saving_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder, saving_folder, say_read_as
 from workbench.commands.fit_job import Done, known, run_job
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
+from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
 from workbench.fitting.batch import (
     BatchMember,
     Job,
     Settings,
     read_batch,
-    run_commands,
     summarise,
 )
 from workbench.fitting.prepare import DEFAULT
 from workbench.fitting.record import refusals
+from workbench.jobs.workers import Task, Workers, begin_workers
 from workbench.readers import READ_AS
 from workbench.report.fit import derived_table, gel_table, match_table, parameter_table, without_prior
 from workbench.report.fit_batch import batch_columns_table, devices_table, summary_record, write_batch_report
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -110,9 +110,6 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
     """``workbench fit batch``: what is finished is on disk at once, and a further run does only the rest."""
-    workers = os.cpu_count() or 1 if options.workers is None else options.workers
-    if workers < 1:
-        raise InputError("command line", "--workers", options.workers, "one or more")
     batch = read_batch(options.file)
     folder = output_folder(options.output)
     if any(job.save is not None for job in batch.jobs):
@@ -130,13 +127,10 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     for job in waiting:
         # Or a fit that fails now would pass for the one that succeeded before.
         (folder / job.name / "fit.json").unlink(missing_ok=True)
-    with progress_bars(console) as show:
-        last_words = run_commands({job.name: _command(options, job.name) for job in waiting}, workers=workers,
-                                  report=partial(_report, show))
+    with progress_bars(console) as show, begin_workers(min(asked_jobs(options), len(waiting) or 1)) as workers:
+        failed = fit_all(waiting, settings, folder, workers, show)
     for job in waiting:
         records[job.name] = known(job, settings, folder)
-    # Status 1 and yet a result: not accepted.
-    failed = {job.name: last_words.get(job.name, "no result") for job in waiting if records[job.name] is None}
     finished = {name: record for name, record in records.items() if record is not None}
     columns = summarise(finished)
     write_json(folder / "summary.json", summary_record(batch.name, columns, finished, failed))
@@ -159,17 +153,27 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
     return _tell(done, console, job.save)
 
 
-def _command(options: argparse.Namespace, name: str) -> list[str]:
-    """This command again, for one of its jobs."""
-    command = [sys.executable, "-P", "-m", "workbench.cli", "fit", "batch", str(options.file), "--only", name,
-               "--output", str(options.output), "--algorithm", options.algorithm, "--tries", str(options.tries),
-               "--accuracy", options.accuracy]
-    for material in options.start:
-        command += ["--start", material]
-    for folder in options.materials:
-        command += ["--materials", str(folder)]
-    return command + ["--force"] * options.force
+def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Workers, show: Show) -> dict[str, str]:
+    """Fit jobs into folders of theirs within `folder`; the error of each that failed, by its name.
+
+    What is finished stays when the rest is interrupted.
+    """
+    failed: dict[str, str] = {}
+
+    def tasks() -> Iterator[tuple[str, Task[None]]]:
+        for job in jobs:
+            show(job.name, "fitting", 0.0)
+            yield job.name, partial(_fitted, job, settings, folder / job.name)
+
+    for name, done in workers.completed(tasks()):
+        error = done.exception()
+        if error is not None:
+            failed[name] = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        show(name, "done" if error is None else "failed", 1.0)
+    return failed
 
 
-def _report(show: Show, name: str, activity: str) -> None:
-    show(name, activity, 0.0 if activity == "fitting" else 1.0)
+@one_thread()
+def _fitted(job: Job, settings: Settings, folder: Path) -> None:
+    """Fit a job: its results are in its folder."""
+    run_job(job, settings, folder)

@@ -14,6 +14,7 @@ from materials.kinds import Material
 from materials.versions import check_name
 from workbench.commands.asked import saving_folder
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished
 from workbench.fitting.gel import GelCase, gel_study, with_gel
 from workbench.fitting.joint import FitResult, fit_parameters
@@ -28,7 +29,6 @@ from workbench.fitting.record import (
 from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.fit import fit_record, gel_record, write_fit_report
-from workbench.report.page import write_json
 from workbench.reproduction import fits as paper
 from workbench.results.spectrum import write_csv
 

@@ -12,6 +12,7 @@ from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.model.discretisation import ROWS, Discretisation, discretisation
 from workbench.model.problem import build, fill
 from workbench.report.mesh import (
@@ -21,7 +22,6 @@ from workbench.report.mesh import (
     convergence_table,
     write_convergence_report,
 )
-from workbench.report.page import write_json
 from workbench.simulation.run import Simulation
 
 if TYPE_CHECKING:

@@ -62,6 +62,11 @@ def _with_accuracy(sub: argparse.ArgumentParser) -> None:
                      .replace("%", "%%"))
 
 
+def _with_jobs(sub: argparse.ArgumentParser, pieces: str) -> None:
+    sub.add_argument("--jobs", type=int, metavar="N",
+                     help=f"{pieces} at a time, in as many processes (default: one for each core)")
+
+
 def _with_recording(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--columns", type=Path, metavar="MAP.toml",
                      help="which columns of the recording are what (default: as their headings say; where these do "
@@ -216,6 +221,7 @@ def _tolerance(sub: argparse.ArgumentParser) -> None:
                      help="sensitivities to every number, by 1 %% of it where no uncertainty is stated (default: the "
                           "uncertain ones, or every one if none is)")
     _with_model(sub)
+    _with_jobs(sub, "parcels of samples")
     sub.set_defaults(tracking=True)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
@@ -285,7 +291,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     with_search(batch)
     batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
-    batch.add_argument("--workers", type=int, metavar="N", help="fits at a time (default: one for each core)")
+    _with_jobs(batch, "fits")
     _with_accuracy(batch)
     _with_materials(batch)
     batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
@@ -296,7 +302,7 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
                      help="states of a device with their recordings, and what is known of it")
     _with_accuracy(sub)
     _with_materials(sub)
-    sub.add_argument("--jobs", type=int, metavar="N", help="processes that share the work (default: one for each core)")
+    _with_jobs(sub, "pieces of the search")
     sub.add_argument("--minutes", type=float, metavar="M",
                      help="begin nothing new after so many minutes, and report what is known by then")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
@@ -391,7 +397,7 @@ def _import(sub: argparse.ArgumentParser) -> None:
 def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("goal", type=Path, metavar="GOAL.toml",
                      help="what may change, what is to be best, what must hold; see workbench/design/goal.py")
-    sub.add_argument("--workers", type=int, metavar="N", help="processes for the starts (default: one for each core)")
+    _with_jobs(sub, "starts")
     sub.add_argument("--no-cad", action="store_true", help="leave the solid model out")
     _with_accuracy(sub)
     _with_materials(sub)

@@ -14,9 +14,9 @@ from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem, build, fill
-from workbench.report.page import write_json
 from workbench.report.sensitivity import local_name, ranking_table, sensitivity_record, write_sensitivity_report
 from workbench.reproduction.sensitivity import (
     LOSS_THRESHOLD,

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
-import tempfile
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
+from workbench.commands.export import export_solids
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
-from workbench.jobs.interruption import Stopped, shielded
+from workbench.files.writing import write_json
+from workbench.jobs.interruption import Stopped
+from workbench.jobs.workers import Processes
 from workbench.model.discretisation import discretisation
 from workbench.model.job_size import job_size, memory_to_use
 from workbench.model.problem import fill
-from workbench.report.page import Picture, write_json
+from workbench.report.page import Picture
 from workbench.report.simulation import (
     gathering_record,
     simulated_figures_table,
@@ -50,7 +52,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
-    with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
+    with _solid_model(chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
         for run in _simulated(chip, states, asked, show, folder, unfinished):
             pictures[run.state] = []
             if not options.no_pictures:
@@ -130,34 +132,26 @@ def _at_a_time(chip: Chip, states: Sequence[str], asked: Asked) -> int:
 
 
 @contextmanager
-def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Callable[[], dict[str, Path]]]:
-    """``workbench export`` run on the second core while the first one solves.
+def _solid_model(chip: Chip, folder: Path, *, wanted: bool) -> Iterator[Callable[[], dict[str, Path]]]:
+    """The solids of ``workbench export`` made on the second core while the first one solves.
 
     Call the result to wait for it and get the STL files by part.
 
     Raises:
-        RuntimeError: the export failed; its last words.
+        RuntimeError: the export failed.
     """
     if not wanted:
         yield dict
         return
-    # A process of its own rather than multiprocessing's, which would run the caller's script a second time. CadQuery's
-    # own warnings stay in it.
-    command = [sys.executable, "-P", "-W", "ignore", "-m", "workbench.cli", "export", str(chip_file), "-o", str(folder)]
-    with ExitStack() as stack:
-        words = stack.enter_context(tempfile.TemporaryFile("w+"))
-        with shielded():
-            process = stack.enter_context(subprocess.Popen(command, stdout=words, stderr=words))
-            stack.callback(process.kill)
+    with closing(Processes(1, words=Path(os.devnull))) as workers:
+        made = workers.submit(partial(export_solids, chip, folder))
 
-        def wait() -> dict[str, Path]:
-            status = process.wait()
-            words.seek(0)
-            said = words.read().strip()
-            if status:
-                raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({said[-500:]})")
-            return {path.stem: path for path in map(Path, said.splitlines()) if path.suffix == ".stl"}
+        def parts() -> dict[str, Path]:
+            try:
+                return made.result()[1]
+            except Exception as error:
+                raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({error})") from error
 
-        yield wait
+        yield parts
 
 

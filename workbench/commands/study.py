@@ -8,11 +8,10 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import output_folder
+from workbench.commands.asked import asked_jobs, output_folder
 from workbench.commands.terminal import print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
-from workbench.files.errors import InputError
 from workbench.model.problem import fill
 from workbench.report.study import confirmed_table, draw_study, statistics_table, write_study_report
 
@@ -22,16 +21,13 @@ if TYPE_CHECKING:
 
 def run_study(options: argparse.Namespace, console: Console) -> int:
     """``workbench study``: every point of a study, its table, its pictures, and the report."""
-    if options.jobs is not None and options.jobs < 1:
-        raise InputError("command line", "--jobs", options.jobs, "one or more")
     plan = read_study(options.study, materials=options.materials)
     folder = output_folder(options.output)
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
-    with _executor(options.dask) as (executor, threads), progress_bars(console) as show:
-        found = study(plan, folder, jobs=options.jobs or threads, executor=executor, overwrite=options.overwrite,
-                      progress=show)
+    with _executor(options) as (executor, jobs), progress_bars(console) as show:
+        found = study(plan, folder, jobs=jobs, executor=executor, overwrite=options.overwrite, progress=show)
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)
         show("report", "done", 1.0)
@@ -47,14 +43,14 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
 
 
 @contextmanager
-def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None]]:
-    """The executor that computes the points, and how many at a time; None leaves both to the study."""
-    if address is None:
-        yield None, None
+def _executor(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
+    """The executor of the cluster that the options name, if they do, and how many tasks it is given at a time."""
+    if options.dask is None:
+        yield None, asked_jobs(options)
         return
-    from workbench.design.executors import dask_cluster
+    from workbench.jobs.cluster import dask_cluster
 
-    with dask_cluster(address) as found:
-        yield found
+    with dask_cluster(options.dask) as (executor, threads):
+        yield executor, options.jobs or threads
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.asked import asked_jobs, asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
@@ -16,8 +16,8 @@ from workbench.design.stated import Statement, parse_statement, read_statements,
 from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
 from workbench.model.problem import fill
-from workbench.report.page import write_json
 from workbench.report.tolerance import (
     drive_in_words,
     figures_table,
@@ -56,7 +56,7 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=asked.drive,
             thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
             sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
-            band=asked.band, accuracy=asked.accuracy,
+            band=asked.band, accuracy=asked.accuracy, jobs=asked_jobs(options),
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
         show(found.state, "done", 1.0)
     if found.outcomes is not None:

@@ -4,7 +4,6 @@ the steps that lengths come in."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 from geometry.chip import Chip
@@ -18,6 +17,7 @@ from workbench.design.programme import ProgrammePoint
 from workbench.design.search import Attempt, Optimum, attempt, optima, search_all
 from workbench.design.spread import Spread
 from workbench.design.variables import Selection, changed
+from workbench.jobs.workers import Workers
 
 #: Called with a chip that is not confirmed and its point on the model, as each is found.
 Keep = Callable[[Chip, ProgrammePoint], object]
@@ -52,7 +52,7 @@ class Searched:
 
 
 def search_choice(
-    goal: Goal, selection: Selection, solver: Solver, *, spread: Spread | None, executor: Executor | None, say: Say,
+    goal: Goal, selection: Selection, solver: Solver, *, spread: Spread | None, workers: Workers, say: Say,
     keep: Keep | None,
 ) -> Searched:
     """The best chips of one choice.
@@ -66,7 +66,7 @@ def search_choice(
         # A population is spread over all of the bounds.
         reach = replace(reach, half_widths={each.name: each.high - each.low for each in goal.unknowns})
         return _evolved(goal, selection, modelled(goal, selection, about, reach, solver, say, spread), spread,
-                        executor, say, keep)
+                        workers, say, keep)
     open_sides: tuple[str, ...] = ()
     attempts: list[Attempt] = []
     for models in range(1, goal.search.moves + 2):
@@ -74,7 +74,7 @@ def search_choice(
         if not goal.unknowns:
             only = proposed(goal, modelling.programme, {}, selection)
             return Searched(selection, modelling, models, (), (), (only,) if only.point.exists else ())
-        attempts = _attempts(goal, selection, modelling, about, executor, say, keep)
+        attempts = _attempts(goal, selection, modelling, about, workers, say, keep)
         about, reach = min((each.best.point for each in attempts), key=lambda each: each.rank).lengths, modelling.reach
         open_sides = sides_within(about, modelling.box, goal.unknowns)
         if not open_sides:
@@ -87,7 +87,7 @@ def search_choice(
 
 
 def _attempts(
-    goal: Goal, selection: Selection, modelling: Modelling, about: Mapping[str, float], executor: Executor | None,
+    goal: Goal, selection: Selection, modelling: Modelling, about: Mapping[str, float], workers: Workers,
     say: Say, keep: Keep | None,
 ) -> list[Attempt]:
     """All starts on a model; `keep` gets the chip that each ends at."""
@@ -100,7 +100,7 @@ def _attempts(
         _kept(goal, selection, one.best.point.lengths, one.best.point, keep)
 
     say("starts", 0.0)
-    return search_all(programme, goal.search, programme.unknowns(about), executor=executor, finished=finished)
+    return search_all(programme, goal.search, programme.unknowns(about), workers=workers, finished=finished)
 
 
 def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point: ProgrammePoint,
@@ -144,7 +144,7 @@ def _on_steps(
 
 
 def _evolved(
-    goal: Goal, selection: Selection, modelling: Modelling, spread: Spread | None, executor: Executor | None, say: Say,
+    goal: Goal, selection: Selection, modelling: Modelling, spread: Spread | None, workers: Workers, say: Say,
     keep: Keep | None,
 ) -> Searched:
     """An evolutionary search: of one objective its best member, improved by a descent; of two the front."""
@@ -155,7 +155,7 @@ def _evolved(
         # The ends of the front, by descents: a population alone comes near them only.
         for each in programmes:
             first.append(attempt(each, goal.search, 0, present).best.point.lengths)
-    members = evolve(programmes, goal.stock, goal.search, [present_of(goal), *first], executor=executor,
+    members = evolve(programmes, goal.stock, goal.search, [present_of(goal), *first], workers=workers,
                      say=lambda share: say("generations", share),
                      better=lambda each: _kept(goal, selection, each.lengths, each.points[0], keep))
     chips = [proposed(goal, programme, each.lengths, selection) for each in members]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fem.linearised import FIRST, PLACES, STEP
+from workbench.fem.linearised import DIFFERENCE_PLACES, DIFFERENCE_STEP, FIRST_WEIGHTS
 
 Real = NDArray[np.float64]
 
@@ -47,5 +47,6 @@ class Dual:
 
 def dual_derivative(function: Callable[[float], Real], at: float) -> Real:
     """The derivative (...) of a closed formula (...) of a scalar, to rounding (`workbench.fem.linearised`)."""
-    step = STEP * abs(at)
-    return np.tensordot(FIRST, np.stack([function(at + step * place) for place in PLACES]), axes=1) / step
+    step = DIFFERENCE_STEP * abs(at)
+    values = np.stack([function(at + step * place) for place in DIFFERENCE_PLACES])
+    return np.tensordot(FIRST_WEIGHTS, values, axes=1) / step

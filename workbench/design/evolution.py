@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from workbench.design.goal import SearchOptions
 from workbench.design.programme import Programme, ProgrammePoint
 from workbench.design.variables import VariedNumber
+from workbench.jobs.workers import Workers, itself
 
 if TYPE_CHECKING:
     from pymoo.core.problem import Problem
@@ -47,7 +48,7 @@ def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Popu
 
 def evolve(
     programmes: Sequence[Programme], stock: Sequence[VariedNumber], search: SearchOptions,
-    first: Sequence[Mapping[str, float]] = (), *, executor: Executor | None = None,
+    first: Sequence[Mapping[str, float]] = (), *, workers: Workers,
     say: Callable[[float], None] | None = None, better: Callable[[PopulationMember], None] | None = None,
 ) -> list[PopulationMember]:
     """The members of the last generation that none dominates: one under one objective, the front between two.
@@ -64,15 +65,11 @@ def evolve(
     genes = [_gene(each, stock) for each in programmes[0].variables]
     total = search.generations * search.population
     seen: list[PopulationMember] = []
+    workers.share(itself, tuple(programmes))
 
     def evaluate(rows: Sequence[Mapping[str, Any]]) -> list[PopulationMember]:
         lengths = [{gene.number.name: gene.length(row[gene.number.name]) for gene in genes} for row in rows]
-        if executor is None:
-            found = [judge(programmes, each) for each in lengths]
-        else:
-            # In a few parcels: the model goes with each.
-            found = list(executor.map(judge, [programmes] * len(lengths), lengths,
-                                      chunksize=max(1, math.ceil(len(lengths) / 4))))
+        found = workers.map(partial(judge, lengths=each) for each in lengths)
         for each in found:
             if better is not None and each.points[0].rank < min((one.points[0].rank for one in seen),
                                                                 default=(True, math.inf)):

@@ -25,6 +25,7 @@ from workbench.design.goal import Goal
 from workbench.design.modelling import ChipSolver, Report, Solver, no_report, spread_of
 from workbench.design.programme import ProgrammePoint
 from workbench.design.variables import selections
+from workbench.jobs.workers import begin_workers
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.results.brief import Brief
 
@@ -67,14 +68,15 @@ class Design(Brief):
 
 def optimise(
     goal: Goal, *, registry: Registry | None = None, accuracy: float | Discretisation = ACCURACY,
-    executor: Executor | None = None, report: Report = no_report, keep: Keep | None = None,
+    jobs: int | None = None, executor: Executor | None = None, report: Report = no_report, keep: Keep | None = None,
     solver: Solver | None = None,
 ) -> Design:
     """The best chip for a goal.
 
     Args:
         accuracy: of the meshes, see `workbench.model.discretisation`.
-        executor: works out the starts; this process if None.
+        jobs: starts at a time, in as many processes; one in this process if None.
+        executor: works out the starts in place of such processes, all at a time if `jobs` is None.
         report: called with what is done, its subject, and the share of it that is done.
         keep: called with the best chip of the model so far, each time a start finds a better one.
         solver: what gives models and full solves, those of `workbench.design.model` if None.
@@ -92,10 +94,11 @@ def optimise(
     keep = None if keep is None else _improving(keep)
     choices = tuple(selections(goal.variables, with_stock=not goal.search.evolutionary))
     searched = []
-    for index, selection in enumerate(choices):
-        row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
-        searched.append(search_choice(goal, selection, solver, spread=spread, executor=executor,
-                                      say=partial(report, row), keep=keep))
+    with begin_workers(jobs or (1 if executor is None else goal.search.starts), executor) as workers:
+        for index, selection in enumerate(choices):
+            row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
+            searched.append(search_choice(goal, selection, solver, spread=spread, workers=workers,
+                                          say=partial(report, row), keep=keep))
     spent = time.perf_counter() - started
     found = (_best if len(goal.objectives) == 1 else _front)(goal, searched, solver, partial(report, "confirm"))
     total = time.perf_counter() - started

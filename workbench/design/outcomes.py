@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.design.evaluation import Evaluation
 from workbench.design.model import Evaluator
 from workbench.design.uncertainty import Uncertainty
+from workbench.fem.solve import one_thread
+from workbench.jobs.workers import Workers, itself
 
 Real = NDArray[np.float64]
+
+#: Points that a worker does at a time, up to a second's work. Half as many would double what sending them takes.
+PARCEL = 50
+
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
@@ -33,19 +41,30 @@ class Outcomes:
 
 
 def evaluate(
-    evaluator: Evaluator, uncertainty: Uncertainty, points: Real, *, progress: Callable[[float], None] | None = None
+    evaluator: Evaluator, uncertainty: Uncertainty, points: Real, *, workers: Workers | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`."""
-    labels = tuple(evaluator.figures)
-    values = np.full((len(points), len(labels)), np.nan)
-    missing: dict[str, Counter[str]] = {}
-    error = 0.0
-    for index, point in enumerate(points):
-        found = evaluator(uncertainty.values(point))
-        values[index] = [found.figures[label] for label in labels]
-        for label, reason in found.missing.items():
-            missing.setdefault(label, Counter())[reason] += 1
-        error = float(np.fmax(error, found.error))
+    """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`, by `workers` or by this process."""
+    labels, workers = tuple(evaluator.figures), workers or Workers()
+    workers.share(itself, evaluator)
+    parcels = [points[at:at + PARCEL] for at in range(0, len(points), PARCEL)]
+    found: list[list[Evaluation]] = [[]] * len(parcels)
+    finished = 0
+    for index, done in workers.completed(
+            (index, partial(_evaluated, uncertainty=uncertainty, points=part)) for index, part in enumerate(parcels)):
+        found[index] = done.result()
+        finished += len(found[index])
         if progress is not None:
-            progress((index + 1) / len(points))
-    return Outcomes(labels, points, values, missing, error)
+            progress(finished / len(points))
+    every = [each for parcel in found for each in parcel]
+    values = np.array([[each.figures[label] for label in labels] for each in every]).reshape(len(points), len(labels))
+    missing: dict[str, Counter[str]] = {}
+    for each in every:
+        for label, reason in each.missing.items():
+            missing.setdefault(label, Counter())[reason] += 1
+    return Outcomes(labels, points, values, missing, float(np.fmax.reduce([each.error for each in every], initial=0.0)))
+
+
+def _evaluated(evaluator: Evaluator, *, uncertainty: Uncertainty, points: Real) -> list[Evaluation]:
+    with one_thread():
+        return [evaluator(uncertainty.values(point)) for point in points]

@@ -6,9 +6,9 @@ another. So how many of them end at the best optimum says how surely it is the b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scipy.stats import qmc
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import SearchOptions
 from workbench.design.programme import Programme, ProgrammePoint
+from workbench.jobs.workers import Workers, itself
 from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
@@ -65,33 +66,19 @@ def attempt(programme: Programme, search: SearchOptions, number: int, present: R
 
 
 def search_all(
-    programme: Programme, search: SearchOptions, present: Real, *, executor: Executor | None = None,
+    programme: Programme, search: SearchOptions, present: Real, *, workers: Workers,
     finished: Callable[[Attempt], None] | None = None,
 ) -> list[Attempt]:
     """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
     found = []
-    for each in _attempts(programme, search, present, executor):
-        found.append(each)
+    workers.share(itself, programme)
+    for _, done in workers.completed(
+            (number, partial(attempt, search=search, number=number, present=present if number == 0 else None))
+            for number in range(search.starts)):
+        found.append(done.result())
         if finished is not None:
-            finished(each)
+            finished(found[-1])
     return sorted(found, key=lambda each: each.number)
-
-
-def _attempts(
-    programme: Programme, search: SearchOptions, present: Real, executor: Executor | None
-) -> Iterator[Attempt]:
-    jobs = [(number, present if number == 0 else None) for number in range(search.starts)]
-    if executor is None:
-        for number, first in jobs:
-            yield attempt(programme, search, number, first)
-        return
-    waiting = [executor.submit(attempt, programme, search, number, first) for number, first in jobs]
-    try:
-        for job in as_completed(waiting):
-            yield job.result()
-    finally:
-        for job in waiting:
-            job.cancel()
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:

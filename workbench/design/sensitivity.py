@@ -23,6 +23,7 @@ from workbench.design.model import Evaluator
 from workbench.design.outcomes import evaluate
 from workbench.design.uncertainty import Uncertainty
 from workbench.files.errors import InputError
+from workbench.jobs.workers import Workers
 from workbench.model.numbers import Number
 
 Real = NDArray[np.float64]
@@ -119,7 +120,8 @@ def check_sobol(uncertainty: Uncertainty, count: int, *, source: str, field: str
 
 
 def sobol(
-    evaluator: Evaluator, uncertainty: Uncertainty, count: int, *, seed: int = 0, progress: Progress | None = None
+    evaluator: Evaluator, uncertainty: Uncertainty, count: int, *, seed: int = 0, workers: Workers | None = None,
+    progress: Progress | None = None,
 ) -> SobolIndices:
     """Sobol indices by `count` (2 + inputs) evaluations (Saltelli 2010), with bootstrap intervals.
 
@@ -140,7 +142,7 @@ def sobol(
             if progress is not None:
                 progress((before + part * points.shape[1]) / whole)
 
-        seen.append(evaluate(evaluator, uncertainty, points.T, progress=share).values)
+        seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=share).values)
         return seen[-1].T
 
     generator = np.random.default_rng(seed)

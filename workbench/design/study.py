@@ -12,13 +12,10 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.evaluation import Evaluation
-from workbench.design.executors import processes
 from workbench.design.model import Evaluator
 from workbench.design.parts import Models, ReducedModels, StudyPart, parts_of
 from workbench.design.plan import Study
@@ -34,6 +30,8 @@ from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError
+from workbench.jobs.process import WorkerEnded
+from workbench.jobs.workers import Task, Workers, begin_workers
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -45,7 +43,7 @@ Progress = Callable[[str, str, float], None]
 #: would double the share of the time that goes into sending models, some 2 %.
 CHUNK = 50
 
-#: Tasks given to the workers for each that is being worked on: one waits while one is done.
+#: Tasks given to each worker: one waits while one is done.
 AHEAD = 2
 
 
@@ -65,8 +63,7 @@ def study(
 
     Args:
         jobs: how many tasks are worked on at a time, one for each core if None.
-        executor: works the points out; processes of this machine if None. A script that uses these must be guarded by
-            ``if __name__ == "__main__":``.
+        executor: works the points out; processes of this machine if None, or this one where `jobs` is one.
         overwrite: begin anew in a folder that holds another study.
         models: where models come from; `workbench.design.parts.ReducedModels` if None.
         progress: called with a part of the study, what is done for it, and the fraction that is done.
@@ -82,11 +79,16 @@ def study(
     models, show = models or ReducedModels(), progress or _unseen
     parts = parts_of(plan)
     with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:
-        with _workers(executor, jobs) as pool:
-            run = _Run(plan, kept, pool, AHEAD * jobs, show)
-            for part in parts:
-                run.points_of(part, models)
-            run.full_solves(parts, models)
+        try:
+            with begin_workers(jobs, executor) as workers:
+                run = _Run(plan, kept, workers, show)
+                for part in parts:
+                    run.points_of(part, models)
+                run.full_solves(parts, models)
+        except WorkerEnded as error:
+            left = plan.size - len(kept.rows().index)
+            raise RuntimeError(f"{error}; what was finished is on the disk, {left} of {plan.size} points remain: the "
+                               "same study in the same folder goes on from there") from error
         found = StudyResult(plan, kept.rows(), kept.full_rows())
         found.write(Path(folder))
     return found
@@ -96,38 +98,17 @@ def _unseen(_part: str, _activity: str, _fraction: float) -> None:
     pass
 
 
-@contextmanager
-def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
-    """The executor that was given, which stays open, or processes of this machine."""
-    if executor is not None:
-        yield executor
-        return
-    with processes(jobs) as pool:
-        try:
-            yield pool
-        except BrokenProcessPool as error:
-            raise RuntimeError("a worker process ended before its work was done (out of memory, or killed; or a script "
-                               'that is not guarded by if __name__ == "__main__":); what was finished is on the disk'
-                               ) from error
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A piece of work: ``function`` of ``arguments`` in another process; this one does ``then`` with its result."""
-
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    then: Callable[[Any], None]
+#: A piece of work, and what is done here with its result.
+Then = tuple[Callable[[Any], None], Task[Any]]
 
 
 @dataclass(frozen=True)
 class _Run:
-    """What the steps of a run share; ``ahead`` tasks are given out at a time."""
+    """What the steps of a run share."""
 
     plan: Study
     kept: StudyFolder
-    pool: Executor
-    ahead: int
+    workers: Workers
     show: Progress
 
     def points_of(self, part: StudyPart, models: Models) -> None:
@@ -136,10 +117,11 @@ class _Run:
         if left.size:
             self.show(part.label, "model", 0.0)
             model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
-            self._work(self._point_tasks(model, part, left))
+            self.workers.share(pickle.loads, model)
+            self._work(self._point_tasks(part, left))
         self.show(part.label, "points", 1.0)
 
-    def _point_tasks(self, model: bytes, part: StudyPart, left: Indices) -> Iterator[_Task]:
+    def _point_tasks(self, part: StudyPart, left: Indices) -> Iterator[Then]:
         names, finished = [axis.name for axis in self.plan.numbers], len(part.rows) - left.size
 
         def keep(rows: FinishedPoints) -> None:
@@ -150,7 +132,8 @@ class _Run:
 
         self.show(part.label, "points", finished / len(part.rows))
         for at in np.split(left, range(CHUNK, left.size, CHUNK)):
-            yield _Task(_evaluated, (model, names, part.rows[at], part.points[at], self.plan.figures), keep)
+            yield keep, partial(_evaluated, names=names, rows=part.rows[at], points=part.points[at],
+                                figures=self.plan.figures)
 
     def full_solves(self, parts: Sequence[StudyPart], models: Models) -> None:
         """Full solves of some points of the table, drawn by the seed of the sample."""
@@ -165,29 +148,19 @@ class _Run:
             finished += 1
             self.show("confirmed", "full solves", finished / count)
 
-        self._work(_Task(models.confirmed, (self.plan, part, part.points[at]), partial(keep, int(part.rows[at])))
+        self.workers.share(None)
+        self._work((partial(keep, int(part.rows[at])), partial(models.confirmed, self.plan, part, part.points[at]))
                    for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
 
-    def _work(self, tasks: Iterator[_Task]) -> None:
-        """Do all tasks, each result as soon as it is there."""
-        given: dict[Future[Any], _Task] = {}
-        try:
-            while True:
-                for task in islice(tasks, self.ahead - len(given)):
-                    given[self.pool.submit(task.function, *task.arguments)] = task
-                if not given:
-                    return
-                for future in wait(given, return_when=FIRST_COMPLETED).done:
-                    given.pop(future).then(future.result())
-        finally:
-            for future in given:
-                future.cancel()
+    def _work(self, tasks: Iterable[Then]) -> None:
+        """Do all tasks, and what follows on each as soon as its result is there."""
+        for then, done in self.workers.completed(tasks, ahead=AHEAD):
+            then(done.result())
 
 
-def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real,
+def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, points: Real,
                figures: tuple[str, ...]) -> FinishedPoints:
     """The figures at `points` (k, numbers), which are `rows` (k,) of the study's table."""
-    evaluator: Evaluator = pickle.loads(model)
     found = []
     with one_thread():
         for row, point in zip(rows, points, strict=True):

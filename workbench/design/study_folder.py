@@ -30,7 +30,7 @@ from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
 from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
-from workbench.files.writing import write_atomic
+from workbench.files.writing import write_atomic, write_json
 from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
@@ -150,7 +150,7 @@ def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
     for folder in (_MODELS, _POINTS):
         shutil.rmtree(path / folder, ignore_errors=True)
         (path / folder).mkdir()
-    write_atomic(begun, json.dumps(asked, indent=2) + "\n")
+    write_json(begun, asked)
 
 
 def _check_same(begun: dict[str, str], asked: dict[str, str], path: Path, study: Study) -> None:

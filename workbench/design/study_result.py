@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from workbench.design.plan import Study
 from workbench.design.sampling import GRID
 from workbench.design.study_folder import FinishedPoints
 from workbench.design.variables import Variable, VariedNumber
-from workbench.files.writing import replacing, write_atomic
+from workbench.files.writing import replacing, write_json
 from workbench.results.notebook import Shown, Summary
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ class StudyResult(Shown):
             pyarrow.parquet.write_table(self.to_arrow(), path)
         with replacing(folder / "study.nc") as path:
             self.to_xarray().to_netcdf(path, engine="h5netcdf")
-        write_atomic(folder / "study.json", json.dumps(self.record(), indent=2, allow_nan=False) + "\n")
+        write_json(folder / "study.json", self.record())
 
     def record(self) -> dict[str, Any]:
         """What was asked, statistics and confirmations; numbers in SI, None where there is none."""

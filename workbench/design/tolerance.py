@@ -24,7 +24,7 @@ from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figur
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
 from workbench.design.model import design_model, full_evaluation
-from workbench.design.outcomes import Outcomes, evaluate
+from workbench.design.outcomes import PARCEL, Outcomes, evaluate
 from workbench.design.requirement import Requirement, parse_requirements
 from workbench.design.sensitivity import (
     Sensitivities,
@@ -38,6 +38,7 @@ from workbench.design.stated import Statement, numbers_of, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError
+from workbench.jobs.workers import begin_workers
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
 from workbench.model.problem import fill
@@ -149,6 +150,7 @@ def tolerance(
     band: tuple[float, float] | None = None,
     accuracy: float | Discretisation = ACCURACY,
     model_tolerance: float = 1e-3,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> Tolerance:
     """Sensitivities, and with `requirements` the yield, of a chip whose numbers are uncertain.
@@ -165,6 +167,7 @@ def tolerance(
         every: ask for sensitivities to all numbers, also those whose uncertainty nobody states (by 1 % of them).
         seed: of all samples.
         model_tolerance: relative error of the impedance of the model that samples are evaluated on.
+        jobs: processes that evaluate the samples; this one if one.
 
     Raises:
         InputError: a requirement or an uncertainty that cannot be used, nothing uncertain, or a chip that has not the
@@ -194,7 +197,7 @@ def tolerance(
     found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
-        found = _sampled(found, full, samples if bounds else 0, sobol_points, model_tolerance, say,
+        found = _sampled(found, full, samples if bounds else 0, sobol_points, model_tolerance, jobs, say,
                          known.ranges(numbers_of(fill(there, state, with_means))))
     return replace(found, seconds=time.perf_counter() - started)
 
@@ -266,7 +269,7 @@ def _bound(each: Requirement, asked: Sequence[DrivenFigure], drive: Drive, nomin
 
 
 def _sampled(
-    found: Tolerance, full: _Full, samples: int, sobol_points: int, model_tolerance: float, say: Progress,
+    found: Tolerance, full: _Full, samples: int, sobol_points: int, model_tolerance: float, jobs: int, say: Progress,
     ranges: Mapping[str, tuple[float, float]],
 ) -> Tolerance:
     """`found` with samples and yields, and with Sobol indices if asked for."""
@@ -282,16 +285,19 @@ def _sampled(
     nominal = found.sensitivities.figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}
     found = replace(found, model=ModelFacts(made.bases.operating.size, made.error, spent, off))
-    if samples:
-        drawn = known.draw(samples, found.seed)
-        outcomes = evaluate(model, known, drawn.points, progress=lambda done: say("samples", done))
-        at = [found.sensitivities.names.index(name) for name in known.names]
-        linear = LinearModel(known.means, nominal,
-                             {label: slopes[at] for label, slopes in found.sensitivities.gradient.items()})
-        found = replace(found, outcomes=outcomes, redrawn=drawn.redrawn, yields=yields(
-            found.bounds, known, drawn.points, {label: outcomes.column(label) for label in outcomes.figures}, linear,
-            seed=found.seed))
-    if sobol_points:
-        found = replace(found, sobol=sobol(model, known, sobol_points, seed=found.seed,
-                                           progress=lambda done: say("Sobol indices", done)))
+    parcels = math.ceil(max(samples, sobol_points * (2 + len(known.inputs))) / PARCEL)
+    with begin_workers(min(jobs, parcels)) as workers:
+        if samples:
+            drawn = known.draw(samples, found.seed)
+            outcomes = evaluate(model, known, drawn.points, workers=workers,
+                                progress=lambda done: say("samples", done))
+            at = [found.sensitivities.names.index(name) for name in known.names]
+            linear = LinearModel(known.means, nominal,
+                                 {label: slopes[at] for label, slopes in found.sensitivities.gradient.items()})
+            found = replace(found, outcomes=outcomes, redrawn=drawn.redrawn, yields=yields(
+                found.bounds, known, drawn.points, {label: outcomes.column(label) for label in outcomes.figures},
+                linear, seed=found.seed))
+        if sobol_points:
+            found = replace(found, sobol=sobol(model, known, sobol_points, seed=found.seed, workers=workers,
+                                               progress=lambda done: say("Sobol indices", done)))
     return found

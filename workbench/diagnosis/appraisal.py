@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +25,10 @@ from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Left, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
-from workbench.diagnosis.workers import Workers
 from workbench.fem.solve import one_thread
 from workbench.fitting.seen import log_ratio
+from workbench.jobs.process import WorkerEnded
+from workbench.jobs.workers import Processes, Workers
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.search.continuation import Progress
 
@@ -45,8 +46,7 @@ def diagnose(
     Args:
         accuracy: of the meshes, see `discretisation`.
         progress: called with what is done and the share that is.
-        jobs: processes that share the work. More than one are begun afresh, so a script that asks for them has to do
-            it below ``if __name__ == "__main__":``.
+        jobs: processes that share the work, this one among them.
         minutes: after which nothing new is begun; None for no limit.
 
     Raises:
@@ -54,14 +54,20 @@ def diagnose(
         MeshError: a mesh could not be made.
         NotEnriched: the device as it is stated cannot be predicted.
         ValueError: fewer than one job, or no time.
+        RuntimeError: a process that shares the work ended before it was done.
     """
     if jobs < 1 or (minutes is not None and not minutes > 0.0):
         raise ValueError(f"{jobs} jobs, minutes {minutes}: expected one job at least, and more than no time")
     with ExitStack() as stack:
-        workers = (stack.enter_context(Workers(jobs - 1, DiagnosisSearch.of_campaign, (campaign, accuracy)))
-                   if jobs > 1 else None)
+        workers = Workers() if jobs == 1 else stack.enter_context(closing(Processes(jobs - 1)))
+        if jobs > 1:
+            workers.share(DiagnosisSearch.of_campaign, campaign, accuracy)
         made = device_model(campaign, accuracy=accuracy)
-        return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
+        try:
+            return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
+        except WorkerEnded as error:
+            raise RuntimeError(f"{error}; the diagnosis is not finished, and has to be made again, with fewer jobs if "
+                               "memory is short") from error
 
 
 @one_thread()

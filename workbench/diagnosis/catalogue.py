@@ -51,7 +51,7 @@ from workbench.physics import (
     surface_load,
     thin_layer,
 )
-from workbench.physics.rim import LIMIT, WIDTHS, Rim
+from workbench.physics.rim import LARGEST_WIDTH, WIDTHS, Rim
 from workbench.physics.solid import ElasticSolid as SolidTerm
 from workbench.physics.term import Admissible, FreeParameter
 
@@ -346,7 +346,7 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
         most = HELD * (rim - hole)
         return max((width for width in widths if width <= most), default=most)
 
-    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LIMIT)))
+    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LARGEST_WIDTH)))
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
                      lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:

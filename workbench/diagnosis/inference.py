@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,19 +26,17 @@ from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
+from workbench.diagnosis.profile_scan import corners, scan_profiles
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
-from workbench.diagnosis.sweep import corners, swept
-from workbench.diagnosis.workers import Workers
+from workbench.diagnosis.tasks import SearchTask
 from workbench.fitting.search import NO_END
+from workbench.jobs.workers import Workers
 from workbench.model.discretisation import Discretisation
 from workbench.search.continuation import Progress
 
 Real = NDArray[np.float64]
-
-#: What is done, the name of a method, and what it is given.
-Named = tuple[str, str, tuple[Any, ...]]
 
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
 #: does.
@@ -80,7 +78,7 @@ class DiagnosisSearch:
     interrupted: bool = False
     undone: list[str] = field(default_factory=list)
     not_tried: list[NotTried] = field(default_factory=list)
-    _workers: Workers | None = None
+    _workers: Workers = field(default_factory=Workers)
 
     @classmethod
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> DiagnosisSearch:
@@ -114,7 +112,7 @@ class DiagnosisSearch:
         Raises:
             NotEnriched, NotConverged, MeshError, InputError: the device as it is stated cannot be predicted.
         """
-        self._workers = workers
+        self._workers = workers or Workers()
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.models.wide.predictors) if p.model])
         self.progress("nothing wrong", 0.1)
         ends, plain = self.begun()
@@ -124,7 +122,8 @@ class DiagnosisSearch:
             if settled[plain].explanation.accuracy <= INCONSPICUOUS:
                 return self.concluded(plain, settled, [plain])
         self.progress("what is outside the catalogue", 0.2)
-        found: list[Candidate] = [*(self.work([("what is outside the catalogue", "outside", (plain,))])[0] or ())]
+        outside = self.work([SearchTask.of("what is outside the catalogue", self.outside, plain)])[0]
+        found: list[Candidate] = [*(outside or ())]
         searches = [("hypotheses by their scores", lambda: self.by_score(plain, ends, settled)),
                     ("hypotheses of any size", lambda: self.by_size(plain))]
         # No tangent counts where more is left than the points were allowed to deviate by.
@@ -167,7 +166,8 @@ class DiagnosisSearch:
         """As :meth:`begun`, from some `starts` (p,), parameters of the indices beside them held at first, and ends that
         are `known`."""
         nothing = Hypothesis()
-        found = self.work([("a start where nothing is wrong", "descended", start) for start in starts], must=1)
+        found = self.work([
+            SearchTask.of("a start where nothing is wrong", self.descended, *start) for start in starts], must=1)
         ends = distinct_ends(self.model, [*known, *(each for each in found if each is not None)],
                              lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
@@ -176,7 +176,8 @@ class DiagnosisSearch:
         self.models.places = tuple(
             each.x for each in ends if self.models.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.work([
-            ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
+            SearchTask.of("a basin where nothing is wrong", self.furthered, each) for each in ends], must=1)
+            if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
@@ -220,8 +221,8 @@ class DiagnosisSearch:
     ) -> list[Candidate]:
         """Where the hypotheses lead that promise most, from where nothing being wrong ends."""
         *places, last = self.work([
-            *(("scores of the hypotheses", "scored", (end.x, LEVELS[0])) for end in ends),
-            ("scores of the hypotheses", "scored", (plain.x, LEVELS[1]))])
+            *(SearchTask.of("scores of the hypotheses", self.scored, end.x, LEVELS[0]) for end in ends),
+            SearchTask.of("scores of the hypotheses", self.scored, plain.x, LEVELS[1])])
         chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
         return self.tried(plain, plain.x, [(effect, starts_of(self.model, effect, ends, places)) for effect in chosen])
 
@@ -231,12 +232,12 @@ class DiagnosisSearch:
         A hypothesis of which no number can change the recordings by as much as is left there does not explain them.
         """
         x = self.models.belief.x
-        scores = self.work([("scores of the hypotheses", "scored", (x, LEVELS[0]))])[0] or []
+        scores = self.work([SearchTask.of("scores of the hypotheses", self.scored, x, LEVELS[0])])[0] or []
         bare = self.models.bare()
         left = math.sqrt(2.0 * bare.solve(bare.search(Hypothesis()), STAGE, x).cost)
         effects = [each.effect for each in scores if each.most > left]
         self.say("   swept", len(effects), "of", len(scores), "left", left)
-        swept = self.work([(f"{effect.name} of any size", "swept", (effect.name,)) for effect in effects])
+        swept = self.work([SearchTask.of(f"{effect.name} of any size", self.swept, effect.name) for effect in effects])
         best = sorted(((each, effect) for each, effect in zip(swept, effects, strict=True) if each),
                       key=lambda both: both[0][0].cost)[:SWEPT]
         for each, effect in best:
@@ -248,7 +249,7 @@ class DiagnosisSearch:
         """The sizes of an effect that leave least where the known numbers are believed to be."""
         effect, x = self.effect(name), self.models.belief.x
         wider = self.models.coarsely_wider(Hypothesis((effect,)), corners(self.model, effect, x))
-        return swept(self.models.bare().on(wider), effect, x)
+        return scan_profiles(self.models.bare().on(wider), effect, x)
 
     def effect(self, name: str) -> Effect:
         """The hypothesis of that name."""
@@ -258,10 +259,10 @@ class DiagnosisSearch:
         """Where hypotheses lead from some starts (p,) with the data weighing little, and with more those that are not
         far behind the others; the model's inaccuracy is that `at` a place (p,)."""
         little = [each for each in self.work([
-            (effect.name, "explain", (effect.name, at, own)) for effect, own in starts if len(own)])
+            SearchTask.of(effect.name, self.explain, effect.name, at, own) for effect, own in starts if len(own)])
             if each is not None]
         further = [each for each in self.work([
-            (f"{each.hypothesis.name}, further", "onward", (each, at))
+            SearchTask.of(f"{each.hypothesis.name}, further", self.onward, each, at)
             for each in leading_of(little, GO_ON[0], promise)])
             if each is not None]
         for candidate in further:
@@ -278,7 +279,7 @@ class DiagnosisSearch:
         new = [each for each in dict.fromkeys([leading[0], plain, *leading]) if each not in settled]
         # What is said needs nothing being wrong, whatever the time.
         new.sort(key=lambda each: each is not plain)
-        done = self.work([(each.hypothesis.name, "settled", (each, each not in leading)) for each in new],
+        done = self.work([SearchTask.of(each.hypothesis.name, self.settled, each, each not in leading) for each in new],
                          must=0 if plain in settled else 1)
         settled |= {each: own for each, own in zip(new, done, strict=True) if own is not None}
 
@@ -313,14 +314,14 @@ class DiagnosisSearch:
             alike = [each for each in found.values() if best.explanation.accuracy > INCONSPICUOUS
                      and len(each.explanation.hypothesis.effects) == 1 and not each.explanation.hypothesis.is_outside
                      and weakness(each) < weakness(best) + CLOSE]
-            tasks = {task[0]: task for each in dict.fromkeys([best, *alike[:ALIKE]]) for task in self.further(each)}
+            tasks = {task.name: task for each in dict.fromkeys([best, *alike[:ALIKE]]) for task in self.further(each)}
             for each in self.work([task for name, task in tasks.items() if name not in found]):
                 if each is not None:
                     found[each.explanation.hypothesis.name] = each
         return Found(base, tuple(sorted(found.values(), key=weakness)), tuple(candidates), tuple(self.undone),
                      tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
-    def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
+    def work(self, tasks: Sequence[SearchTask], *, must: int = 0) -> list[Any]:
         """What every task returns; None for what there was no time for, or cannot be done.
 
         So many of the first are done in any case.
@@ -329,40 +330,30 @@ class DiagnosisSearch:
             NotEnriched, NotConverged, MeshError, InputError, ValueError, ArithmeticError: one of these cannot be done.
         """
         results: dict[int, Any] = {}
-
-        def is_over(index: int) -> bool:
-            return self.is_over and index >= must
+        waiting = ((index, replace(task, places=self.models.places)) for index, task in enumerate(tasks)
+                   if index < must or not self.is_over)
         try:
-            if self._workers is not None:
-                there = [("within", (self.models.places, *task[1:])) for task in tasks]
-                self._workers.map(self, there, results, is_over)
-            else:
-                for index, (_, name, given) in enumerate(tasks):
-                    if not is_over(index):
-                        results[index] = self.attempted(name, given)
+            for index, done in self._workers.completed(waiting, own=self):
+                results[index] = done.result()
         except KeyboardInterrupt:
             if self.interrupted or any(index not in results for index in range(min(must, len(tasks)))):
                 raise
-            # The workers may still send what they were asked for, which nobody waits for now.
-            self.interrupted, self._workers = True, None
-        self.undone += [task[0] for index, task in enumerate(tasks) if index not in results]
+            # Nobody waits any more for what the workers do.
+            self.interrupted, self._workers = True, Workers()
+        self.undone += [task.name for index, task in enumerate(tasks) if index not in results]
         for index, result in results.items():
             if isinstance(result, Refusal):
                 if index < must:
                     raise result.error
-                self.say("NOT TRIED", tasks[index][0], result.reason)
-                self.not_tried.append(NotTried(tasks[index][0], result.reason))
+                self.say("NOT TRIED", tasks[index].name, result.reason)
+                self.not_tried.append(NotTried(tasks[index].name, result.reason))
         return [None if isinstance(found := results.get(index), Refusal) else found for index in range(len(tasks))]
 
-    def within(self, places: tuple[Real, ...], name: str, given: tuple[Any, ...]) -> Any:
-        """What the method of that name returns on models that reach `places` (p,), or why it does not."""
-        self.models.places = places
-        return self.attempted(name, given)
-
-    def attempted(self, name: str, given: tuple[Any, ...]) -> Any:
-        """What the method of that name returns, or why it does not."""
+    def attempted(self, task: SearchTask) -> Any:
+        """The result of a task on models that reach its places, or why it has none."""
+        self.models.places = task.places
         try:
-            return getattr(self, name)(*given)
+            return task.method(self, *task.given)
         except EXPECTED as error:
             return Refusal(error)
 
@@ -474,9 +465,9 @@ class DiagnosisSearch:
         own = self.model.about(hypothesis.effects, x).fitted.recordings[0].problem.mesh
         return likelihood.objective.recordings[0].problem.mesh is not own
 
-    def further(self, settled: Settled) -> list[Named]:
+    def further(self, settled: Settled) -> list[SearchTask]:
         """To settle: an explanation together with what promises most beside it."""
-        best, tasks = settled.explanation, list[Named]()
+        best, tasks = settled.explanation, list[SearchTask]()
         for score in settled.scores[:TRIED]:
             if score.evidence > self.least:
                 begin, errors = start(self.model, score.effect, best.x, score), best.errors
@@ -485,8 +476,8 @@ class DiagnosisSearch:
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
                 both = Hypothesis((*best.hypothesis.effects, score.effect))
                 place = best.weighed._replace(x=begin, errors=errors)
-                tasks.append((both.name, "settled", (Candidate(both, (place,)),)))
+                tasks.append(SearchTask.of(both.name, self.settled, Candidate(both, (place,))))
         if not best.hypothesis.effects:
-            tasks += [(each.name, "settled", (Candidate(each, (best.weighed,)),))
+            tasks += [SearchTask.of(each.name, self.settled, Candidate(each, (best.weighed,)))
                       for each, worth in settled.beside[:TRIED] if worth - best.log_evidence > self.least]
         return tasks

@@ -28,7 +28,7 @@ LARGE, MANY = 120, 60
 #: Settings of the projection: number of frequencies factorised first, number added at a time, vectors from each, and
 #: the relative change of the charge at which it ends. The error of the charge is of second order, so the remaining
 #: error is smaller than the last change. The three numbers decide the work, not the accuracy.
-NODES, FURTHER, DEPTH, CHANGED = 8, 2, 6, 1e-5
+FIRST_NODES, ADDED_NODES, KRYLOV_VECTORS, CHARGE_CHANGE = 8, 2, 6, 1e-5
 
 #: Number of matrix entries solved at once, so that they stay in the processor's cache. It decides speed alone.
 ENTRIES = 500_000
@@ -112,8 +112,8 @@ def _projected(
 
     With A_0 factorised at one frequency and dA the change to the next one, the states nearby lie close to the Krylov
     space of A_0^-1 dA started at the state there (see `solve.System.krylov`). Frequencies are added where the residual
-    is largest, until they change the charge by less than :data:`CHANGED` anywhere. `electrode` (g,) belongs to the last
-    unknown as `loads` (g, r) do to the others.
+    is largest, until they change the charge by less than :data:`CHARGE_CHANGE` anywhere. `electrode` (g,) belongs to
+    the last unknown as `loads` (g, r) do to the others.
 
     Returns:
         vectors (r, k), their images (g, r, k) by the matrices, and the coordinates (k, n) of the states.
@@ -122,18 +122,18 @@ def _projected(
     watched = np.unique(np.linspace(0, count - 1, min(count, 2 * MANY)).astype(int))
     some, right = factors[:, watched], loads.T @ factors[:, watched]
     norm = np.linalg.norm(right, axis=0)
-    wanted = list(chebyshev(watched.size, NODES))
+    wanted = list(chebyshev(watched.size, FIRST_NODES))
     basis = np.zeros((rank, 0), dtype=complex)
     images = np.zeros((len(matrices), rank, 0), dtype=complex)
     done: list[int] = []
     charge = np.zeros(watched.size, dtype=complex)
-    while wanted and basis.shape[1] + DEPTH * len(wanted) < rank // 2:
+    while wanted and basis.shape[1] + KRYLOV_VECTORS * len(wanted) < rank // 2:
         new = np.zeros((rank, 0), dtype=complex)
         for index in map(int, wanted):
             near = index + 1 if index + 1 < watched.size else index - 1
             whole = np.tensordot(some[:, index], matrices, axes=1)
             change = np.tensordot(some[:, near] - some[:, index], matrices, axes=1)
-            new = np.column_stack([new, _krylov(whole, change, right[:, index], DEPTH)])
+            new = np.column_stack([new, _krylov(whole, change, right[:, index], KRYLOV_VECTORS)])
             done.append(index)
         for _ in range(2):
             new = new - basis @ (basis.conj().T @ new)
@@ -143,12 +143,12 @@ def _projected(
         inner, held = basis.T @ images, loads @ basis
         small = solve_each(some, inner, held.T @ some)
         before, charge = charge, np.sum(small * (held.T @ some), axis=0) - electrode @ some
-        if (np.abs(charge - before) <= CHANGED * np.abs(charge)).all():
+        if (np.abs(charge - before) <= CHARGE_CHANGE * np.abs(charge)).all():
             return basis, images, solve_each(factors, inner, held.T @ factors)
         residual = np.linalg.norm(right - _product(some, images, small), axis=0) / norm
         worst = [int(k) for k in np.argsort(-residual) if int(k) not in done]
-        wanted = [k for i, k in enumerate(worst[: 4 * FURTHER])
-                  if all(abs(k - other) > watched.size // (2 * NODES) for other in worst[:i])][:FURTHER]
+        wanted = [k for i, k in enumerate(worst[: 4 * ADDED_NODES])
+                  if all(abs(k - other) > watched.size // (2 * FIRST_NODES) for other in worst[:i])][:ADDED_NODES]
     return None
 
 

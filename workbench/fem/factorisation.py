@@ -28,7 +28,7 @@ Complex = NDArray[np.complex128]
 Integers = NDArray[np.int32]
 
 #: Environment variable that names the factorisation to use. Without it, the installed packages decide.
-CHOICE = "WORKBENCH_FACTORISATION"
+FACTORISATION_VARIABLE = "WORKBENCH_FACTORISATION"
 
 
 class Factorisation(Protocol):
@@ -133,13 +133,13 @@ def chosen() -> str:
     Raises:
         ValueError: the environment asks for an unknown one.
     """
-    name = os.environ.get(CHOICE)
+    name = os.environ.get(FACTORISATION_VARIABLE)
     if name is None:
         found = importlib.util.find_spec("rslab")
         # A folder of that name is found too, but has no origin.
         return "rslab" if found is not None and found.origin is not None else "superlu"
     if name not in KNOWN:
-        raise ValueError(f"{CHOICE} is {name!r}; expected one of {', '.join(KNOWN)}")
+        raise ValueError(f"{FACTORISATION_VARIABLE} is {name!r}; expected one of {', '.join(KNOWN)}")
     return name
 
 

@@ -27,10 +27,10 @@ Complex = NDArray[np.complex128]
 
 #: Relative step of the differences of a scalar function of frequency, and their places and weights. For a power of
 #: frequency the relative error is 1e-13 in the first derivative and 1e-11 in the second.
-STEP = 3e-3
-PLACES = np.arange(-3.0, 4.0)
-FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
-SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
+DIFFERENCE_STEP = 3e-3
+DIFFERENCE_PLACES = np.arange(-3.0, 4.0)
+FIRST_WEIGHTS = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
+SECOND_WEIGHTS = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +90,14 @@ def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, mov
 
 def difference_frequencies(frequency: float) -> Real:
     """The frequencies (Hz) of the central differences at `frequency`, which is the middle one."""
-    return frequency * (1.0 + STEP * PLACES)
+    return frequency * (1.0 + DIFFERENCE_STEP * DIFFERENCE_PLACES)
 
 
 def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex, Complex]:
     """Value, first and second derivative (per Hz) of a function given (..., 7) at the frequencies of
     :func:`difference_frequencies`."""
-    step = STEP * frequency
-    return function[..., 3], function @ FIRST / step, function @ SECOND / step**2
+    step = DIFFERENCE_STEP * frequency
+    return function[..., 3], function @ FIRST_WEIGHTS / step, function @ SECOND_WEIGHTS / step**2
 
 
 def slope_columns(

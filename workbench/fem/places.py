@@ -236,7 +236,7 @@ def _opposite_place(near: Place, far: Place) -> Place:
 
 #: The sides of a cell in the order of the mesh: the local coordinate that is fixed there, its value, and whether the
 #: cells lie to the left when the other coordinate grows.
-SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
+CELL_SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
 
 
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
@@ -247,7 +247,7 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
     sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
     indices = np.array(Lagrange(mesh.order).indices)
     parts, order = [], []
-    for side, (fixed, end, left) in enumerate(SIDES):
+    for side, (fixed, end, left) in enumerate(CELL_SIDES):
         chosen = np.flatnonzero(sides == side)
         if not chosen.size:
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
@@ -42,9 +43,12 @@ def _value(value: TomlEntry) -> str:
     """The value on one line: `tomli_w` gives tables and lists lines of their own."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(_assignment(key, each) for key, each in value.items()) + " }"
+    if isinstance(value, str):
+        # The escapes of JSON are TOML's, but for the DEL that JSON leaves as it is; `tomli_w` writes tabs as they are.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, float):
         return toml_number(value)
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    if isinstance(value, Sequence):
         return "[" + ", ".join(map(_value, value)) + "]"
     return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from workbench.files.errors import InputError
 
@@ -160,3 +162,14 @@ def write_atomic(path: Path, content: str | bytes) -> None:
     """
     with replacing(path) as whole:
         whole.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> Path:
+    """Write a record as JSON, whole or not at all.
+
+    Raises:
+        ValueError: a number in it is infinite or none.
+        OSError: it cannot be written; the error names `path`.
+    """
+    write_atomic(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
+    return path

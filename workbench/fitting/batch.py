@@ -31,16 +31,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
-import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +44,6 @@ from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
-from workbench.jobs.interruption import shielded
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName
 
@@ -64,9 +58,6 @@ MAD_TO_SIGMA = 1.4826
 
 #: With fewer devices nobody can say which of them is the odd one.
 ENOUGH = 4
-
-#: Seconds between looks at what is running.
-POLLING = 0.1
 
 _NAME = re.compile(r"[^\W_][\w .+-]*")
 _RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
@@ -221,57 +212,6 @@ def finished(folder: Path, key: str) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) and record.get("key") == key else None
-
-
-def run_commands(
-    commands: Mapping[str, Sequence[str]], *, workers: int, report: Callable[[str, str], None]
-) -> dict[str, str]:
-    """Run labelled commands, `workers` at a time; the last words of those that did not end with status 0.
-
-    A command writes its results itself, so that what is finished stays when the rest is interrupted. `report` is
-    called with a label and "fitting", "done" or "failed". However the function is left, no command is left running.
-
-    (Programs rather than the processes of `multiprocessing`, which would run the caller's script once more in each.)
-    """
-    waiting, running = list(commands.items()), dict[str, tuple[subprocess.Popen[str], IO[str]]]()
-    failed: dict[str, str] = {}
-    # The cores are busy with one another's fits: one thread each for linear algebra.
-    surroundings = {**os.environ, **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
-    with ExitStack() as stack:
-        stack.callback(_end, running)
-        while waiting or running:
-            while waiting and len(running) < workers:
-                label, command = waiting.pop(0)
-                report(label, "fitting")
-                words = stack.enter_context(tempfile.TemporaryFile("w+"))
-                with shielded():
-                    running[label] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, text=True,
-                                                      env=surroundings), words
-            time.sleep(POLLING)
-            for label, (process, stream) in list(running.items()):
-                status = process.poll()
-                if status is None:
-                    continue
-                del running[label]
-                if status:
-                    stream.seek(0)
-                    said = stream.read().strip()
-                    failed[label] = _last_words(said) if said else f"ended with {status}"
-                report(label, "failed" if status else "done")
-    return failed
-
-
-def _last_words(said: str) -> str:
-    """The error that a command ended with, all its lines, or else its last line."""
-    _, error, words = f"\n{said}".rpartition("\nerror: ")
-    return words if error else said.splitlines()[-1]
-
-
-def _end(running: Mapping[str, tuple[subprocess.Popen[str], IO[str]]]) -> None:
-    for process, _ in running.values():
-        process.terminate()
-    for process, _ in running.values():
-        process.wait()
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from workbench.results.spectrum import Spectrum
 Device = Callable[[float], complex]
 
 #: Impedance (ohm) between open clips, in place of infinity.
-NOTHING = 1e12
+OPEN_RESISTANCE = 1e12
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def resistor(resistance: float) -> Device:
 
 def open_circuit() -> Device:
     """Open clips."""
-    return resistor(NOTHING)
+    return resistor(OPEN_RESISTANCE)
 
 
 def device_of(spectrum: Spectrum) -> Device:

@@ -26,7 +26,7 @@ HIGHEST_FREQUENCY = 9_999_999.99
 
 #: Largest deviation, in units of the resolution, of a value that counts as a whole number of steps: the rounding of a
 #: decimal fraction. Doubled, nothing changes.
-ROUNDING = 1e-4
+STEP_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Setting:
                              f"{self.highest:.9g} {self.unit}")
         exact = value * self.steps_per_unit
         counts = round(exact)
-        if abs(exact - counts) > ROUNDING:
+        if abs(exact - counts) > STEP_ROUNDING:
             raise ValueError(f"{self.name} {value!r} {self.unit} is finer than the instrument; expected a multiple of "
                              f"{1 / self.steps_per_unit:g} {self.unit}, the nearest {counts / self.steps_per_unit!r}")
         return counts

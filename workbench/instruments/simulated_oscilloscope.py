@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.instruments.tektronix import POINTS
+
 CHANNELS = (1, 2, 3, 4)
-POINTS = 2500
 
 #: Steps of the converter, at the input connector (V per division) and in time (s per division).
 VOLTS_STEPS = tuple(m * 10.0**e for e in range(-3, 1) for m in (1, 2, 5) if 2e-3 <= m * 10.0**e <= 5.0)

@@ -43,10 +43,10 @@ PROBES = (1, 10)
 POINTS, DIVISIONS, COUNTS_PER_DIVISION, HALF_SCREEN = 2500, 10, 25, 4
 
 #: Start of the record in divisions: half of the record lies before the trigger.
-START = -5.0
+RECORD_START = -5.0
 
 #: Largest relative difference of two readings of one setting; the instrument prints 3 or more digits.
-SAME = 2e-3
+READBACK_TOLERANCE = 2e-3
 
 #: Largest peak-to-peak value (counts) at which two records may be equal by chance: a quiet input gives mostly zeros.
 QUIET = 4
@@ -210,9 +210,9 @@ class Tektronix:
             expected.append(("V per count", volts_per_count, self._scales[channel] / COUNTS_PER_DIVISION))
         if self._timebase is not None:
             expected.append(("s per point", step, self._timebase * DIVISIONS / POINTS))
-            expected.append(("start in s", float(preamble["zero"]), START * self._timebase))
+            expected.append(("start in s", float(preamble["zero"]), RECORD_START * self._timebase))
         for what, found, wanted in expected:
-            if abs(found - wanted) > SAME * abs(wanted):
+            if abs(found - wanted) > READBACK_TOLERANCE * abs(wanted):
                 raise InstrumentError(f"{self._link.name}: sent 'WFMPRE?' for channel {channel}; expected {wanted:g} "
                                       f"for the {what}; {found:g} came")
         raw = np.frombuffer(self._link.ask_block("CURVE?", POINTS), dtype=np.int8).astype(np.int16)
@@ -286,6 +286,6 @@ def _same(found: str, value: str) -> bool:
     except ValueError:
         return len(found) >= 2 and value.upper().startswith(found.upper())
     try:
-        return abs(float(found) - number) <= SAME * abs(number)
+        return abs(float(found) - number) <= READBACK_TOLERANCE * abs(number)
     except ValueError:
         return False

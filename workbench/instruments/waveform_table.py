@@ -21,7 +21,7 @@ from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
 
 #: Number of lines in which headings are looked for; the longest head seen (Tektronix MSO) has 21.
-SEARCHED = 60
+HEAD_LINES = 60
 
 #: Largest deviation of samples from even steps, as a share of a step and beyond the rounding of printed digits, in one
 #: record. Doubled, a jump of a twenty-fifth of a step is taken for rounding.
@@ -29,7 +29,7 @@ UNEVEN = 0.02
 
 #: Largest relative uncertainty of a step from printed times; a coarser one is refused, since every frequency would be
 #: wrong by as much.
-COARSE = 1e-3
+COARSE_STEP = 1e-3
 
 #: Voltage (V) above which a value marks a sample that left the screen.
 OFF_SCREEN = 1e30
@@ -96,7 +96,7 @@ def decoded(data: bytes) -> tuple[str, ...]:
 def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
     """The place of the samples in a file of these `lines`, or None if its head is not that of an oscilloscope's table.
     """
-    for index, line in enumerate(lines[:SEARCHED]):
+    for index, line in enumerate(lines[:HEAD_LINES]):
         for delimiter in (",", ";", "\t"):
             cells = _cells(line, delimiter)
             if len(cells) < 2:
@@ -362,7 +362,7 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
         return float(even[0]), stated
     # For a line through times that are each rounded to a digit, two standard deviations or more.
     uncertain = digit / len(time) ** 1.5
-    if uncertain > COARSE * step:
+    if uncertain > COARSE_STEP * step:
         raise InputError(path, "time", f"{printed[0]} to {printed[-1]}", f"a time of more digits: of {len(time)} "
                          f"samples the step is known to {100.0 * uncertain / step:.2g} % only, and so is the frequency")
     return float(even[0]), step

@@ -124,11 +124,6 @@ def shielded() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    if "multiprocessing" in sys.modules:
-        # Begun by the first process, it would let signals through.
-        from multiprocessing.resource_tracker import ensure_running
-
-        ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

@@ -46,7 +46,7 @@ FIXED = 60e6
 POINT = 5e3
 
 #: Least number of full solves of a reduced model, number for every resonance in the band, and largest number.
-SOLVES, SOLVES_OF_RESONANCE, MOST_SOLVES = 8.3, 0.043, 40.0
+LEAST_SOLVES, SOLVES_OF_RESONANCE, MOST_SOLVES = 8.3, 0.043, 40.0
 
 #: Seconds per unknown and full solve of the linear part, and of the part that grows with the power 1.5 of the unknowns
 #: (one core of some 3 GHz). Doubled, the estimated time of every job is twice as long.
@@ -57,18 +57,18 @@ LINEAR, DISSECTION = 1.6e-5, 4e-8
 PROJECTED = 17.0
 
 #: Share of the free memory that a job may take; the rest is for other programs.
-SHARE = 0.9
+MEMORY_SHARE = 0.9
 
 #: Number of cells of a section of any shape, relative to the area of a region over that of its largest cell: thin
 #: layers and curved sides have smaller cells.
-CURVED = 2.0
+CURVED_CELLS = 2.0
 
 #: Number of cells of such a section above which its sides are not divided to count them; and cells of a face filled by
 #: gmsh, relative to those of a square with as many sides around.
 MOST_DIVIDED, FILLED = 1e6, 0.7
 
 #: Environment variable with the memory that jobs may take, such as "16 GB", in place of the system's free memory.
-CHOICE = "WORKBENCH_MEMORY"
+MEMORY_VARIABLE = "WORKBENCH_MEMORY"
 
 #: Number of halvings in the search of a band that fits; each halves the error of its end.
 HALVINGS = 30
@@ -107,7 +107,7 @@ def job_size(
 def of_unknowns(unknowns: float, order: int, modes: float) -> JobSize:
     """Memory and time of a model with this number of unknowns of fields of an `order`, and `modes` resonances in its
     band."""
-    solves = min(MOST_SOLVES, SOLVES + SOLVES_OF_RESONANCE * modes)
+    solves = min(MOST_SOLVES, LEAST_SOLVES + SOLVES_OF_RESONANCE * modes)
     each = COUPLING * (order + 1) ** 2 + SNAPSHOT * solves + FACTOR * math.log2(max(unknowns, 2.0))
     seconds = solves * (LINEAR * (1.0 + (solves / PROJECTED) ** 2) * unknowns + DISSECTION * unknowns**1.5)
     return JobSize(unknowns, solves, FIXED + each * unknowns, seconds)
@@ -139,7 +139,8 @@ def check_size(
         return found
     fitting = _what_fits(sized, made, band, room)
     raise InputError(source, "size of the model", f"{band[0] / 1e6:.4g} to {band[1] / 1e6:.4g} MHz: {found}",
-                     f"at most {shown_memory(room)}, the memory that is free here ({CHOICE} states another): {fitting}",
+                     f"at most {shown_memory(room)}, the memory that is free here ({MEMORY_VARIABLE} states another): "
+                     f"{fitting}",
                      _lost_point(band))
 
 
@@ -156,20 +157,21 @@ def check_points(points: int, *, source: str) -> None:
 
 
 def memory_to_use() -> float | None:
-    """Bytes of memory that a job may take: the value of :data:`CHOICE`, or :data:`SHARE` of the free memory; None if
-    the system does not state it.
+    """Bytes of memory that a job may take; None if the system does not state its free memory.
+
+    They are the value of :data:`MEMORY_VARIABLE`, or :data:`MEMORY_SHARE` of the free memory.
 
     Raises:
         InputError: the environment states no amount of memory.
     """
-    stated = os.environ.get(CHOICE)
+    stated = os.environ.get(MEMORY_VARIABLE)
     if stated is not None:
-        found = parse_quantity(stated, "memory", source="environment", field=CHOICE)
+        found = parse_quantity(stated, "memory", source="environment", field=MEMORY_VARIABLE)
         if not found > 0.0:
-            raise InputError("environment", CHOICE, stated, 'an amount of memory above zero, such as "16 GB"')
+            raise InputError("environment", MEMORY_VARIABLE, stated, 'an amount of memory above zero, such as "16 GB"')
         return found
     free = free_memory()
-    return None if free is None else SHARE * free
+    return None if free is None else MEMORY_SHARE * free
 
 
 def free_memory() -> float | None:
@@ -254,7 +256,7 @@ def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[flo
     many."""
     found = {}
     for region in section.regions:
-        inside = CURVED * section.area(region) / size.largest_element(region) ** 2
+        inside = CURVED_CELLS * section.area(region) / size.largest_element(region) ** 2
         found[region] = (inside, 2.0 * math.sqrt(inside))
     if sum(inside for inside, _ in found.values()) > MOST_DIVIDED:
         return found

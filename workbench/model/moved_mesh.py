@@ -16,7 +16,7 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from geometry.names import moved_by
 from workbench.fem.elements import Lagrange
-from workbench.fem.places import SIDES, areas, mapped_nodes
+from workbench.fem.places import CELL_SIDES, areas, mapped_nodes
 from workbench.files.errors import InputError
 from workbench.physics.shaped import Amplitude, InterpolationGrid, MovableLength, Moves, ShapeScale
 from workbench.physics.term import Term
@@ -181,7 +181,7 @@ class Cells:
     def of_facets(cls, mesh: SectionMesh, facets: Integers) -> Cells:
         owners = mesh.mesh.f2t[0, facets]
         sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
-        return cls(mesh, owners, tuple(SIDES[side][:2] for side in sides),
+        return cls(mesh, owners, tuple(CELL_SIDES[side][:2] for side in sides),
                    float(mesh.mesh.p[0, mesh.mesh.facets[0, facets[0]]]))
 
     def nodes(self, coordinates: Real) -> Real:

@@ -32,7 +32,7 @@ AIR_IN_WATER: Mapping[str, float] = {
 
 #: Value of |y| below which the closed forms of :func:`_heat` lose digits to cancellation and their series are used. At
 #: twice the value the truncated series is in error by 4000 times as much.
-SMALL = 0.3
+SERIES_BELOW = 0.3
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _heat(y: Complex) -> tuple[Complex, Complex]:
     series = np.array([1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555, -1382 / 638512875])
     order = np.arange(series.size)
     powers = (y**2)[..., None] ** order
-    close = np.abs(y) < SMALL
+    close = np.abs(y) < SERIES_BELOW
     safe = np.where(close, 1.0, y)
     coth = 1.0 / np.tanh(safe)
     heat = (safe * coth - 1.0) / safe**2

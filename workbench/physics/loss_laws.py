@@ -41,7 +41,7 @@ _FORMS: Mapping[str, tuple[Product, ...]] = {
 
 #: Exponent below which the closed form loses digits to cancellation and its series is used. With twice the value, the
 #: error of the series grows eightfold.
-SMALL = 1e-3
+SERIES_BELOW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def _fractional(
     # (-i w / w_0)^a = e^{a m}.
     m = np.log(omega / (2.0 * np.pi * v["f"])) - 0.5j * np.pi
     half = 0.5 * np.pi
-    if abs(a) < SMALL:
+    if abs(a) < SERIES_BELOW:
         # Second order in a; the next term is 1e-9 (m^3 + ...) / 24.
         shape = (m + a * (m**2 + half**2) / 2.0 + a**2 * (m**3 + half**2 * m) / 6.0) / half
         by_a = ((m**2 + half**2) / 2.0 + a * (m**3 + half**2 * m) / 3.0) / half

@@ -19,7 +19,7 @@ from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParamet
 WIDTHS = (0.02, 0.05, 0.09, 0.14, 0.2, 0.28)
 
 #: Largest width, relative to the radius, up to which a rim keeps edges of its own when another rim has edges nearby.
-NEAR = 0.05
+NEAR_WIDTH = 0.05
 
 #: Width of a ring beside an edge that was found, and the largest step at which an edge counts as found, both relative
 #: to the radius. Interpolation between edges draws the edge outwards by a hundredth of the width: 0.158 for 0.160, and
@@ -27,7 +27,7 @@ NEAR = 0.05
 ASIDE, FOUND = 0.01, 0.002
 
 #: Largest width of a rim, relative to the radius.
-LIMIT = 0.38
+LARGEST_WIDTH = 0.38
 
 #: The symbol of a law for the affected share of a ring.
 SHARE = "share"
@@ -46,7 +46,7 @@ class Rim:
 
     name: str
     begin: float = 1.0
-    limit: float = LIMIT
+    limit: float = LARGEST_WIDTH
     outwards: bool = False
     widths: tuple[float, ...] = WIDTHS
 
@@ -75,7 +75,7 @@ class Rim:
 
     def widths_from(self, begin: float) -> tuple[float, ...]:
         """Widths for a rim that goes outwards from `begin`: its own nearby, and the edges of this rim further away."""
-        near = [width for width in WIDTHS if width <= NEAR]
+        near = [width for width in WIDTHS if width <= NEAR_WIDTH]
         return (*near, *(edge - begin for edge in self.edges if edge - begin > near[-1] + near[0]))
 
     def about(self, width: float) -> Rim:
@@ -115,11 +115,10 @@ class OfRim(Protocol):
 
 
 def hindered(share: complex, halfway: float) -> tuple[complex, complex]:
-    """The share a thin layer loses if it is missing over a share f of a ring, and its derivative: 1 - s c / (1 - (1 -
-    s) c).
+    """The share a thin layer loses if it is missing over a share f of a ring, and the derivative of this share by f.
 
-    c = 1 - f is the remaining share of area; s = `halfway` is the share of the layer that has half the effect of all of
-    it.
+    It is 1 - s c / (1 - (1 - s) c). c = 1 - f is the remaining share of area; s = `halfway` is the share of the layer
+    that has half the effect of all of it.
     """
     below = 1.0 - (1.0 - halfway) * (1.0 - share)
     return share / below, halfway / below**2

@@ -6,12 +6,11 @@ resistor and which way up the ratio is.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,9 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
+from workbench.files.toml import toml_lines
 from workbench.readers.findings import Finding
-from workbench.readers.headings import understand
+from workbench.readers.headings import SYMBOLS, understand
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
 from workbench.readers.text import (
@@ -39,9 +39,8 @@ from workbench.results.spectrum import Origin
 #: The setting of an origin that states the meaning of the columns of a table.
 READ_AS = "read as"
 
-#: Symbols by quantity.
-SYMBOLS: Mapping[str, str] = {"impedance": "Z", "admittance": "Y", "gain": "the gain", "reflection": "S11",
-                              "transmission": "S21"}
+#: Symbol or name of every quantity, for messages.
+QUANTITY_WORDS: Mapping[str, str] = {**SYMBOLS, "gain": "the gain"}
 
 #: A column map as an example for messages: its own keys, and its table `quantity`.
 EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
@@ -204,9 +203,10 @@ def recorded(
         many = f"{len(rows.skipped)} lines" if len(rows.skipped) > 1 else "one line"
         found.append(Finding("no_rows", f"{many} below the first row left out as no rows: {said}"
                              + (" ..." if len(rows.skipped) > 3 else "")))
-    if rows.beyond is not None:
-        found.append(Finding("another_table", f"line {rows.beyond} "
-                             f"{text.lines[rows.beyond - 1].strip()[:60]!r} begins another table, which is not read"))
+    if rows.next_table is not None:
+        found.append(Finding("another_table", f"line {rows.next_table} "
+                             f"{text.lines[rows.next_table - 1].strip()[:60]!r} begins another table, "
+                             "which is not read"))
     if quantity.unsigned_losses(values[1], values[2]):
         found.append(Finding("unsigned_losses", f"{quantity.form}: D or Q is positive where the reactive element is "
                              "negative, hence taken to be written without its sign"))
@@ -218,7 +218,7 @@ def recorded(
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
     """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
     quantity = columns.quantity
-    symbol = SYMBOLS.get(quantity.kind, "")
+    symbol = QUANTITY_WORDS.get(quantity.kind, "")
     if quantity.kind == "circuit":
         one, _, two = quantity.form.partition("-")
         meanings = ("the frequency", one, two)
@@ -261,13 +261,12 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
     return "; ".join(found)
 
 
-def map_text(fields_: Mapping[str, object], quantity: Mapping[str, object], doubts: Mapping[str, str]) -> str:
+def map_text(fields_: Mapping[str, Any], quantity: Mapping[str, Any], doubts: Mapping[str, str]) -> str:
     """The text of a column map for :func:`read_column_map`; `doubts` by key become comments beside it."""
     lines = []
     for content, head in ((fields_, ""), (quantity, "[quantity]")):
         lines += [head] if head else []
-        for key, value in content.items():
-            line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
+        for key, line in zip(content, toml_lines(content), strict=True):
             lines.append(f"{line:<35} # {doubts[key]}" if key in doubts else line)
     return "\n".join(lines)
 

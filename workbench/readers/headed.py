@@ -28,7 +28,7 @@ OPTION = "--columns MAP.toml"
 
 #: Highest frequency (Hz) of bench analysers of this kind (E4990A data sheet: 120 MHz): a unit that takes a sweep beyond
 #: is wrong.
-HIGHEST_HZ = 120e6
+ANALYSERS_UP_TO_HZ = 120e6
 
 
 def recognises_headed(text: RecordingText) -> bool:
@@ -125,7 +125,7 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
         return "", f"its unit {heading.strange_unit!r} is not one of {', '.join(UNITS['frequency'])}"
     highest = float(np.max(values))
     possible = [unit for unit, factor in UNITS["frequency"].items()
-                if PLAUSIBLE_HZ <= highest * factor <= HIGHEST_HZ]
+                if PLAUSIBLE_HZ <= highest * factor <= ANALYSERS_UP_TO_HZ]
     if len(possible) == 1:
         return possible[0], f"no unit given, and up to {highest:g} nothing else is within an analyser's reach"
     return "", f"a frequency without a unit, and up to {highest:g} it may be in {' or '.join(possible) or 'none'}"

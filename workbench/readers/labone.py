@@ -30,7 +30,7 @@ PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
 }
 #: Largest relative difference (rms, of |Z|) of sweeps of one file that are repetitions. Doubled, a drift of 2 % goes
 #: unmentioned.
-REPEATED = 0.01
+SAME_SWEEP = 0.01
 
 
 def recognises_labone(text: RecordingText) -> bool:

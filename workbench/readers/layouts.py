@@ -14,7 +14,7 @@ from workbench.readers.headings import is_unit, understand
 from workbench.readers.text import COMMENTS, RecordingText, RowCells, cells, complex_parts, row_cells
 
 #: Number of lines in which headings are looked for if no rows of numbers follow.
-SEARCHED = 1000
+HEADINGS_WITHIN = 1000
 
 _DELIMITERS = ("\t", ";", ",", " ")
 _CELL = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
@@ -49,7 +49,7 @@ def find_layout(text: RecordingText) -> TableLayout | None:
     """The first table of three columns or more, by its headings or, if none are understood, by its numbers."""
     numbered = _numbers(text)
     headed: TableLayout | None = None
-    for index, line in enumerate(text.lines[:SEARCHED if numbered is None else numbered.start]):
+    for index, line in enumerate(text.lines[:HEADINGS_WITHIN if numbered is None else numbered.start]):
         if not line.strip():
             continue
         if headed is not None and not line.startswith(COMMENTS) and is_cell(

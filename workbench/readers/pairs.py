@@ -18,6 +18,7 @@ from workbench.readers.quantities import (
     MAGNITUDE_UNITS,
     PHASE_UNITS,
     REFERENCE_OHM,
+    THROUGH,
     RecordedQuantity,
 )
 from workbench.readers.text import RecordingText
@@ -27,8 +28,6 @@ LARGEST_RAD = 3.2
 #: Largest difference (rms, of |Z|) between two pairs of columns that hold one impedance; digits are rounded to three or
 #: more.
 AGREEMENT = 0.01
-#: S21| above which a device is not at port 1 alone (see :mod:`workbench.readers.touchstone`).
-THROUGH = 0.05
 #: Largest element of a circuit without a unit, in SI: the unit of a larger one was left out. Doubled, nothing changes.
 LARGEST_ELEMENT: Mapping[str, float] = {"C": 1e-3, "L": 1.0}
 

@@ -38,6 +38,9 @@ CIRCUITS = tuple(f"{one}-{two}" for reactive, lossy in (PARALLEL, SERIES) for on
 CONFIGURATIONS = ("series", "shunt")
 #: Reference resistance (ohm) of reflection and transmission if a file states none: that of nearly every analyser.
 REFERENCE_OHM = 50.0
+#: |S21| above which a device is not at port 1 alone: leakage of a fixture is below -26 dB. Doubled, one that couples
+#: 10 % is taken for one at port 1.
+THROUGH = 0.05
 
 
 @dataclass(frozen=True)

@@ -259,13 +259,13 @@ class RowCells:
     """The rows of a table as text.
 
     ``cells`` of every row and the ``lines`` (from one) they stand on; ``skipped``, the lines below the first row that
-    are no rows; ``beyond``, the line at which another table begins (None: no other).
+    are no rows; ``next_table``, the line at which another table begins (None: no other).
     """
 
     cells: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     skipped: tuple[int, ...]
-    beyond: int | None
+    next_table: int | None
 
     def column(self, text: RecordingText, place: int, *, width: int, decimal: str) -> NDArray[np.float64]:
         """The numbers (n,) of the column `place` (from 0).

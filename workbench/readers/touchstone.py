@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.readers.findings import Finding
+from workbench.readers.quantities import THROUGH
 from workbench.readers.sweep import Recorded, in_order
-from workbench.readers.text import RecordingText, cell_number
+from workbench.readers.text import RecordingText, cell_number, is_number
 from workbench.results.spectrum import Origin
 
 _FREQUENCIES: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
@@ -28,14 +29,10 @@ _PARAMETERS = ("s", "y", "z", "g", "h")
 _FORMATS = ("ri", "ma", "db")
 _SUFFIX = re.compile(r"\.[syzgh](\d+)p")
 _KEYWORD = re.compile(r"\[([^\]]*)\]\s*(.*)")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 #: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and a
 #: frequency above this shows that it is in hertz. Doubled, nothing changes.
-_HIGHEST_HZ = 3e12
-#: S21| above which a device is not at port 1 alone: leakage of a fixture is below -26 dB. Doubled, one that couples
-#: 10 % is taken for one at port 1.
-_THROUGH = 0.05
+_NO_ANALYSER_HZ = 3e12
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,7 @@ def recognises_touchstone(text: RecordingText) -> bool:
     words = first[1:].split("!")[0].casefold().split() if first.startswith("#") else []
     known = (*_FREQUENCIES, *_PARAMETERS, *_FORMATS, "r")
     # A comment may begin with one of these letters; a line of options has no other words, and more than one.
-    return len(words) > 1 and words[0] in known and all(word in known or _NUMBER.fullmatch(word) for word in words)
+    return len(words) > 1 and words[0] in known and all(word in known or is_number(word) for word in words)
 
 
 def parse_touchstone(text: RecordingText) -> Recorded:
@@ -86,7 +83,7 @@ def parse_touchstone(text: RecordingText) -> Recorded:
         raise text.error(data[-1][0] if data else len(text.lines), None, f"{len(lines)} frequencies",
                          f"the {options.frequencies} of [Number of Frequencies]; the file may be cut short")
     frequency = values[:, 0] * options.unit
-    if not options.stands and len(frequency) and np.max(frequency) > _HIGHEST_HZ:
+    if not options.stands and len(frequency) and np.max(frequency) > _NO_ANALYSER_HZ:
         raise InputError(text.path, "Touchstone", f"frequencies to {np.max(values[:, 0]):g} and no line of options",
                          "a line such as '# HZ S RI R 50' above the rows: without one they are gigahertz, S as "
                          "magnitude and angle, and 50 ohm")
@@ -113,7 +110,7 @@ def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding
     words = f"{ports} ports: the impedance at port 1 was read from {letter}11, {rest} {ends}"
     if options.parameter == "s" and options.matrix == "full" and len(values):
         coupled = float(np.max(np.abs(_complex(values[:, 3:5], options))))
-        if coupled > _THROUGH:
+        if coupled > THROUGH:
             form = {"ri": 'form = "rectangular"', "ma": 'form = "polar"', "db": 'form = "polar"'}[options.form]
             unit = "dB" if options.form == "db" else "1"
             words += f". |S21| reaches {coupled:.2g}: a device between the ports is not what S11 shows"
@@ -202,9 +199,9 @@ def _option_line(text: RecordingText, line: int, options: Options, words: Sequen
             found["parameter"] = word
         elif word in _FORMATS:
             found["form"] = word
-        elif word == "r" or (word.startswith("r") and _NUMBER.fullmatch(word[1:])):
+        elif word == "r" or (word.startswith("r") and is_number(word[1:])):
             values = [word[1:]] if word != "r" else []
-            while index + 1 < len(plain) and _NUMBER.fullmatch(plain[index + 1]):
+            while index + 1 < len(plain) and is_number(plain[index + 1]):
                 index += 1
                 values.append(plain[index])
             found["reference"] = _numbers(text, line, values)

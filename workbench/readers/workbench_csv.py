@@ -6,7 +6,7 @@ from __future__ import annotations
 from workbench.files.errors import InputError, nearest_names
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, numbers
-from workbench.results.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
+from workbench.results.spectrum import CSV_COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
 
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
@@ -15,7 +15,7 @@ def recognises_workbench_csv(text: RecordingText) -> bool:
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
     names = cells(header, ",")
     # Another program may use this name for its frequency; its other columns tell.
-    return names[0].startswith(COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(COLUMNS[1:]))
+    return names[0].startswith(CSV_COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(CSV_COLUMNS[1:]))
 
 
 def parse_workbench_csv(text: RecordingText) -> Recorded:
@@ -34,8 +34,8 @@ def parse_workbench_csv(text: RecordingText) -> Recorded:
     origin = _origin(text, [each for each in comments if _key(each[1]) != SHARED_UNCERTAINTY])
     header_line, header = table[0]
     names = tuple(cells(header, ","))
-    if names not in (COLUMNS, (*COLUMNS, UNCERTAINTY_COLUMN)):
-        wanted = ",".join(COLUMNS)
+    if names not in (CSV_COLUMNS, (*CSV_COLUMNS, UNCERTAINTY_COLUMN)):
+        wanted = ",".join(CSV_COLUMNS)
         raise text.error(header_line, None, header, f"{wanted} or {wanted},{UNCERTAINTY_COLUMN}")
     rows = numbers(text, table[1:], delimiter=",", columns=len(names))
     impedance = rows.values[:, 1] + 1j * rows.values[:, 2]

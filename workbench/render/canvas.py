@@ -38,6 +38,13 @@ OTHER_COLOUR = "#cccccc"
 #: Free share of a photograph at each side. Doubled, a chip is 3 % smaller.
 MARGIN = 0.03
 
+#: Largest number of panels side by side in one picture: more would be too many to read.
+PANELS_ACROSS = 3
+
+#: Points of the raster along each side of a dot, which is their mean: edges and thin layers are smooth. Doubled, four
+#: times as many are computed.
+POINTS_PER_DOT = 2
+
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
@@ -200,6 +207,22 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
+
+
+def panel_grid(
+    count: int, *, across: int, panel: tuple[float, float], margin: tuple[float, float], sharey: bool = False
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure of `count` panels, `across` a row at most, and its axes (rows, columns), those without a panel hidden.
+
+    Every panel takes `panel` inches (width, height), the figure a `margin` besides.
+    """
+    columns = min(across, count)
+    rows = -(-count // columns)
+    figure = new_figure(margin[0] + panel[0] * columns, margin[1] + panel[1] * rows)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=sharey)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return figure, grid
 
 
 def save_figure(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:

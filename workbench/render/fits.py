@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import SIGNED_COLOURS, new_figure, save_figure
+from workbench.render.canvas import PANELS_ACROSS, SIGNED_COLOURS, new_figure, panel_grid, save_figure
 from workbench.render.plots import LINE_COLOURS, SpectrumLike, save_impedance, tidy
 
 Real = NDArray[np.float64]
-
-#: Largest number of panels side by side in one picture: more would be too many to read.
-PANELS_ACROSS = 3
 
 
 @dataclass(frozen=True)
@@ -260,12 +257,9 @@ def draw_batch(
     """
     if not values:
         raise ValueError("no values to draw")
-    rows = -(-len(values) // PANELS_ACROSS)
-    across = min(len(values), PANELS_ACROSS)
-    figure = new_figure(1.2 + 3.3 * across, 1.0 + 2.5 * rows)
-    panels = np.ravel(figure.subplots(rows, across, squeeze=False))
+    figure, panels = panel_grid(len(values), across=PANELS_ACROSS, panel=(3.3, 2.5), margin=(1.2, 1.0))
     places = np.arange(len(devices))
-    for axes, (label, (value, low, high)) in zip(panels, values.items(), strict=False):
+    for axes, (label, (value, low, high)) in zip(panels.flat, values.items(), strict=False):
         out = np.array([device in outliers.get(label, ()) for device in devices])
         axes.axhline(float(np.nanmedian(value)), color="#888888", linewidth=0.9, linestyle="--")
         spans = np.maximum(np.stack([value - low, high - value]), 0.0)
@@ -278,8 +272,6 @@ def draw_batch(
         axes.set_xticks(places, devices, rotation=45, ha="right", fontsize=8)
         axes.ticklabel_format(axis="y", useOffset=False, style="plain")
         tidy(axes)
-    for axes in panels[len(values):]:
-        axes.set_visible(False)
     figure.suptitle(title)
     figure.tight_layout()
     return save_figure(figure, path)

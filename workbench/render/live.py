@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from geometry.names import CAVITY
 from workbench.acoustics.nodal import FloatArray, NodalMesh, raster
 from workbench.acoustics.traps import TrapReport
-from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, prefixed
+from workbench.render.canvas import PLAIN_COLOURS, POINTS_PER_DOT, SIGNED_COLOURS, prefixed
 from workbench.render.sections import at_largest, region_edges
 
 if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
 
-#: Width of a picture in dots, as on the page, and points of the raster along each side of a dot, which is their mean.
-_DOTS, _POINTS = 880, 2
+#: Width of a picture in dots, as on the page.
+_DOTS = 880
 #: Steps of the strip of colours that stands for a map.
 _STRIP = 9
 
@@ -94,12 +94,12 @@ def _picture(
     shown = mesh.points if len(regions) > 1 else there
     radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
     across, up = _DOTS // 2, max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
-    r = (np.arange(_POINTS * across) + 0.5) * radius / (_POINTS * across)
-    z = bottom + (np.arange(_POINTS * up) + 0.5) * (top - bottom) / (_POINTS * up)
+    r = (np.arange(POINTS_PER_DOT * across) + 0.5) * radius / (POINTS_PER_DOT * across)
+    z = bottom + (np.arange(POINTS_PER_DOT * up) + 0.5) * (top - bottom) / (POINTS_PER_DOT * up)
     seen = np.ma.masked_invalid(raster(mesh, values, r, z, regions).T[::-1])
     shades = colormaps[colours]
     coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
-    right = coloured.reshape(up, _POINTS, across, _POINTS, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+    right = coloured.reshape(up, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(axis=(1, 3)).round().astype(np.uint8)
     held = io.BytesIO()
     Image.fromarray(np.concatenate([right[:, ::-1], right], axis=1)).save(held, "png", compress_level=1)
     strip = ", ".join(to_hex(shades(share)) for share in np.linspace(0.0, 1.0, _STRIP))

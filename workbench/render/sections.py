@@ -21,6 +21,7 @@ from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_
 from workbench.acoustics.traps import TrapReport
 from workbench.render.canvas import (
     PLAIN_COLOURS,
+    POINTS_PER_DOT,
     SIGNED_COLOURS,
     new_figure,
     prefixed,
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
 _DOTS_PER_INCH = 160
-#: Points of the raster along each side of a dot, which is their mean: edges and thin layers are smooth.
-_POINTS = 2
 _OUTLINE = "#303030"
 #: Colours of marked regions, and of all others.
 _MARKED, _UNMARKED = "#d55e00", "#eeeeee"
@@ -252,7 +251,7 @@ def _dots(window: _Window) -> tuple[int, int]:
 def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
     """Radii and heights (m) of the points of a picture of `window`, ascending: those at and right of the axis."""
     width, height = _dots(window)
-    across, up = _POINTS * width // 2, _POINTS * height
+    across, up = POINTS_PER_DOT * width // 2, POINTS_PER_DOT * height
     return ((np.arange(across) + 0.5) * window.right / across,
             window.bottom + (np.arange(up) + 0.5) * (window.top - window.bottom) / up)
 
@@ -275,7 +274,7 @@ def _show(
     seen = np.ma.masked_invalid(values.T[::-1])
     coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
     width, height = _dots(window)
-    right = coloured.reshape(height, _POINTS, width // 2, _POINTS, 3).mean(axis=(1, 3))
+    right = coloured.reshape(height, POINTS_PER_DOT, width // 2, POINTS_PER_DOT, 3).mean(axis=(1, 3))
     picture = np.concatenate([right[:, ::-1], right], axis=1).round().astype(np.uint8)
     # Dot for dot: any other interpolation would blur them, and takes as long as all the rest of a picture.
     axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)

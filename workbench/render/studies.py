@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import PLAIN_COLOURS, new_figure, save_figure
-from workbench.render.fits import PANELS_ACROSS
+from workbench.render.canvas import PANELS_ACROSS, PLAIN_COLOURS, new_figure, panel_grid, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
@@ -120,10 +119,7 @@ def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Pat
 def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
     """Draw a figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of near points.
     Writes `path`."""
-    rows = math.ceil(len(parameters) / PANELS_ACROSS)
-    across = min(PANELS_ACROSS, len(parameters))
-    figure = new_figure(3.4 * across + 0.6, 2.8 * rows + 0.4)
-    panels = figure.subplots(rows, across, squeeze=False, sharey=True)
+    figure, panels = panel_grid(len(parameters), across=PANELS_ACROSS, panel=(3.4, 2.8), margin=(0.6, 0.4), sharey=True)
     for axes, parameter in zip(panels.flat, parameters, strict=False):
         # Few points are drawn large and dark; of many, each is faint so that dense places show.
         count = max(1, parameter.values.size)
@@ -139,8 +135,6 @@ def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Pat
                           marker="o", capsize=4.0)
         _label(axes, parameter, "x")
         tidy(axes)
-    for axes in panels.flat[len(parameters):]:
-        axes.set_visible(False)
     for row in panels:
         row[0].set_ylabel(found.label)
     figure.suptitle(title)

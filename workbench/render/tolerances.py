@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.design.figures import change_unit
 from workbench.design.uncertainty import amount
-from workbench.render.canvas import Picture, new_figure, save_figure
+from workbench.render.canvas import PANELS_ACROSS, Picture, new_figure, panel_grid, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: Largest number of panels side by side in one picture: more would be too many to read.
-PANELS_ACROSS = 3
 #: Largest number of bars of a tornado: smaller influences are invisible.
 BARS = 12
 PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
@@ -122,11 +120,8 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
     if not panels:
         raise ValueError("no figures to draw")
     bars = max(min(BARS, len(each.labels)) for each in panels)
-    across = min(2, len(panels))
-    rows = -(-len(panels) // across)
-    figure = new_figure(5.4 * across, 0.5 + rows * (0.9 + 0.26 * bars))
-    grid = np.ravel(figure.subplots(rows, across, squeeze=False))
-    for axes, each in zip(grid, panels, strict=False):
+    figure, grid = panel_grid(len(panels), across=2, panel=(5.4, 0.9 + 0.26 * bars), margin=(0.0, 0.5))
+    for axes, each in zip(grid.flat, panels, strict=False):
         changes = each.changes[:BARS]
         places = np.arange(len(changes))
         axes.barh(places, changes, height=0.6, color=LINE_COLOURS[0], label="number grows")
@@ -136,9 +131,7 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
         axes.set_ylim(bars - 0.4, -0.6)
         axes.set_title(each.title, fontsize=10)
         tidy(axes)
-    for axes in grid[len(panels):]:
-        axes.set_visible(False)
-    grid[0].legend(frameon=False, loc="lower right", fontsize=8)
+    grid.flat[0].legend(frameon=False, loc="lower right", fontsize=8)
     figure.suptitle(title)
     figure.tight_layout()
     return save_figure(figure, path)
@@ -154,11 +147,8 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
     """
     if not panels:
         raise ValueError("no figures to draw")
-    across = min(PANELS_ACROSS, len(panels))
-    rows = -(-len(panels) // across)
-    figure = new_figure(4.2 * across + 0.4, 3.0 * rows + 0.5)
-    grid = np.ravel(figure.subplots(rows, across, squeeze=False))
-    for axes, each in zip(grid, panels, strict=False):
+    figure, grid = panel_grid(len(panels), across=PANELS_ACROSS, panel=(4.2, 3.0), margin=(0.4, 0.5))
+    for axes, each in zip(grid.flat, panels, strict=False):
         there = each.values[np.isfinite(each.values)]
         met = (there >= each.low) & (there <= each.high)
         # The rule of Freedman and Diaconis, as in numpy; at least two, for figures that hardly differ.
@@ -174,11 +164,9 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
         axes.locator_params(axis="x", nbins=5)
         axes.set_ylabel("samples")
         tidy(axes)
-    for axes in grid[len(panels):]:
-        axes.set_visible(False)
     figure.suptitle(title)
     figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
-    figure.legend(*grid[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
+    figure.legend(*grid.flat[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
     return save_figure(figure, path)
 
 

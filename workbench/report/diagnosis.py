@@ -17,11 +17,12 @@ from workbench.diagnosis.known_physics import Contribution
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
 from workbench.files.quantities import shown_factor, shown_unit
+from workbench.files.writing import write_json
 from workbench.model.numbers import plain_words
 from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
 from workbench.render.sections import draw_marked
 from workbench.report.figures import origin_table
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
 from workbench.results.comparison import compare
 from workbench.results.merit import Figures, measured_figures
 

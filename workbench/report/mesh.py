@@ -50,12 +50,13 @@ class MeshRow:
         """From a run that has figures of merit, and that of the finest mesh at the same frequencies."""
         mesh = run.problem.mesh
         area = sum(mesh.section.area(region) for region in mesh.section.regions)
-        ratio = run.spectrum.impedance / finest.spectrum.impedance
+        # Complex division does not give exactly one of equal numbers.
+        error = 0.0 if run is finest else float(np.sqrt(np.mean(np.abs(np.log(
+            run.spectrum.impedance / finest.spectrum.impedance)) ** 2)))
         merit = run.figures
         assert merit is not None
         return cls(accuracy, run.unknowns, merit.f0, merit.z_min, merit.q,
-                   run.mesh_error.rms if run.mesh_error else math.nan,
-                   float(np.sqrt(np.mean(np.abs(np.log(ratio)) ** 2))), math.sqrt(area / mesh.mesh.t.shape[1]))
+                   run.mesh_error.rms if run.mesh_error else math.nan, error, math.sqrt(area / mesh.mesh.t.shape[1]))
 
 
 def convergence_table(rows: Sequence[MeshRow]) -> TextTable:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from workbench.files.writing import write_atomic
 from workbench.render.canvas import Picture
@@ -149,9 +147,3 @@ def number_text(value: float, digits: int = 4) -> str:
 def with_unit(name: str, unit: str) -> str:
     """A heading: the name with its unit in brackets, if it has one."""
     return f"{name} ({unit})" if unit else name
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> Path:
-    """Write a record as JSON, whole or not at all."""
-    write_atomic(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-    return path

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 #: Lines and columns of the text of a result. Doubled, a few results in a row fill a terminal.
-LINES, COLUMNS = 10, 100
+TEXT_LINES, TEXT_COLUMNS = 10, 100
 #: Number of names of a mapping, or elements of a sequence, that are shown.
 _FEW = 4
 
@@ -23,15 +23,15 @@ class Brief:
     def __repr__(self) -> str:
         assert dataclasses.is_dataclass(self)
         fields = ", ".join(f"{each.name}={_short(getattr(self, each.name))}" for each in dataclasses.fields(self))
-        return lines_of(textwrap.wrap(f"{type(self).__name__}({fields})", COLUMNS, subsequent_indent="  "))
+        return lines_of(textwrap.wrap(f"{type(self).__name__}({fields})", TEXT_COLUMNS, subsequent_indent="  "))
 
 
 def lines_of(lines: list[str]) -> str:
-    """The lines as one text, cut to :data:`LINES` of :data:`COLUMNS`."""
-    if len(lines) > LINES:
-        lines = [*lines[:LINES - 1], f"... {len(lines) - LINES + 1} more lines"]
-    return "\n".join(textwrap.shorten(line, COLUMNS, placeholder=" ...", drop_whitespace=False)
-                     if len(line) > COLUMNS else line for line in lines)
+    """The lines as one text, cut to :data:`TEXT_LINES` of :data:`TEXT_COLUMNS`."""
+    if len(lines) > TEXT_LINES:
+        lines = [*lines[:TEXT_LINES - 1], f"... {len(lines) - TEXT_LINES + 1} more lines"]
+    return "\n".join(textwrap.shorten(line, TEXT_COLUMNS, placeholder=" ...", drop_whitespace=False)
+                     if len(line) > TEXT_COLUMNS else line for line in lines)
 
 
 def _short(value: object) -> str:

@@ -39,9 +39,9 @@ class Comparison(Shown):
     error of phase in radian, principal value. (Passive impedances differ by at most 180 degrees of phase, so nothing
     has to be unwrapped.) ``mape_percent`` is the mean of | |Z_sim| - |Z_meas| | / |Z_meas|; ``rms_log_residual`` the
     root mean square of |ln(Z_sim / Z_meas)|; ``worst_percent``, at ``worst_frequency``, the largest relative error of
-    Z|, which a mean over the band hides: it is usually on a peak.
-    ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in squares)
-    is None if neither is known. ``rows`` compare f0, Z_min and Q; if a resonance is missing they are empty and
+    |Z|, which a mean over the band hides: it is usually on a peak.
+    ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in
+    squares) is None if neither is known. ``rows`` compare f0, Z_min and Q; if a resonance is missing they are empty and
     ``rows_missing`` gives the reason.
     """
 

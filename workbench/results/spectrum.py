@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ORIGIN_KINDS = ("measured", "simulated", "unknown")
 
 #: The columns of the workbench's own file; the last one is present only if the uncertainty is known.
-COLUMNS = ("frequency_hz", "z_real_ohm", "z_imag_ohm")
+CSV_COLUMNS = ("frequency_hz", "z_real_ohm", "z_imag_ohm")
 UNCERTAINTY_COLUMN = "uncertainty_ohm"
 
 #: The key of the line above the columns that holds the part of the uncertainty that all points share.
@@ -299,7 +299,7 @@ def write_csv(spectrum: Spectrum, path: Path | str) -> None:
     if spectrum.shared_uncertainty:
         lines.append(f"# {SHARED_UNCERTAINTY}: {spectrum.shared_uncertainty!r}")
     columns = [spectrum.frequency, spectrum.impedance.real, spectrum.impedance.imag]
-    names = list(COLUMNS)
+    names = list(CSV_COLUMNS)
     if spectrum.uncertainty is not None:
         columns.append(spectrum.uncertainty)
         names.append(UNCERTAINTY_COLUMN)

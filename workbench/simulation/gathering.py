@@ -17,7 +17,7 @@ from workbench.simulation.run import Snapshot
 
 #: Share of the cavity's volume whose particles must come to rest in the liquid to gather there. Doubled, a trap that a
 #: tenth of the particles reach does not count.
-FEW = 0.05
+LEAST_SHARE = 0.05
 #: Time to focus (s) above which particles gather slowly. Doubled, a quarter of an hour for a full cavity passes without
 #: a word.
 SLOW = 60.0
@@ -27,7 +27,7 @@ THERMAL = 10.0 * 1.380649e-23 * 298.15
 GAS = 100.0
 #: Step, as a factor of the voltage, and largest factor of the search for a voltage that holds particles. Finer steps
 #: would promise more than the accuracy of a bench's drive, and no amplifier of a bench has more.
-STEP, HIGHEST = 1.2, 15.0
+VOLTAGE_STEP, LARGEST_FACTOR = 1.2, 15.0
 #: Share of height or radius within which a place on a wall is on the floor, the lid or the side wall.
 _AT = 0.02
 
@@ -65,7 +65,7 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     free = [trap for trap in report.traps if not trap.on_wall]
     held = sorted((trap for trap in free if trap.holds), key=lambda trap: -trap.share)
     share = sum(trap.share for trap in held)
-    if share < FEW:
+    if share < LEAST_SHARE:
         where = _on_walls(report)
         return Gathering(state, False, (
             f"{at}, {who} do not gather in the liquid" + (f": they come to rest {where}." if where else "."),
@@ -89,7 +89,7 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     else:
         sentences.append(f"From a quarter wavelength away they are there in {rounded(seconds)} s.")
     where = _on_walls(report)
-    if share < 1.0 - FEW and where:
+    if share < 1.0 - LEAST_SHARE and where:
         sentences.append(f"The others come to rest {where}.")
     kept = best.barrier is None or best.barrier >= THERMAL
     return Gathering(state, kept and (seconds is None or seconds <= SLOW), tuple(sentences))
@@ -135,12 +135,12 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
 def _enough(report: TrapReport) -> str:
     """The voltage at which traps in the liquid would hold particles, found with the potential of that voltage."""
     voltage, factor = 2.0 * report.excitation.voltage, 1.0
-    while factor < HIGHEST:
-        factor *= STEP
+    while factor < LARGEST_FACTOR:
+        factor *= VOLTAGE_STEP
         forces = report.forces
         stronger = replace(forces, potential=factor**2 * forces.potential, force=factor**2 * forces.force)
         held = sum(trap.share for trap in find_traps(stronger).traps if trap.holds and not trap.on_wall)
-        if held >= FEW:
+        if held >= LEAST_SHARE:
             return f"At {rounded(factor * voltage)} Vpp traps in the liquid would hold {percent(held)} of them."
     return f"Nor would it hold any at {rounded(factor * voltage)} Vpp."
 
@@ -163,8 +163,9 @@ def _antinode(forces: ParticleForces, trap: Trap) -> str:
 def _on_walls(report: TrapReport) -> str:
     """The places of particles that do not stay in the liquid; empty if there are few."""
     places = [f"{_wall_words(trap, report.forces)} ({percent(trap.share)})" for trap in
-              sorted(report.traps, key=lambda trap: -trap.share) if trap.on_wall and trap.holds and trap.share >= FEW]
-    if report.settled >= FEW:
+              sorted(report.traps, key=lambda trap: -trap.share)
+              if trap.on_wall and trap.holds and trap.share >= LEAST_SHARE]
+    if report.settled >= LEAST_SHARE:
         sinks = net_weight(report.forces.particle, report.forces.fluid) > 0.0
         places.append(f"on the {'floor' if sinks else 'lid'}, where the weight brings them ({percent(report.settled)})")
     return ", ".join(places)

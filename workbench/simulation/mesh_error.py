@@ -42,13 +42,13 @@ MORE = 1
 
 
 #: Magnitude below which entries of the surplus functions at the nodes are rounding.
-ROUNDING = 1e-14
+ZERO_ENTRY = 1e-14
 
 #: Number of frequencies at which the error is estimated: each takes as long as a hundredth of a reduced model.
-SAMPLES = 13
+ERROR_FREQUENCIES = 13
 
 
-def samples(frequency: Real, impedance: Complex, count: int = SAMPLES) -> tuple[Integers, Real]:
+def samples(frequency: Real, impedance: Complex, count: int = ERROR_FREQUENCIES) -> tuple[Integers, Real]:
     """Samples of a spectrum (n,) for the rms of its error over the whole: indices (k,) and weights (k,).
 
     The mean of a function over the spectrum is about the sum of its values there times the weights, which add up to
@@ -168,7 +168,7 @@ def _map(
     `values` (nodes, functions) of every element at the `nodes` (nodes, cells) for the `functions` (functions, cells);
     their unknowns are `rows` and `columns` by their number, -1 for none.
     """
-    node, function = np.nonzero(np.abs(values) > ROUNDING)
+    node, function = np.nonzero(np.abs(values) > ZERO_ENTRY)
     row, column, value = nodes[node].ravel(), functions[function].ravel(), np.repeat(values[node, function],
                                                                                     nodes.shape[1])
     # Shared entries of two elements are equal.

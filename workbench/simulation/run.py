@@ -58,14 +58,14 @@ RESOLVED = 2
 
 #: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
 #: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
-BESIDE = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
+NEARBY = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
 
 #: Number of frequencies that may fail to converge for each one that does, and number in any case, before a spectrum is
 #: given up: a model that is singular everywhere is not held by anything. Doubled, the message takes twice as long.
-HOLES, FEW = 0.5, 5
+FAILED_PER_SOLVED, FAILED_ANYWAY = 0.5, 5
 #: Largest ratio of the error of a mesh to its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small
 #: example chip (one more order shows a part of the error of a singular corner). Used in the warning alone.
-TOLD = 3.0
+ERROR_OVER_ESTIMATE = 3.0
 
 
 class MeshTooCoarse(UserWarning):
@@ -325,7 +325,8 @@ def _mesh_error(
             f'--accuracy "{100.0 * max(finer):g} %" (in Python accuracy={max(finer):g}) makes a finer one')
         warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above the "
                       f"{100.0 * accuracy:g} % that it was made for; {remedy}. The error itself is "
-                      f"up to {TOLD:g} times its estimate where corners are sharp", MeshTooCoarse, stacklevel=3)
+                      f"up to {ERROR_OVER_ESTIMATE:g} times its estimate where corners are sharp", MeshTooCoarse,
+                      stacklevel=3)
     return error
 
 
@@ -381,7 +382,7 @@ def _snapshot(
 
 
 def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -> Solution:
-    """The full solution at `frequency` (Hz), or at the nearest of :data:`BESIDE` if it does not converge there.
+    """The full solution at `frequency` (Hz), or at the nearest of :data:`NEARBY` if it does not converge there.
 
     Raises:
         NotConverged: it converges at none of them.
@@ -389,7 +390,7 @@ def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -
     try:
         return solve_full(operators, np.array([frequency]), problem.values)
     except NotConverged as error:
-        for beside in BESIDE:
+        for beside in NEARBY:
             try:
                 return solve_full(operators, np.array([frequency * (1.0 + beside)]), problem.values)
             except NotConverged:
@@ -405,7 +406,7 @@ def _full_spectrum(
     residual.
 
     Raises:
-        NotConverged: more frequencies than :data:`HOLES` of them do not converge.
+        NotConverged: more frequencies than :data:`FAILED_PER_SOLVED` of them do not converge.
     """
     impedance = np.conj(np.array([known.get(float(f), 0.0) for f in frequencies], dtype=np.complex128))
     missing = np.flatnonzero(impedance == 0.0)
@@ -413,7 +414,7 @@ def _full_spectrum(
 
     def leave_out(error: NotConverged) -> None:
         failed.append(error)
-        if len(failed) > max(HOLES * done, FEW):
+        if len(failed) > max(FAILED_PER_SOLVED * done, FAILED_ANYWAY):
             raise error
 
     for solution in sweep(operators, frequencies[missing], problem.values, failed=leave_out):

@@ -1,92 +1,59 @@
-"""Many pieces of work at once, each in a process of its own, that can be stopped and go on where they were."""
+"""Many trials at once, each in a process of its own, that can be stopped and go on where they were."""
 
 from __future__ import annotations
 
 import os
-import subprocess
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-#: Processes share the machine by their number, not by their threads.
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-#: Seconds between looks at what is running.
-PAUSE = 0.1
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A command, and the file ``log`` that takes what it prints."""
-
-    name: str
-    command: Sequence[str]
-    log: Path
+from workbench.jobs.process import WorkerEnded
+from workbench.jobs.workers import Processes, Task
 
 
 @dataclass(frozen=True)
 class Ended:
-    """A piece of work that ended: ``reason`` why it failed, empty if it did not; ``wall`` and processor ``seconds``."""
+    """A piece of work that ended, by its ``name``: its result in words, or the ``reason`` why it failed, empty if it
+    did not; ``wall`` and processor ``seconds``."""
 
-    piece: Piece
+    name: str
+    words: str
     reason: str
     wall: float
     seconds: float
 
 
-@dataclass(eq=False)
-class _Running:
-    piece: Piece
-    process: subprocess.Popen[bytes]
-    started: float
-    late: bool = False
-
-
-def work(pieces: Iterable[Piece], jobs: int, seconds: float) -> Iterator[Ended]:
+def work(pieces: Iterable[tuple[str, Task[str]]], jobs: int, seconds: float) -> Iterator[Ended]:
     """Do that many pieces at a time and yield each as it ends; one that takes longer than so many `seconds` is killed.
     Whoever stops asking for more kills what runs."""
-    waiting, running = iter(pieces), list[_Running]()
+    began: dict[str, float] = {}
+
+    def tasks() -> Iterator[tuple[str, Task[tuple[str, str, float]]]]:
+        for name, piece in pieces:
+            began[name] = time.monotonic()
+            yield name, partial(_timed, piece)
+
+    with closing(Processes(jobs, seconds=seconds, fresh=True)) as workers:
+        for name, done in workers.completed(tasks()):
+            wall = time.monotonic() - began[name]
+            try:
+                words, reason, processor = done.result()
+            except WorkerEnded as error:
+                words, reason, processor = "", str(error), error.processor
+            yield Ended(name, words, reason, wall, processor)
+
+
+def _timed(piece: Task[str]) -> tuple[str, str, float]:
+    """The words of a piece of work, or why it failed, and the processor seconds of this process, begun for it."""
+    words = reason = ""
     try:
-        while True:
-            while len(running) < jobs and (piece := next(waiting, None)) is not None:
-                running.append(_begun(piece))
-            if not running:
-                return
-            for each in tuple(running):
-                pid, status, usage = os.wait4(each.process.pid, os.WNOHANG)
-                wall = time.monotonic() - each.started
-                if pid:
-                    each.process.returncode = os.waitstatus_to_exitcode(status)
-                    running.remove(each)
-                    yield Ended(each.piece, _reason(each, seconds), wall, usage.ru_utime + usage.ru_stime)
-                elif wall > seconds and not each.late:
-                    each.late = True
-                    each.process.kill()
-            time.sleep(PAUSE)
-    finally:
-        for each in running:
-            each.process.kill()
-            each.process.wait()
-
-
-def _begun(piece: Piece) -> _Running:
-    piece.log.parent.mkdir(parents=True, exist_ok=True)
-    with piece.log.open("wb") as log:
-        # Of a session of its own: whoever interrupts this process does not make its trials fail.
-        process = subprocess.Popen(piece.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                   env={**os.environ, **ONE_THREAD}, start_new_session=True)
-    return _Running(piece, process, time.monotonic())
-
-
-def _reason(ended: _Running, seconds: float) -> str:
-    if ended.late:
-        return f"no answer within {seconds / 60.0:g} min"
-    code = ended.process.returncode
-    if code == 0:
-        return ""
-    said = [line for line in ended.piece.log.read_text(errors="replace").splitlines() if line.strip()]
-    return said[-1].strip() if code > 0 and said else f"ended with {code}"
+        words = piece()
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+    return words, reason, time.process_time()
 
 
 def claimed(folder: Path, number: int) -> bool:

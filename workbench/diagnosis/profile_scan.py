@@ -1,9 +1,8 @@
-"""What an effect of any size would leave, with the known numbers where they are believed to be.
+"""Profile scans: the cost that an effect leaves by its size, about the prior means of the known numbers.
 
-Where an effect is large, no tangent at nothing says so, and where nothing being wrong ends, the known numbers have been
-pulled to where they make up for some of it. From where they are believed to be instead, every hypothesis is looked at
-in several sizes, the known numbers making up for what they can to first order. It is the profile of the cost along each
-of its numbers, coarse at first.
+No tangent at nothing shows a large effect, and where the search ends without it, known numbers have moved to make up
+for some of it. A scan starts from what is known instead: every hypothesis is tried in several sizes, and the known
+numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
 """
 
 from __future__ import annotations
@@ -23,24 +22,24 @@ from workbench.fitting.search import NO_END
 
 Real = NDArray[np.float64]
 
-#: Sizes that are looked at, in shares of the way to what a number may be at most, or at least.
+#: Sizes of the scan, as shares of a search direction.
 SIZES = (0.01, 0.03, 0.1, 0.3, 0.6, 0.95)
 
-#: The sizes that models hold for: the span of what they change serves beyond, and between.
+#: Sizes that models are made for; their span serves between and beyond.
 HELD = (0.1, 0.3, 0.6)
 
-#: A recording is looked at in about so many of its points.
+#: A recording is scanned on about so many of its points.
 LOOKED_AT = 41
 
-#: Between the sizes beside the best one, so many times, others are looked at.
+#: Steps about the best size are halved so many times.
 HALVED = 2
 
-#: So many of the places are left.
+#: So many of the places are returned.
 LEFT = 3
 
 
-def ways(model: Model, effect: Effect) -> Iterator[Real]:
-    """From nothing to all that each of the numbers (k,) of an effect may be, of all together too."""
+def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
+    """Directions (k,) from nothing to the bounds of each number of an effect, and to those of all together."""
     own = [model.index(name) for name in effect.names]
     stated = np.array([model.parameters[i].start for i in own])
     for bound in model.bounds(own):
@@ -52,12 +51,13 @@ def ways(model: Model, effect: Effect) -> Iterator[Real]:
 
 
 def corners(model: Model, effect: Effect, x: Real) -> list[Real]:
-    """Places (p,) about which models have to hold for an effect of any size at x (p,)."""
-    return [_sized(model, effect, x, way, size) for way in ways(model, effect) for size in HELD]
+    """Places (p,) that models of an effect of any size at x (p,) are made for."""
+    return [_sized(model, effect, x, direction, size)
+            for direction in search_directions(model, effect) for size in HELD]
 
 
-def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimum]:
-    """The sizes of an effect at x (p,) that leave least where the data weigh little, best first.
+def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimum]:
+    """The sizes of an effect at x (p,) of least cost where the data weigh little, best first.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
@@ -69,12 +69,12 @@ def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimu
     search, every = likelihood.search(hypothesis), [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
     thin, spreads = search.on(search.objective.thinned(LOOKED_AT)), likelihood.spreads(LEVELS[0], every)
     free = np.setdiff1d(search.free, own)
-    directions = list(ways(model, effect))
+    directions = list(search_directions(model, effect))
     refused: list[Exception] = []
 
-    def look(way: int, sizes: Sequence[float]) -> None:
+    def scan(direction: int, sizes: Sequence[float]) -> None:
         for size in sizes:
-            place = _sized(model, effect, x, directions[way], size)
+            place = _sized(model, effect, x, directions[direction], size)
             try:
                 seen = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
             except NO_END as error:
@@ -82,26 +82,26 @@ def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimu
                 continue
             step = np.linalg.lstsq(seen.jacobian[:, free], -seen.vector, rcond=None)[0]
             cost = 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2))
-            found[way, size] = InitialOptimum(place, cost, np.zeros(place.size))
+            found[direction, size] = InitialOptimum(place, cost, np.zeros(place.size))
 
-    for way in range(len(directions)):
-        look(way, SIZES)
+    for direction in range(len(directions)):
+        scan(direction, SIZES)
     for _ in range(HALVED):
         if not found and refused:
             raise refused[0]
         if not found:
             return []
-        way, size = min(found, key=lambda each: found[each].cost)
-        known = sorted({0.0, *(other for number, other in found if number == way)})
+        direction, size = min(found, key=lambda each: found[each].cost)
+        known = sorted({0.0, *(other for number, other in found if number == direction)})
         at = known.index(size)
         beside = [*known[at - 1:at], *known[at + 1:at + 2]]
-        look(way, [0.5 * (size + other) for other in beside])
+        scan(direction, [0.5 * (size + other) for other in beside])
     return sorted(found.values(), key=lambda each: each.cost)[:LEFT]
 
 
-def _sized(model: Model, effect: Effect, x: Real, way: Real, size: float) -> Real:
-    """x (p,) with an effect of some size."""
+def _sized(model: Model, effect: Effect, x: Real, direction: Real, size: float) -> Real:
+    """x (p,) with an effect of that share of a search direction."""
     own = [model.index(name) for name in effect.names]
     low, high = model.bounds(own)
     stated = np.array([model.parameters[i].start for i in own])
-    return replaced(x, own, inside(stated + size * way, low, high))
+    return replaced(x, own, inside(stated + size * direction, low, high))

@@ -14,7 +14,14 @@ from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import device_model
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Hypothesis
-from workbench.diagnosis.sweep import HELD, LOOKED_AT, SIZES, corners, swept, ways
+from workbench.diagnosis.profile_scan import (
+    HELD,
+    LOOKED_AT,
+    SIZES,
+    corners,
+    scan_profiles,
+    search_directions,
+)
 
 Real = NDArray[np.float64]
 
@@ -60,7 +67,7 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
     at = search.models.belief.x
     wider = search.models.wider(Hypothesis((own,)), corners(search.model, own, at))
     likelihood = search.models.bare().on(wider)
-    best = swept(likelihood, own, at)[0]
+    best = scan_profiles(likelihood, own, at)[0]
     problem = likelihood.search(Hypothesis((own,)))
     here = problem.evaluate(best.x, likelihood.spreads(LEVELS[0]))
     free = [i for i in problem.free if search.model.parameters[i].name != WIDTH]
@@ -78,7 +85,7 @@ def test_the_ways_go_to_all_that_each_number_may_be_and_to_all_at_once(tmp_path:
     indices = [device.index(name) for name in own.names]
     low, high = device.bounds(indices)
     start = np.array([device.parameters[i].start for i in indices])
-    found = list(ways(device, own))
+    found = list(search_directions(device, own))
     assert np.allclose(found, [(bound - start) * which for bound in (low, high) for which in ([1, 0], [0, 1], [1, 1])])
     assert np.abs(found).max(axis=1).min() > 0.0
     x = np.array([p.start for p in device.parameters])

@@ -1,20 +1,13 @@
-"""Where the points of a study are worked out: processes of this machine, or the workers of a Dask cluster."""
+"""The workers of a Dask cluster as an executor."""
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import signal
-import threading
-import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from workbench.files.errors import InputError
-from workbench.jobs.interruption import shielded
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -26,46 +19,6 @@ LARGE = 1_000_000
 
 #: How long (s) a Dask scheduler may take to answer.
 PATIENCE = 10.0
-
-
-@contextmanager
-def processes(jobs: int) -> Iterator[Executor]:
-    """`jobs` processes of this machine, which end with this one, however it ends.
-
-    They are begun afresh (not forked: a fork of a process with threads may hang), so a script that comes here must do
-    so below ``if __name__ == "__main__":``.
-    """
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
-    try:
-        with shielded(), contextlib.suppress(BrokenProcessPool):
-            # Every first task begins a process, which never hears of Ctrl-C if this thread does not just then. Who
-            # submits a task learns of processes that cannot begin.
-            for _ in range(jobs):
-                pool.submit(_nothing)
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _nothing() -> None:
-    """A task that begins a process."""
-
-
-def _begin_worker() -> None:
-    # The process that began this one is interrupted, and ends it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # What is to be said of a chip, the process that made its model says.
-    warnings.simplefilter("ignore")
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this process with the one that began it, which may be killed without a word."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None  # a worker has one
-    parent.join()
-    signal.raise_signal(signal.SIGTERM)
 
 
 class DaskExecutor(Executor):

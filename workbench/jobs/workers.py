@@ -1,0 +1,211 @@
+"""Where tasks are done: in this process, in processes of this machine, or by an executor such as a Dask cluster's.
+
+    with begin_workers(jobs) as workers:
+        workers.share(read_model, path)                         # made once in every process
+        for name, done in workers.completed((name, partial(figures, at=point)) for name, point in points):
+            kept[name] = done.result()                          # figures(model, at=point), as soon as it is there
+
+A task is a function that takes what :meth:`Workers.share` made in the process that does it, or nothing if nothing was
+shared. What is asked for at a time is small: whoever stops asking, or is interrupted, has all that was finished.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
+from typing import Any, TypeVar
+
+from workbench.jobs.process import WorkerEnded, WorkerProcess
+
+K = TypeVar("K")
+T = TypeVar("T")
+
+#: A piece of work: it takes what was shared, if anything was.
+Task = Callable[..., T]
+
+
+class Workers:
+    """This process, which does one task after the other, as each is asked for.
+
+    Others do ``size`` tasks at a time beside it.
+    """
+
+    size = 0
+
+    def __init__(self) -> None:
+        self._state: tuple[Any, ...] = ()
+
+    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
+        """Let every later task take ``make(*given)`` as its first argument, made once in every process.
+
+        None lets tasks take nothing again. Nothing is at work meanwhile.
+        """
+        self._state = () if make is None else (make(*given),)
+
+    def submit(self, task: Task[T]) -> Future[T]:
+        """Hand a task in."""
+        return _done_here(task, self._state)
+
+    def completed(
+        self, tasks: Iterable[tuple[K, Task[T]]], *, own: Any = None, ahead: int = 1
+    ) -> Iterator[tuple[K, Future[T]]]:
+        """Tasks with their keys as they end, in any order.
+
+        Tasks are taken one by one as processes are free, so `tasks` may decide late what there is to do; `ahead` of
+        them are taken for each process. With an `own` state this process works on them too, and gives them that.
+        """
+        waiting, given = iter(tasks), dict[Future[T], K]()
+        state, works = (self._state, not self.size) if own is None else ((own,), True)
+        try:
+            while True:
+                for key, task in islice(waiting, self.size * ahead - len(given)):
+                    given[self.submit(task)] = key
+                mine = next(waiting, None) if works else None
+                if mine is not None:
+                    yield mine[0], _done_here(mine[1], state)
+                elif not given:
+                    return
+                for future in wait(given, None if mine is None else 0.0, FIRST_COMPLETED).done:
+                    yield given.pop(future), future
+        finally:
+            for future in given:
+                future.cancel()
+
+    def map(self, tasks: Iterable[Task[T]]) -> list[T]:
+        """Results of tasks in their order.
+
+        Raises:
+            Exception: what a task raised.
+        """
+        found = {index: done.result() for index, done in self.completed(enumerate(tasks))}
+        return [found[index] for index in range(len(found))]
+
+
+class Processes(Workers):
+    """So many processes of this machine (see `workbench.jobs.process`), begun as they are needed, until :meth:`close`.
+
+    A task that takes longer than `seconds` is ended with its process, and another process takes its place; so it is
+    where a process ends by itself. Where each is `fresh`, every task has a process of its own.
+    """
+
+    def __init__(self, size: int, *, nice: int = 0, words: Path | None = None, seconds: float | None = None,
+                 fresh: bool = False) -> None:
+        super().__init__()
+        self.size, self._seconds, self._fresh = size, seconds, fresh
+        self._begin: Callable[[], WorkerProcess] = partial(WorkerProcess, nice=nice, words=words)
+        self._make: Callable[[], Any] | None = None
+        self._processes: list[WorkerProcess | None] = [None] * size
+        self._idle = SimpleQueue[int]()
+        for number in range(size):
+            self._idle.put(number)
+        self._changing, self._is_closed = Lock(), False
+        # A thread waits for each process.
+        self._threads = ThreadPoolExecutor(size)
+
+    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
+        self._make = None if make is None else partial(make, *given)
+        for number, process in enumerate(self._processes):
+            if process is not None:
+                process.hold(self._make)
+            elif self._make is not None:
+                self._process(number)
+
+    def submit(self, task: Task[T]) -> Future[T]:
+        return self._threads.submit(self._call, task)
+
+    def close(self) -> None:
+        """End all processes at once, whatever they do."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        with self._changing:
+            self._is_closed = True
+            for process in self._processes:
+                if process is not None:
+                    process.end()
+        self._threads.shutdown()
+
+    def _process(self, number: int) -> WorkerProcess:
+        """The process of that number, begun if it is not there."""
+        with self._changing:
+            if self._is_closed:
+                raise WorkerEnded("no process is begun at the end")
+            process = self._processes[number]
+            if process is None:
+                process = self._processes[number] = self._begin()
+                if self._make is not None:
+                    process.hold(self._make)
+            return process
+
+    def _call(self, task: Task[T]) -> T:
+        number = self._idle.get()
+        try:
+            process = self._process(number)
+            try:
+                found: T = process.call(task, self._seconds)
+                return found
+            finally:
+                if self._fresh or process.is_ended:
+                    process.end()
+                    self._processes[number] = None
+        finally:
+            self._idle.put(number)
+
+
+class ExecutorWorkers(Workers):
+    """Somebody else's executor, such as a Dask cluster's, given `size` tasks at a time.
+
+    What is shared is made for every task anew: threads of an executor may share a process.
+    """
+
+    def __init__(self, executor: Executor, size: int) -> None:
+        super().__init__()
+        self.size, self._executor = size, executor
+        self._make: bytes | None = None
+
+    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
+        self._make = None if make is None else pickle.dumps(partial(make, *given), protocol=pickle.HIGHEST_PROTOCOL)
+
+    def submit(self, task: Task[T]) -> Future[T]:
+        if self._make is None:
+            return self._executor.submit(task)
+        return self._executor.submit(_with_made, self._make, task)
+
+
+@contextmanager
+def begin_workers(jobs: int, executor: Executor | None = None) -> Iterator[Workers]:
+    """Workers for so many tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
+
+    An executor stays open at the end of the block, the processes end.
+    """
+    if executor is not None:
+        yield ExecutorWorkers(executor, jobs)
+    elif jobs == 1:
+        yield Workers()
+    else:
+        with closing(Processes(jobs)) as found:
+            yield found
+
+
+def itself(value: T) -> T:
+    """The value: what makes it from itself."""
+    return value
+
+
+def _done_here(task: Task[T], state: tuple[Any, ...]) -> Future[T]:
+    """A task done in this process."""
+    done = Future[T]()
+    try:
+        done.set_result(task(*state))
+    except Exception as error:
+        done.set_exception(error)
+    return done
+
+
+def _with_made(make: bytes, task: Task[T]) -> T:
+    return task(pickle.loads(make)())
