@@ -39,9 +39,9 @@ _THIN = 2e-4
 class Control(Number):
     """A number that can be moved: between ``low`` and ``high``, from the value in the chip's file.
 
-    What is stated of a length are limits, of a constant a standard uncertainty; a length that nobody states is known as
-    its role lets assume (`geometry.assumed`). The number is shown in ``shown_unit``, ``factor`` of which are one in SI.
-    ``narrowed`` says in words that the range does not hold the limits.
+    The uncertainty of a length is stated as limits, that of a constant as a standard one; a length without one has
+    that assumed by its role (`geometry.assumed`). The number is shown in ``shown_unit``, ``factor`` of which are one in
+    SI. ``narrowed`` says in words that the range does not hold the limits.
     """
 
     shown_unit: str

@@ -34,11 +34,11 @@ BENCH = "bench."
 #: About the one state that a number acts in, behind its name. No name holds the first sign; that of a state may.
 STATE, STATE_END = "[", "]"
 
-#: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
+#: Ends of the names of dimensions of a chip (`geometry.chip.Chip.dimensions`).
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
 
 
-#: What stands behind the name of a layer and is no dimension of it; ``gauge`` is the factor of density, stiffness and
+#: Ends of names of a layer that are no dimensions of it; ``gauge`` is the factor of density, stiffness and
 #: piezoelectric constants together that a free disc does not show.
 NO_DIMENSION = ("density", "material", "gauge")
 
@@ -71,8 +71,8 @@ class Element:
 
 #: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
 #: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
-#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
-#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
+#: Bounds are those of contacts, leads and probes; data sheets of generators state 1 to 50 in a million. A compensation
+#: that takes away too much leaves less than zero: a bad contact, 10 cm of wire, 20 cm of cable.
 BENCH_ELEMENTS: Mapping[str, Element] = {
     "series_resistance": Element("resistance of leads and contacts", "resistance", 0.3, -0.3, 5.0),
     "series_inductance": Element("inductance of the leads", "inductance", 2e-7, -1e-7, 2e-6),
@@ -85,7 +85,7 @@ BENCH_ELEMENTS: Mapping[str, Element] = {
 
 
 class ParameterKind(Enum):
-    """What a name is of; ``TERM`` is a number that belongs to no material of the registry, dimension or bench."""
+    """The kind of number of a name; ``TERM`` belongs to no material of the registry, dimension or bench."""
 
     MATERIAL = "material"
     DIMENSION = "dimension"
@@ -125,7 +125,7 @@ class ParameterName:
             owner, _, coefficient = key.partition(".")
             return cls(owner, coefficient, is_loss, ParameterKind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
-        # What a layer has is a dimension, whatever its profile calls it; numbers of terms have names of their own.
+        # Any size of a layer is a dimension, whatever its profile calls it; numbers of terms have names of their own.
         of_layer = role_of(owner) in ROLES and coefficient not in NO_DIMENSION
         is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or of_layer) and not is_loss
         return cls(owner, coefficient, is_loss, ParameterKind.DIMENSION if is_dimension else ParameterKind.TERM, state)
