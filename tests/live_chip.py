@@ -98,4 +98,4 @@ def film_session(folder: Path, wanted: Sequence[str] = (GEL,), recording: Spectr
 def diagnosing(send: Send, *, campaign: Path, folder: Path) -> None:
     """What stands for ``workbench diagnose``: it says a word, and sends a status."""
     print(f"error: no state in {campaign.name}", file=sys.stderr)
-    send(0 if folder.name == "good" else 2)
+    send(0 if campaign.stem == "good" else 2)

@@ -306,6 +306,20 @@ def test_a_fit_of_the_freed_numbers_finds_what_was_recorded(tmp_path: Path) -> N
     assert session.values[THICKNESS] == 0.8e-3
 
 
+def test_works_are_done_beside_and_tell_how_they_ended(tmp_path: Path, session: Session) -> None:
+    works = Works(session, tmp_path, tmp_path / "good.toml", live_chip.diagnosing)
+    assert works.diagnose(lambda text: None, lambda: False) == f"done, see {works.report}"
+    works.campaign = tmp_path / "bad.toml"
+    assert works.diagnose(lambda text: None, lambda: False) == "failed: error: no state in bad.toml"
+    assert works.diagnose(lambda text: None, lambda: True) == "stopped"
+    dots: list[float] = []
+    said = works.full(lambda text: None, lambda: len(dots) > 2, lambda frequency, _impedance: dots.append(frequency))
+    assert said == "stopped after 3 of 41 frequencies"
+    assert dots == sorted(dots)
+    assert "% there" in works.check(1e6)
+    works.close()
+
+
 def test_a_diagnosis_of_one_recording_is_of_the_present_chip(tmp_path: Path, session: Session) -> None:
     works = Works(session, tmp_path, None, live_chip.diagnosing)
     with pytest.raises(InputError, match="--campaign"):

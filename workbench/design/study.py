@@ -104,7 +104,7 @@ Then = tuple[Callable[[Any], None], Task[Any]]
 
 @dataclass(frozen=True)
 class _Run:
-    """What the steps of a run share."""
+    """The run of a study: its plan, its folder, and who does its tasks."""
 
     plan: Study
     kept: StudyFolder

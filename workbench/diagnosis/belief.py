@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, inside, smoothed
+from workbench.diagnosis.descent import LEVELS, initial_optimum, inside
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.objective import Objective
@@ -68,7 +68,7 @@ class Belief:
         """
         search, known = likelihood.search(Hypothesis()), range(len(self.root))
         starts = [StartPoint("", x) for x in (self.x, *self.places(DESCENTS, 0)[:DESCENTS - 1])]
-        trials = multistart(starts, lambda start: smoothed(likelihood, search, start.x), refused=NO_END)
+        trials = multistart(starts, lambda start: initial_optimum(likelihood, search, start.x), refused=NO_END)
         ends = [trial.end for trial in trials if trial.end is not None]
         if not ends:
             return self

@@ -37,7 +37,7 @@ SCHEDULE = Schedule((replace(STAGE, smoothing=0.01), STAGE))
 #: Descents begin no closer to the ends of a range than this share of it.
 INSIDE = 1e-4
 
-#: Of the ends of one hypothesis so many are followed, if they are not far behind (`odds.CLOSE`).
+#: Of the optima of one hypothesis so many go on to the next stage, if they are not far behind (`odds.CLOSE`).
 KEPT = 3
 
 #: Chi-square relative to noise from which on other basins are looked at.
@@ -47,8 +47,8 @@ EXCESS = 1.5
 REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 
 
-def smoothed(likelihood: Likelihood, search: FitSearch, x: Real, held: tuple[int, ...] = ()) -> Optimum:
-    """The optimum at little weight that smoothed admittances lead to from x (p,).
+def initial_optimum(likelihood: Likelihood, search: FitSearch, x: Real, held: tuple[int, ...] = ()) -> Optimum:
+    """The optimum at little weight that a search through smoothed admittances reaches from x (p,).
 
     Parameters of the indices `held` move only after the others.
     """
@@ -116,8 +116,8 @@ class Candidate:
         return self.weighed.left < EXCESS
 
 
-def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate:
-    """The ends (:data:`KEPT`) that the `starts` (p,) lead to where points have a further deviation of `level`.
+def refit_from(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate:
+    """The optima (at most :data:`KEPT`) of a hypothesis from `starts` (p,), with points of a further deviation `level`.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: no start leads anywhere; the

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import explained_share
-from workbench.diagnosis.descent import LEVELS, STAGE, Candidate, distinct_ends, followed, smoothed
+from workbench.diagnosis.descent import LEVELS, STAGE, Candidate, distinct_ends, initial_optimum, refit_from
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
@@ -196,7 +196,7 @@ class DiagnosisSearch:
             bare = bare.on(self.models.around(x, self.models.belief, self.model.fitted))
         search = bare.search(Hypothesis())
         try:
-            end = smoothed(bare, search, x, held)
+            end = initial_optimum(bare, search, x, held)
         except NO_END:
             return None
         return InitialOptimum(end.x, end.cost, search.errors(end))
@@ -212,7 +212,7 @@ class DiagnosisSearch:
                 likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.solve(likelihood.search(nothing), STAGE, end.x).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
-            return followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1]).weighed
+            return refit_from(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1]).weighed
         except NO_END:
             return None
 
@@ -322,7 +322,7 @@ class DiagnosisSearch:
                      tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
     def work(self, tasks: Sequence[SearchTask], *, must: int = 0) -> list[Any]:
-        """What every task returns; None for what there was no time for, or cannot be done.
+        """Results of the tasks in their order; None for one that there was no time for, or that cannot be done.
 
         So many of the first are done in any case.
 
@@ -378,7 +378,7 @@ class DiagnosisSearch:
         own = [self.model.index(each) for each in hypothesis.effects[0].names]
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
         likelihood = self.models.likelihood(at).on(self.models.wider(hypothesis, [largest]))
-        candidate = followed(likelihood, hypothesis, starts, LEVELS[0])
+        candidate = refit_from(likelihood, hypothesis, starts, LEVELS[0])
         self.say("   little", name, candidate.log_evidence, candidate.weighed.doubt,
                  [float(candidate.x[i]) for i in own])
         return candidate
@@ -392,7 +392,7 @@ class DiagnosisSearch:
         if not self.models.doubts(candidate.weighed.doubt, LEVELS[0]):
             likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
-        found = followed(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
+        found = refit_from(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
         return self.renewed(likelihood, found, LEVELS[1])[1]
 
     def renewed(
@@ -404,7 +404,7 @@ class DiagnosisSearch:
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
             likelihood = self.models.about(likelihood, candidate)
-            candidate = followed(likelihood, candidate.hypothesis, [candidate.x], level)
+            candidate = refit_from(likelihood, candidate.hypothesis, [candidate.x], level)
         return likelihood, candidate
 
     def outside(self, plain: Candidate) -> list[Candidate]:

@@ -34,7 +34,7 @@ class DaskExecutor(Executor):
         return found
 
     def _placed(self, argument: bytes) -> Any:
-        """What stands for a large argument that a worker has."""
+        """The reference to a large argument that the cluster holds."""
         if argument is not self._sent[0]:
             self._sent = argument, self._client.scatter(argument)
         return self._sent[1]
