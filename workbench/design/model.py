@@ -33,7 +33,7 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
 from workbench.model.dimensions import flexible, flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.ranges import LIMIT, Progress, RangeModel, Ranges, numbers_in_ranges, range_model
 from workbench.reduced.reduction import reduced
@@ -214,7 +214,7 @@ def full_evaluation(
         InputError: something in the chip, its materials, the values or the figures.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
-    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is ParameterKind.DIMENSION}
+    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).is_dimension}
     others = {n: v for n, v in values.items() if n not in lengths}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths))
     device = fill(moved, state, registry)
@@ -248,7 +248,7 @@ def _cavity(
         return None, ""
     if not isinstance(fluid, Fluid):
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"
-    lengths = [n for n in names if ParameterName.parse(n).kind is ParameterKind.DIMENSION]
+    lengths = [n for n in names if ParameterName.parse(n).is_dimension]
     try:
         found = cavity_of(operators, device.chip, fluid, device.particle, lengths, highest)
     except NoCavity as error:

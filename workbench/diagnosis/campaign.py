@@ -53,14 +53,12 @@ from pathlib import Path
 from geometry.names import TRANSDUCER
 from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
-from workbench.diagnosis.knowledge import Taken, read_knowledge
-from workbench.diagnosis.numbers import stated_number as stated_number
-from workbench.diagnosis.numbers import unit_of as unit_of
+from workbench.diagnosis.knowledge import read_knowledge
 from workbench.diagnosis.state import DeviceState as DeviceState
 from workbench.diagnosis.state import read_state
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.tables import FileTable
-from workbench.model.numbers import ParameterName
+from workbench.model.numbers import Number, ParameterName
 from workbench.results.brief import Brief
 
 #: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
@@ -71,10 +69,10 @@ STATED, NAMED = "stated", "named"
 class Campaign(Brief):
     """A device, its states, and what is known of it.
 
-    ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
-    chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
-    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
+    ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
+    states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
+    that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
+    the names of two shared numbers, each pair once. ``model_accuracy`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
     None if the data are to say it.
     """
@@ -82,13 +80,21 @@ class Campaign(Brief):
     name: str
     file: str
     states: tuple[DeviceState, ...]
-    known: Mapping[str, float]
-    offsets: Mapping[str, float]
+    taken: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
-    taken: tuple[Taken, ...]
     registry: Registry
     model_accuracy: float | None = None
+
+    @cached_property
+    def known(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of the numbers that all states share, by name."""
+        return {each.name: each.deviation for each in self.taken if not each.parsed.state}
+
+    @cached_property
+    def offsets(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of what one state adds, by name."""
+        return {each.name: each.deviation for each in self.taken if each.parsed.state}
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
@@ -127,8 +133,8 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
                          "at least one state with a recording that is not held out")
     _check_one_device(states, source)
     found = read_knowledge(table, states, from_files=head.choice("known", (STATED, NAMED), STATED) == STATED)
-    return Campaign(str(head.content.get("name", path.stem)), source, states, found.known, found.offsets, found.fixed,
-                    found.correlations, found.taken, registry, _accuracy(table))
+    return Campaign(str(head.content.get("name", path.stem)), source, states, found.numbers, found.fixed,
+                    found.correlations, registry, _accuracy(table))
 
 
 def _own_materials(head: FileTable, folder: Path) -> Iterator[Path]:
