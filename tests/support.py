@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import re
@@ -267,3 +268,10 @@ def pot(chip: Chip, *, fillet: float) -> Chip:
                       cavity_radius=wall.cavity_radius, profile=profile)
     layers = [printed if layer is floor else layer for layer in chip.layers if layer is not wall]
     return replace(chip, layers=tuple(layers), ports=None)
+
+
+def with_fields(value: Any, **changes: Any) -> Any:
+    """A copy of a frozen value with other fields, none of them checked."""
+    found = copy.copy(value)
+    found.__dict__.update(changes)
+    return found

@@ -53,7 +53,7 @@ def test_what_is_not_said_is_what_the_chip_says(folder: Path) -> None:
     assert found.band == found.chip.band
     assert found.operation.drive == VoltageDrive(10.0)
     assert found.operation.frequency is None
-    assert (found.tolerance, found.accuracy, found.confirmed, found.name) == (1e-3, 5e-4, 5, "study")
+    assert (found.relative_error, found.accuracy, found.confirmed, found.name) == (1e-3, 5e-4, 5, "study")
 
 
 def test_what_is_said_is_taken(folder: Path) -> None:
@@ -62,7 +62,7 @@ name = "mine"
 drive = "0.1 W"
 frequency = "1.03 MHz"
 band = ["1 MHz", "1.1 MHz"]
-tolerance = "0.3 %"
+relative_error = "0.3 %"
 accuracy = "0.5 %"
 limit = 50
 confirm = 0
@@ -79,7 +79,7 @@ substrate.thickness = { from = "0.8 mm", to = "0.9 mm" }
     assert found.operation.drive == PowerDrive(0.1)
     assert found.operation.frequency == 1.03e6
     assert found.operation.thermal_resistance == {"transducer": 4.0, "": 10.0}
-    assert (found.name, found.band, found.tolerance, found.accuracy) == ("mine", (1e6, 1.1e6), 3e-3, 5e-3)
+    assert (found.name, found.band, found.relative_error, found.accuracy) == ("mine", (1e6, 1.1e6), 3e-3, 5e-3)
     assert (found.limit, found.confirmed, found.size) == (50, 0, 14)
 
 
@@ -197,7 +197,8 @@ MISTAKES = {
     "a frequency outside the band": (HEAD + 'frequency = "3 MHz"\n', VARY, "study.frequency", "within the band"),
     "a band upside down": (HEAD + 'band = ["2 MHz", "1 MHz"]\n', VARY, "study.band", "a lower and a higher"),
     "a drive without its unit": (HEAD + 'drive = "10 V"\n', VARY, "study.drive", "10 Vpp"),
-    "a tolerance of the model of 100": (HEAD + 'tolerance = "100 %"\n', VARY, "study.tolerance", "between 0 and 1"),
+    "an error of the model of 100": (HEAD + 'relative_error = "100 %"\n', VARY, "study.relative_error",
+                                     "between 0 and 1"),
     "heating without resistances": (HEAD.replace("z_min", "heating"), VARY, "thermal", 'all = "10 K/W"'),
     "a resistance of no region": (HEAD, '[thermal]\nlid = "3 K/W"' + VARY, "thermal.lid", "superstrate"),
     "an unknown method": (HEAD, '[sample]\nmethod = "sobel"\npoints = 8' + VARY, "sample.method", "'sobol'"),

@@ -19,7 +19,7 @@ from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
 from workbench.jobs.process import STAND_BACK, Send, stream
 from workbench.jobs.workers import Processes
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 #: Name of each kind of work on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
@@ -146,7 +146,7 @@ class Works:
         if session.recording is None:
             raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
         chip = write_chip(session.present_chip(), folder / "chip.toml")
-        write_csv(session.recording, folder / "recording.csv")
+        write_spectrum(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.

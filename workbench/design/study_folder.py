@@ -169,7 +169,8 @@ def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
         "study.states": ", ".join(study.states), "study.figures": ", ".join(study.figures),
         "study.drive": str(operation.drive),
         "study.frequency": "f0" if operation.frequency is None else f"{operation.frequency:.15g} Hz",
-        "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz", "study.tolerance": repr(study.tolerance),
+        "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz",
+        "study.relative_error": repr(study.relative_error),
         "study.accuracy": repr(study.accuracy), "study.limit": str(study.limit), "sample.method": sampling.method,
         "sample.points": str(sampling.points), "sample.seed": str(sampling.seed),
         **{f"thermal.{region or 'all'}": f"{value:.15g} K/W" for region, value in

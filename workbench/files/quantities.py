@@ -68,6 +68,14 @@ SHOWN: Mapping[str, tuple[str, float]] = {
     "Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
     "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 
+
+class ProgramSource(str):
+    """The name of a value that a program makes, as the source that mistakes in it are reported under.
+
+    Numbers from such a source are in SI and need no unit; in a file a length without its unit is refused.
+    """
+
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -90,7 +98,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
 
     A bare number is refused unless the dimension needs no unit (:data:`BARE`): a length without its unit is the
-    commonest mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin.
+    commonest mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin. From a
+    program (`source` is a :class:`ProgramSource`) a number is in SI.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
@@ -98,7 +107,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     units = UNITS[dimension]
     example = EXAMPLES.get(dimension, next(iter(units)))
     named = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
-    if dimension in BARE and isinstance(text, int | float) and not isinstance(text, bool):
+    free = dimension in BARE or isinstance(source, ProgramSource)
+    if free and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)

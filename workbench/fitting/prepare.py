@@ -35,7 +35,8 @@ from workbench.model.discretisation import ACCURACY, Discretisation, discretisat
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.results.brief import Brief
-from workbench.results.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
+from workbench.results.circuit import fit_circuit
+from workbench.results.merit import Antiresonance, Figures, NoResonance, figures
 from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -314,7 +315,7 @@ def _static_capacitances(measured: Spectrum, merit: Figures | None) -> list[floa
         found.append(anti.circuit_capacitance)
     elif merit is not None:
         with suppress(ValueError, RuntimeError):
-            found.append(fit_resonance(measured, "bvd").parameters["C0"].value)
+            found.append(fit_circuit(measured).parameters["C0"].value)
     return [value for value in found if value > 0.0]
 
 
