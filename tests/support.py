@@ -23,11 +23,12 @@ from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.commands.terminal import table_parts
-from workbench.design.uncertainty import Input, Uncertainty
+from workbench.design.uncertainty import Uncertainty
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution, System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import Number
 from workbench.physics.term import Condition, Term
 from workbench.report.page import TextTable
 
@@ -190,7 +191,7 @@ def impedance_gradient(solution: Solution) -> NDArray[np.complex128]:
     return np.asarray((1j / (solution.omega * solution.charge**2))[:, None] * solution.forms)
 
 
-def independent(inputs: Sequence[Input]) -> Uncertainty:
+def independent(inputs: Sequence[Number]) -> Uncertainty:
     """Uncertain numbers that have nothing to do with each other."""
     return Uncertainty(tuple(inputs), np.eye(len(inputs)))
 
@@ -245,7 +246,7 @@ def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
 
 def started_at(parameter: Parameter, start: float) -> Parameter:
     """The same parameter with another start, moved into its bounds."""
-    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))
+    return replace(parameter, value=float(np.clip(start, parameter.low, parameter.high)))
 
 
 def shape(chip: Chip, region: str, **sizes: float) -> Chip:

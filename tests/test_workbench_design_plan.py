@@ -13,9 +13,10 @@ from fake_models import CHIP
 from geometry.chip import parse_chip
 from geometry.names import CAVITY
 from materials.registry import Registry
-from workbench.design.axes import MaterialAxis, NumberAxis, with_materials
+from workbench.design.axes import with_materials
 from workbench.design.parts import parts_of, ranges_of
 from workbench.design.plan import Study, read_study
+from workbench.design.variables import MaterialChoice, VariedNumber
 from workbench.files.errors import InputError
 from workbench.files.tables import read_toml
 from workbench.model.drive import PowerDrive, VoltageDrive
@@ -271,10 +272,10 @@ def test_a_mistake_is_answered(folder: Path, mistake: str) -> None:
 
 
 def test_axes_span_what_they_say() -> None:
-    axis = NumberAxis("x", "m", 1.0, 2.0, points=3)
+    axis = VariedNumber("x", 1.0, 2.0, points=3)
     np.testing.assert_allclose(axis.levels(), [1.0, 1.5, 2.0])
     np.testing.assert_allclose(axis.at(np.array([0.0, 1.0])), [1.0, 2.0])
-    listed = NumberAxis("x", "m", 1.0, 5.0, values=(5.0, 1.0))
+    listed = VariedNumber.listed("x", (5.0, 1.0))
     # Half of the way each; the end belongs to the last.
     np.testing.assert_allclose(listed.at(np.array([0.0, 0.49, 0.5, 1.0])), [5.0, 5.0, 1.0, 1.0])
-    assert MaterialAxis("bond", ("a", "b", "c")).at(np.array([math.nextafter(1.0, 0.0)])) == [2.0]
+    assert MaterialChoice("bond", ("a", "b", "c")).at(np.array([math.nextafter(1.0, 0.0)])) == [2.0]

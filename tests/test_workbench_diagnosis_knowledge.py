@@ -172,13 +172,13 @@ def test_what_files_state_is_known_unless_the_campaign_says_otherwise(folder: Pa
         "water/iapws_2011.density": 0.02, SPEED: 0.1}, rel=1e-12)
     taken = {each.name: each for each in found.taken}
     assert set(taken) == set(found.known)
-    assert taken["transducer.thickness"].source == f"{folder / 'disc.toml'}: tolerance"
-    assert (taken[BULK].source, taken[BULK].unit) == ("bench_pla/test: uncertainty", "Pa")
+    assert taken["transducer.thickness"].origin == f"{folder / 'disc.toml'}: tolerance"
+    assert (taken[BULK].origin, taken[BULK].unit) == ("bench_pla/test: uncertainty", "Pa")
     other = read(folder, f'[known]\n"{BULK}" = "1 %"\n[fixed]\nnames = ["{SHEAR}", "transducer.thickness"]\n')
     assert other.known[BULK] == pytest.approx(0.034e9)
     assert not {SHEAR, "transducer.thickness"} & set(other.known)
     assert f"{SHEAR}.loss" in other.known
-    assert {each.name: each.source for each in other.taken}[BULK] == f"{folder / 'campaign.toml'}: [known]"
+    assert {each.name: each.origin for each in other.taken}[BULK] == f"{folder / 'campaign.toml'}: [known]"
     assert read(folder, "[between]\ndefaults = false\n", head='known = "named"').known == {}
 
 

@@ -13,9 +13,7 @@ from workbench.app.background import Say, Stopped
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import NAMED
-from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
-from workbench.files.quantities import UNITS
 from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
@@ -114,7 +112,7 @@ class Works:
         if not isinstance(found, Refit):
             return "stopped"
         by_name = {each.name: each for each in session.controls}
-        told = ", ".join(f"{by_name[name].label} {by_name[name].told(number)} ± "
+        told = ", ".join(f"{by_name[name].parsed.in_words} {by_name[name].told(number)} ± "
                          f"{by_name[name].told(found.errors[name])}" for name, number in found.values.items())
         off = f"off by {found.before:.3g} % before, {found.after:.3g} % now"
         told = f"{off}: {told}. {' '.join(found.findings)}".strip()
@@ -157,8 +155,7 @@ class Works:
         for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
-                unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
-                known[parameter.name] = f"{parameter.prior!r} {unit}"
+                known[parameter.name] = f"{parameter.prior!r} {parameter.unit}"
         path = folder / "campaign.toml"
         write_atomic(path, "\n".join([
             toml_table("[campaign]", {"known": NAMED}),

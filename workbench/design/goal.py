@@ -37,12 +37,12 @@ from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
-from workbench.design.uncertainty import Law
-from workbench.design.variables import MATERIAL, LengthVariable, MaterialChoice, Stock, Variable, first_name
+from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
 from workbench.model.drive import Drive, read_drive
+from workbench.model.numbers import Law
 
 #: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
 #: 95 % of the chips.
@@ -179,18 +179,18 @@ class Goal:
         _check(self)
 
     @property
-    def lengths(self) -> tuple[LengthVariable, ...]:
-        return tuple(each for each in self.variables if isinstance(each, LengthVariable))
+    def lengths(self) -> tuple[VariedNumber, ...]:
+        return tuple(each for each in self.variables if isinstance(each, VariedNumber) and not each.values)
 
     @property
-    def unknowns(self) -> tuple[LengthVariable, ...]:
+    def unknowns(self) -> tuple[VariedNumber, ...]:
         """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
         stock = self.stock if self.search.evolutionary else ()
-        return (*self.lengths, *(LengthVariable(each.name, each.values[0], each.values[-1]) for each in stock))
+        return (*self.lengths, *(replace(each, values=()) for each in stock))
 
     @property
-    def stock(self) -> tuple[Stock, ...]:
-        return tuple(each for each in self.variables if isinstance(each, Stock))
+    def stock(self) -> tuple[VariedNumber, ...]:
+        return tuple(each for each in self.variables if isinstance(each, VariedNumber) and each.values)
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -271,7 +271,7 @@ def _variables(table: FileTable, chip: Chip, registry: Registry | None) -> Itera
             yield _material(inner, name, chip, registry)
         else:
             found = _length(inner, first_name(chip, name))
-            for each in found.values if isinstance(found, Stock) else (found.low, found.high):
+            for each in found.values or (found.low, found.high):
                 check_length(found.name, each, source=inner.source, field=inner.field, unusual=chip.unusual)
             yield found
 
@@ -288,7 +288,7 @@ def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
             yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
-def _length(table: FileTable, name: str) -> Stock | LengthVariable:
+def _length(table: FileTable, name: str) -> VariedNumber:
     if "values" in table:
         table.only(("values",))
         listed = table.entries("values", expected='lengths such as ["0.15 mm", "1 mm"]')
@@ -296,7 +296,7 @@ def _length(table: FileTable, name: str) -> Stock | LengthVariable:
                   for index, each in enumerate(listed)]
         if len(set(values)) < max(2, len(values)) or min(values) <= 0.0:
             raise table.error("values", "two or more different lengths above zero")
-        return Stock(name, tuple(sorted(values)))
+        return VariedNumber.listed(name, sorted(values))
     table.only(("from", "to", "step"))
     low, high = (table.quantity(key, "length") for key in ("from", "to"))
     if not 0.0 < low < high:
@@ -304,7 +304,7 @@ def _length(table: FileTable, name: str) -> Stock | LengthVariable:
     step = table.optional_quantity("step", "length")
     if step is not None and not 0.0 < step <= high - low:
         raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
-    return LengthVariable(name, low, high, step)
+    return VariedNumber(name, low, high, step)
 
 
 def _material(table: FileTable, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
@@ -367,9 +367,9 @@ def _check(goal: Goal) -> None:
             raise InputError(goal.source, "goal.constraints", None, "figures that the tolerances must leave in bounds")
         if not goal.search.evolutionary:
             raise InputError(goal.source, "search.evolutionary", False, f'true: "{TOLERANCE}" has no slope to follow')
-    choices = math.prod(len(each.values) if isinstance(each, Stock) else len(each.materials)
-                        for each in goal.variables if isinstance(each, MaterialChoice)
-                        or (isinstance(each, Stock) and not goal.search.evolutionary))
+    stock = () if goal.search.evolutionary else goal.stock
+    choices = math.prod([len(each.materials) for each in goal.variables if isinstance(each, MaterialChoice)]
+                        + [len(each.values) for each in stock])
     if choices > ENUMERATED:
         raise InputError(goal.source, "variables", f"{choices} choices of stock lengths and materials",
                          f"at most {ENUMERATED}; of stock lengths alone more, with evolutionary = true in [search]")

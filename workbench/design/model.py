@@ -34,7 +34,7 @@ from workbench.fitting.parameter import about
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import flexible, flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.ranges import LIMIT, RangeModel, Ranges, numbers_in_ranges, range_model
 from workbench.reduced.reduction import reduced
@@ -213,7 +213,7 @@ def full_evaluation(
         InputError: something in the chip, its materials, the values or the figures.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
-    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is ParameterKind.DIMENSION}
+    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).is_dimension}
     others = {n: v for n, v in values.items() if n not in lengths}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths))
     device = fill(moved, state, registry)
@@ -247,7 +247,7 @@ def _cavity(
         return None, ""
     if not isinstance(fluid, Fluid):
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"
-    lengths = [n for n in names if ParameterName.parse(n).kind is ParameterKind.DIMENSION]
+    lengths = [n for n in names if ParameterName.parse(n).is_dimension]
     try:
         found = cavity_of(operators, device.chip, fluid, device.particle, lengths, highest)
     except NoCavity as error:

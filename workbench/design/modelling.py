@@ -26,7 +26,7 @@ from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.jobs.progress import no_progress
 from workbench.model.discretisation import Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import NotCovered, Progress
 from workbench.reduced.reduction import reduced
@@ -209,7 +209,7 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
     stated = stated_uncertainty(goal.chip, goal.state, registry=registry, law=robust.law, posteriors=robust.posteriors)
     if not robust.materials and not robust.posteriors:
         stated = stated.without([name for name in stated.names
-                                 if ParameterName.parse(name).kind is not ParameterKind.DIMENSION])
+                                 if not ParameterName.parse(name).is_dimension])
     if not stated.inputs:
         raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}

@@ -37,11 +37,12 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry, user_registry
-from workbench.design.axes import Axis, MaterialAxis, NumberAxis, read_axes
+from workbench.design.axes import read_axes
 from workbench.design.evaluation import Operation
 from workbench.design.figures import check_figures
 from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
+from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
@@ -75,7 +76,7 @@ class Study:
     chip: Chip
     states: tuple[str, ...]
     figures: tuple[str, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[Variable, ...]
     sampling: Sampling
     operation: Operation
     band: tuple[float, float]
@@ -150,16 +151,16 @@ class Study:
         return len(self.states) * len(self.sample)
 
     @property
-    def numbers(self) -> tuple[NumberAxis, ...]:
+    def numbers(self) -> tuple[VariedNumber, ...]:
         """The axes that are numbers."""
-        return tuple(axis for axis in self.axes if isinstance(axis, NumberAxis))
+        return tuple(axis for axis in self.axes if isinstance(axis, VariedNumber))
 
     @property
-    def choices(self) -> tuple[MaterialAxis, ...]:
+    def choices(self) -> tuple[MaterialChoice, ...]:
         """The axes that are materials."""
-        return tuple(axis for axis in self.axes if isinstance(axis, MaterialAxis))
+        return tuple(axis for axis in self.axes if isinstance(axis, MaterialChoice))
 
-    def columns(self, axes: Sequence[Axis]) -> Real:
+    def columns(self, axes: Sequence[Variable]) -> Real:
         """The columns (n, len(axes)) of the sample that belong to some of the axes."""
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 

@@ -54,15 +54,13 @@ from typing import Any
 from geometry.names import TRANSDUCER
 from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
-from workbench.diagnosis.knowledge import Taken, read_knowledge
-from workbench.diagnosis.numbers import stated_number as stated_number
-from workbench.diagnosis.numbers import unit_of as unit_of
+from workbench.diagnosis.knowledge import read_knowledge
 from workbench.diagnosis.state import DeviceState as DeviceState
 from workbench.diagnosis.state import read_state
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
-from workbench.model.numbers import ParameterName
+from workbench.model.numbers import Number, ParameterName
 from workbench.results.brief import Brief
 
 #: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
@@ -73,10 +71,10 @@ STATED, NAMED = "stated", "named"
 class Campaign(Brief):
     """A device, its states, and what is known of it.
 
-    ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
-    chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
-    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``inhomogeneity`` is the
+    ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
+    states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
+    that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
+    the names of two shared numbers, each pair once. ``inhomogeneity`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
     None if the data are to say it.
     """
@@ -84,11 +82,9 @@ class Campaign(Brief):
     name: str
     file: str
     states: tuple[DeviceState, ...]
-    known: Mapping[str, float]
-    offsets: Mapping[str, float]
+    taken: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
-    taken: tuple[Taken, ...]
     registry: Registry
     inhomogeneity: float | None
 
@@ -126,8 +122,18 @@ class Campaign(Brief):
         _check_one_device(read, source)
         found = read_knowledge(table, read, from_files=from_files)
         self.__dict__.update(
-            name=name, file=source, states=read, known=found.known, offsets=found.offsets, fixed=found.fixed,
-            correlations=found.correlations, taken=found.taken, registry=registry, inhomogeneity=_inhomogeneity(table))
+            name=name, file=source, states=read, taken=found.numbers, fixed=found.fixed,
+            correlations=found.correlations, registry=registry, inhomogeneity=_inhomogeneity(table))
+
+    @cached_property
+    def known(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of the numbers that all states share, by name."""
+        return {each.name: each.deviation for each in self.taken if not each.parsed.state}
+
+    @cached_property
+    def offsets(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of what one state adds, by name."""
+        return {each.name: each.deviation for each in self.taken if each.parsed.state}
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
 from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
+from workbench.model.device_numbers import bench_number, device_numbers
+from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
 from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
@@ -52,6 +55,12 @@ class DeviceState:
     drive: float | None = None
     temperature: float | None = None
     held_out: bool = False
+
+    @cached_property
+    def numbers(self) -> Mapping[str, Number]:
+        """The numbers of the device in this state and of the bench, by each of their names."""
+        found = (*device_numbers(self.chip, self.materials.values()).values(), *map(bench_number, BENCH_ELEMENTS))
+        return {name: each for each in found for name in each.names}
 
     @property
     def chip(self) -> Chip:

@@ -32,7 +32,7 @@ from workbench.fitting.parameter import (
     shared_gain,
 )
 from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.results.brief import Brief
 from workbench.results.circuit import fit_circuit
@@ -227,7 +227,7 @@ def prepare_together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> P
     found: dict[tuple[str, tuple[str, ...]], Parameter] = {}
     for prepared in group:
         label = (prepared.recordings[0].name,)
-        extra = [bench_parameter(name) if ParameterName.parse(name).kind is ParameterKind.BENCH
+        extra = [bench_parameter(name) if ParameterName.parse(name).is_bench
                  else dimension_parameter(prepared.chip, name) for name in own]
         for parameter in (*prepared.parameters, *extra):
             separate = parameter.is_bench or parameter.name in own
