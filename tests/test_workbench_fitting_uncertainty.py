@@ -32,6 +32,7 @@ from workbench.fitting.uncertainty import (
     residual_findings,
 )
 from workbench.model.dimensions import flexible
+from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.results.comparison import compare
@@ -52,7 +53,10 @@ class Made(Objective):
     model: Model
 
     def __init__(self, model: Model, recording: FitRecording, free: Sequence[Parameter]) -> None:
-        vars(self).update(model=model, recordings=(recording,), parameters=tuple(free), predictors=())
+        vars(self).update(model=model, recordings=(recording,), parameters=tuple(free), predictors=(), views=())
+
+    def predicted_by(self, predictors: Sequence[Predictor]) -> Made:
+        return self
 
     def __call__(
         self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
@@ -69,7 +73,7 @@ class Made(Objective):
 def free(
     name: str, *, start: float = 0.0, low: float = -10.0, high: float = 10.0, prior: float | None = 1e3
 ) -> Parameter:
-    return Parameter(f"bench.{name}", start, low, high, prior, "1")
+    return Parameter(f"bench.{name}", start, low, high, None if prior is None else Stated(prior), "1")
 
 
 def made(problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter]) -> FitSearch:
@@ -402,7 +406,8 @@ def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> Non
     for _ in range(draws):
         noisy = Spectrum(GRID, clean.measured.impedance * np.exp(level * white(random)))
         # The same reduced model for every draw.
-        objective.recordings = (replace(clean, measured=noisy),)
+        (view,) = search.objective.views
+        search.objective = replace(search.objective, views=(replace(view, recording=replace(clean, measured=noisy)),))
         minimum, found = reweighted_descent(search, truth)
         estimates = estimate_uncertainty(search, minimum, found, profiles=False).estimates
         hits += [e.low < number < e.high for e, number in zip(estimates, truth, strict=True)]

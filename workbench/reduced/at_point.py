@@ -6,7 +6,7 @@ the basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -116,10 +116,10 @@ def reduced(
                 # Where the new directions were not enough, too much may have been left out before them.
                 smallest *= TIGHTER
             assert model is not None
-            solution, estimate, index = model.worst(looked_at, values)
+            solution, estimate, index = _worst(model, looked_at, values, tolerance, tried)
             if estimate <= tolerance and looked_at.size < frequencies.size:
                 # All of them, once the fewer are within.
-                solution, estimate, index = model.worst(frequencies, values)
+                solution, estimate, index = _worst(model, frequencies, values, tolerance, tried)
             worst, believed = float(solution.frequency[index]), estimate <= tolerance
             if believed and not confirmed:
                 break
@@ -137,6 +137,23 @@ def reduced(
                     continue
             wanted = np.array([worst])
     return model, solution
+
+
+def _worst(
+    model: ReducedModel, frequencies: Real, values: Values, tolerance: float, tried: Collection[float]
+) -> tuple[Solution, float, int]:
+    """As :meth:`ReducedModel.worst`, but for what a sweep leaves of states at frequencies that were `tried` in full.
+
+    A sweep of many frequencies ends once charges are right (`fem.dense`), its states may be less so; where that is all
+    that the estimate tells, no full solve would help. One frequency alone is solved exactly.
+    """
+    solution = model.solve(frequencies, values)
+    estimate = model.error(solution)
+    for k in np.flatnonzero(estimate > tolerance):
+        if float(frequencies[k]) in tried:
+            estimate[k] = model.worst(frequencies[[k]], values)[1]
+    index = int(np.argmax(estimate))
+    return solution, float(estimate[index]), index
 
 
 def _enriched(
