@@ -109,7 +109,7 @@ def differences(of: object, point: dict[str, float], step: float) -> dict[str, n
 def test_gradients_are_exact(model: DesignModel) -> None:
     point = {name: real_part(model.values, name) for name in model.names}
     found = model(point, gradient=True)
-    slopes = differences(model, point, 2e-4)
+    slopes = differences(model, point, 1e-4)
     for name in ALL:
         # By how much a figure changes over the step: what roots and rounding leave of that is 1e-5.
         scale = np.abs(found.gradient[name] * np.array(list(point.values()))).max()
@@ -125,7 +125,7 @@ def test_gradients_follow_the_drive_and_a_stated_frequency(model: DesignModel, d
         driven = replace(model, operation=replace(WARM, drive=drive, frequency=frequency))
         found = driven(point, gradient=True)
         assert found.frequency == pytest.approx(centre + (500.0 if frequency else 0.0), rel=1e-9)
-        slopes = differences(driven, point, 2e-4)
+        slopes = differences(driven, point, 1e-4)
         for name in ("voltage", "power", "mean_e_ac", "focus_time", "heating"):
             scale = np.abs(found.gradient[name] * np.array(list(point.values()))).max()
             off = np.abs((found.gradient[name] - slopes[name]) * np.array(list(point.values()))).max()
