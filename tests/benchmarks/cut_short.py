@@ -119,11 +119,11 @@ class Replayed(DiagnosisSearch):
     def is_over(self) -> bool:
         return self.clock > self.budget
 
-    def attempted(self, task: SearchTask) -> Any:
-        key = (task.method.__name__, hashlib.sha256(repr([named(each) for each in task.given]).encode()).hexdigest())
+    def attempt(self, task: SearchTask) -> Any:
+        key = (task.method.__name__, hashlib.sha256(repr([named(x) for x in task.arguments]).encode()).hexdigest())
         if key not in self.kept:
             started = time.perf_counter()
-            self.kept[key] = Kept(super().attempted(task), time.perf_counter() - started)
+            self.kept[key] = Kept(super().attempt(task), time.perf_counter() - started)
         self.clock += self.kept[key].seconds
         return self.kept[key].result
 

@@ -19,7 +19,7 @@ from workbench.report.diagnosis import (
     LEFT,
     diagnosis_record,
     established_table,
-    left_table,
+    remainder_table,
     write_diagnosis_report,
     write_stopped,
 )
@@ -69,7 +69,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     print_paragraph(found.headline)
     if found.established:
         print_table("", established_table(found))
-    print_table(LEFT, left_table(found))
+    print_table(LEFT, remainder_table(found))
     for text in (*found.findings, found.next_measurement):
         if text:
             print_paragraph(text)

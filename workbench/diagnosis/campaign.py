@@ -22,7 +22,7 @@
     "couplant.thickness" = "5 um"
     "bench.series_resistance" = "0.05 ohm"
 
-    [states.empty.known]            # the same of what this state alone adds
+    [states.empty.known]            # likewise, of what this state alone adds
     "couplant.thickness" = "2 um"
 
     [between]                       # and of what every state adds that has the number
@@ -38,9 +38,9 @@
     accuracy = "0.2 %"              # of the smooth relative changes of stiffness, mass and loss within parts that no
                                     # model gets right; "0" for none, left out for what the recordings say of it
 
-One device: what has one name is one number in all states. What is not named is exact. Percentages are of the stated
-value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each other,
-except that a number in [known] goes before what its own file says of it, correlations included.
+One device: a name stands for one number in all states. Numbers that are not named are exact. Percentages are of the
+stated value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each
+other, except that a number in [known] goes before what its own file says of it, correlations included.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from workbench.files.tables import FileTable
 from workbench.model.numbers import ParameterName
 from workbench.results.brief import Brief
 
-#: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
+#: Knowledge beside the numbers that the campaign names: that of the files of chip and materials, or none.
 STATED, NAMED = "stated", "named"
 
 

@@ -40,30 +40,31 @@ from workbench.physics.term import Term
 Real = NDArray[np.float64]
 
 
-#: How far a known parameter may move in any case, in its standard uncertainties. Doubled, nothing changes: the prior
+#: Range of a known parameter to either side, in its standard uncertainties. Doubled, nothing changes: the prior
 #: admits no more.
 REACH = 5.0
 
-#: What an offset leaves of a number that is above zero, relative: of nothing no spectrum can be made.
+#: Least share of a positive number that an offset leaves: a number of zero has no spectrum.
 LEAST = 0.05
 
 
-#: How well forms follow shapes, which most devices do not have: exactly where all are as stated. A tenth of the error
-#: takes half as many nodes more, and every node of every shape is another matrix. What a shape does to the terms
-#: of another hypothesis is of second order, and right to a few hundredths: as well as the rest it took 1.8 times as
-#: many integrals over a chip.
+#: Accuracy with which forms follow shapes, which most devices do not have: exact where all are as stated. A tenth of
+#: the error takes half as many nodes more, and every node of every shape is another matrix. The effect of a shape on
+#: the terms of another hypothesis is of second order, and right to a few hundredths: as well as the rest it took 1.8
+#: times as many integrals over a chip.
 HYPOTHETICAL = Interpolation(1e-4, 1.25, True, 0.03)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All parameters of a campaign, the first ``known`` of them what is known to be uncertain, and its objectives.
+    """All parameters of a campaign, and the objectives over its states.
 
-    Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
-    ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
-    held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``;
-    they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given, at those of the rims that
-    are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a layer.
+    The first ``known`` parameters are the known numbers, those that all states share and then the offsets of single
+    states; all of these have a prior. ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those
+    over either kind (None without states held out); ``effects`` the hypotheses, whose parameters follow the known ones.
+    Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
+    given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
+    layer.
     """
 
     campaign: Campaign
@@ -79,9 +80,9 @@ class Model:
     _made: list[Model] = field(default_factory=list)
 
     def about(self, chosen: Sequence[Effect], x: Real) -> Model:
-        """The same with lines of nodes at the edges of the rims that some hypotheses have at x (p,).
+        """The model with lines of nodes at the edges of the rims of some hypotheses at x (p,).
 
-        This one where there are none, or one made before whose edges are where they should be (`rim.FOUND`).
+        This model where there are no rims, or one made before whose edges are right (`rim.FOUND`).
         """
         sizes = {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
@@ -102,11 +103,11 @@ class Model:
 
     @property
     def hypotheses(self) -> int:
-        """How many single hypotheses there are: of the catalogue, something in any region, and modes."""
+        """The number of single hypotheses: those of the catalogue, a change in each region, and modes."""
         return len(self.effects) + len({region for state in self.campaign.fitted for region in state.materials}) + 1
 
     def index(self, name: str) -> int:
-        """Where the parameter of that name is in :attr:`parameters`."""
+        """The index of the parameter of that name in :attr:`parameters`."""
         return self._places[name]
 
     def bounds(self, indices: Iterable[int]) -> tuple[Real, Real]:
@@ -229,7 +230,7 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
     found = material_parameter(problem, parsed.owner, parsed.local)
     low, high = found.low, found.high
     if found.is_loss:
-        # What is stated is where it begins, however little: a fit would begin with more of it.
+        # A loss starts as stated, however small: a fit would start with more.
         low, high = min(low, value), max(high, value)
     else:
         low, high = min(low, value - REACH * error), max(high, value + REACH * error)
@@ -243,7 +244,8 @@ def _is_fluid(problem: Problem, material: str) -> bool:
 def _offset(
     name: str, error: float, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
 ) -> Parameter:
-    """What one state adds to a number, by as much as is known of that, and no further than the number makes sense."""
+    """The offset of one state from a shared number: with the uncertainty stated for it, within the range of the number.
+    """
     parsed, numbers = ParameterName.parse(name), DeviceNumbers(campaign.states)
     (state,) = (each for each in campaign.states if each.name == parsed.state)
     unit, others = unit_of(parsed.shared, campaign.states), campaign.tied.get(parsed.shared, ())

@@ -1,4 +1,4 @@
-"""What a hypothesis is, what the catalogue looks at, and how a term or a stated number becomes one."""
+"""A hypothesis of the catalogue, the device it is about, and hypotheses made of terms or of stated numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, FreeParameter, Term
 
-#: How far a real coefficient may lie from what is stated.
+#: Largest relative error of a stated real coefficient.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
 
 
@@ -24,9 +24,8 @@ class Effect:
     """One hypothesis.
 
     ``region`` is where it sits: a region, ``<region>|<region>`` or "bench"; ``kind`` stiffness, mass, loss, geometry,
-    coupling or bench. ``parameters`` are what it brings in; ``releases`` names known parameters that it lets go further
-    than what is known of them. ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by
-    the name of the state.
+    coupling or bench. ``parameters`` are new ones; ``releases`` names known parameters whose priors it releases.
+    ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by the name of the state.
     """
 
     name: str
@@ -51,7 +50,7 @@ class Effect:
                                    if isinstance(term, OfRim)))
 
     def with_rings(self, widths: Mapping[str, float]) -> Effect:
-        """The same with rings about the edges of those rims of which `widths` by name are given."""
+        """A copy with rings about the edges of those rims whose `widths` by name are given."""
         def own(term: Any) -> Term:
             known = isinstance(term, OfRim) and term.rim.number in widths
             return replace(term, rim=term.rim.about(widths[term.rim.number])) if known else term
@@ -61,7 +60,8 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """What the catalogue looks at: the states of a device, what is known of it, and the materials there are."""
+    """The device as the catalogue sees it: its states, the uncertainties of its numbers, and the registry of materials.
+    """
 
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
@@ -118,7 +118,7 @@ def with_terms(
     terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
     *, free: tuple[FreeParameter, ...] | None = None,
 ) -> Effect:
-    """The hypothesis that brings `terms` into `states`: nothing yet, all numbers where they are neutral.
+    """The hypothesis that brings `terms` into `states`, with all numbers neutral at first.
 
     `values` are what the terms need beyond what they state themselves and what a state does (its lengths, its drive);
     `free` stands in place of what the terms say is free of them. States to which no term is given are left out.
@@ -151,7 +151,7 @@ def as_parameter(free: FreeParameter) -> Parameter:
 
 
 def mistaken_range(value: float, share: float, unit: str) -> Admissible:
-    """What a stated value may be that was mistaken by up to a share of itself."""
+    """The range of a number that is stated as `value` with an error of up to a `share` of it."""
     return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
                       f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
 
@@ -160,7 +160,7 @@ def other_than_stated(
     device: Device, label: str, region: str, kind: str, about: str, limits: Mapping[str, Admissible], *,
     relative: bool = False,
 ) -> Effect:
-    """The hypothesis that numbers the model has already are not what is stated, or known, of them."""
+    """The hypothesis that numbers of the model differ from the stated ones; priors of known numbers are released."""
     parameters = []
     for name, limit in limits.items():
         start = 1.0 if relative else float(min(max(stated_number(name, device.states), limit.lowest), limit.highest))

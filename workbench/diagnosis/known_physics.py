@@ -1,4 +1,4 @@
-"""Effects with known constants: part of every model and never fitted. What each changes in a spectrum."""
+"""Effects with known constants, part of every model and never fitted, and the change of a spectrum by each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ KNOWN_PHYSICS = {"viscous boundary layer": "shear_viscosity", "thermal boundary 
 UNNEEDED = 1e-5
 
 class Contribution(NamedTuple):
-    """What an effect with known constants changes in a state: f0 (Hz) and Q (None: no resonance), and ln Z, rms."""
+    """The change of a state's f0 (Hz) and Q (None: no resonance), and of ln Z (rms), by an effect with known constants.
+    """
 
     effect: str
     state: str
@@ -37,7 +38,7 @@ class Contribution(NamedTuple):
 
 
 def contributions(found: Diagnosis) -> list[Contribution]:
-    """What every effect with known constants changes in every fitted state, at the parameters found."""
+    """The change of every fitted state by every effect with known constants, at the parameters found."""
     model: Model = found.model
     objective, x = model.fitted, found.conclusion.chosen.explanation.x
     objective.cover(x, {}, UNNEEDED)

@@ -50,7 +50,8 @@ def mode_slopes(measured: Spectrum, centre: Real, quality: float) -> Complex:
 
 
 def columns(recordings: Sequence[Spectrum], places: Sequence[slice], modes: Sequence[Mode], size: int) -> Real:
-    """What the two parts of every mode's amplitude do to the data (size, 2 modes), ln Z, at `places` of recordings."""
+    """The change of the data (size, 2 modes), ln Z at `places` of recordings, by the two parts of every mode's
+    amplitude."""
     found = np.zeros((size, 2 * len(modes)))
     for k, mode in enumerate(modes):
         for index in mode.recordings:

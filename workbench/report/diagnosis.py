@@ -49,7 +49,7 @@ def established_table(found: Diagnosis) -> TextTable:
     return TextTable(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
-def left_table(found: Diagnosis) -> TextTable:
+def remainder_table(found: Diagnosis) -> TextTable:
     """Rms of ln(Z / Z_measured) of every state (%): noise, as stated, with the known parameters, with the effects."""
     held = {state.name for state in found.campaign.held_out}
     rows = []
@@ -69,7 +69,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
                            "\n\n".join(found.findings)]
     if found.established:
         first.append(established_table(found))
-    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", left_table(found), *_pictures(found, folder)]
+    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", remainder_table(found), *_pictures(found, folder)]
     if found.next_measurement:
         first.append(Note(f"Next measurement. {found.next_measurement}"))
     so_far = found.provisional
@@ -245,7 +245,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
     return {
         "campaign": found.campaign.name, "verdict": found.verdict, "headline": found.headline,
         "effects": _effects(found),
-        "left": vars(found.left), "accuracy": found.left.accuracy,
+        "left": vars(found.remainder), "accuracy": found.remainder.accuracy,
         "moved_parameters": [{"name": p.name, "from": p.stated, "to": p.value, "unit": p.unit, "sigmas": p.sigmas}
                              for p in found.known],
         "rivals": [{"effects": list(e.effects), "name": e.name,
