@@ -112,8 +112,8 @@ CAMPAIGN: Mapping[str, Mapping[str, str]] = {
         "names": "parameters that are exact, and that no hypothesis may move",
     },
     "`[model]`": {
-        "accuracy": "of the relative changes of stiffness, mass and loss within parts; `0` for none; averaged over if "
-                    "not given",
+        "inhomogeneity": "of the relative changes of stiffness, mass and loss within parts; `0` for none; averaged "
+                         "over if not given",
     },
 }
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,14 +26,7 @@ from paper_chip import RANGES, chip_with
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from geometry.chip import Chip, read_chip
-from materials.registry import Registry
-from workbench.fem.operators import assemble
-from workbench.files.errors import InputError
-from workbench.model.problem import build, fill
-from workbench.reduced.reduction import reduce
-from workbench.results.merit import NoResonance, figures
-from workbench.results.spectrum import Spectrum
+import workbench as wb
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
 
@@ -40,21 +34,17 @@ CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
 TARGET = {"empty": (1028.6e3, 3.24, 114.29), "filled": (1030.6e3, 4.04, 103.06)}
 #: What counts as one unit of disagreement: 0.5 kHz, 5 %, 5 %.
 SCALE = (500.0, 0.05, 0.05)
-BAND = (1.005e6, 1.055e6)
+BAND, POINTS = (1.005e6, 1.055e6), 201
 #: Accuracy of Z of the sample and of the last steps.
 COARSE, FINE = 5e-3, 5e-4
 
 
-def evaluate(chip: Chip, accuracy: float) -> dict[str, tuple[float, float, float]]:
-    """f0, Z_min and Q of both states."""
+def evaluate(chip: wb.Chip, accuracy: float) -> dict[str, tuple[float, float, float]]:
+    """f0, Z_min and Q of both states; not a number where there is no resonance."""
     found = {}
     for state in TARGET:
-        problem = build(fill(chip, state, Registry()), band=BAND, accuracy=accuracy)
-        frequencies = np.arange(BAND[0], BAND[1] + 1.0, 250.0)
-        model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=1e-4, first=2)
-        spectrum = Spectrum.from_solver(frequencies, model.solve(frequencies, problem.values).impedance)
-        merit = figures(spectrum)
-        found[state] = (merit.f0, merit.z_min, merit.q)
+        merit = wb.simulate(chip, state, band=BAND, points=POINTS, accuracy=accuracy).figures
+        found[state] = (math.nan,) * 3 if merit is None else (merit.f0, merit.z_min, merit.q)
     return found
 
 
@@ -70,7 +60,7 @@ def differences(found: dict[str, tuple[float, float, float]]) -> np.ndarray:
 class Search:
     """Evaluates points and keeps every one of them on disk."""
 
-    def __init__(self, path: Path, start: Chip) -> None:
+    def __init__(self, path: Path, start: wb.Chip) -> None:
         self.path, self.start = path, start
         path.parent.mkdir(parents=True, exist_ok=True)
         self.known: dict[tuple[str, ...], np.ndarray] = {}
@@ -84,8 +74,8 @@ class Search:
         if key not in self.known:
             try:
                 chip = chip_with(self.start, dict(zip(RANGES, point, strict=True)))
-                self.known[key] = differences(evaluate(chip, accuracy))
-            except (InputError, NoResonance):
+                self.known[key] = np.nan_to_num(differences(evaluate(chip, accuracy)), nan=100.0)
+            except wb.InputError:
                 self.known[key] = np.full(6, 100.0)
             with self.path.open("a") as stream:
                 csv.writer(stream).writerow([*key, *(f"{x:.4f}" for x in self.known[key])])
@@ -98,7 +88,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--polish", type=int, default=3)
     arguments = parser.parse_args()
-    start = replace(read_chip(CHIPS / "reference_chip.toml"), ports=None)
+    start = replace(wb.read_chip(CHIPS / "reference_chip.toml"), ports=None)
     search = Search(Path("out/paper_chip_search.csv"), start)
     low, high = np.array(list(RANGES.values())).T
     sample = qmc.Sobol(len(RANGES), seed=arguments.seed).random(arguments.samples)

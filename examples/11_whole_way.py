@@ -35,8 +35,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from materials.registry import Registry
-from workbench.files.quantities import parse_quantity
+import workbench as wb
 
 FILES = Path(__file__).resolve().parent / "whole_way"
 WORKBENCH = (sys.executable, "-P", "-m", "workbench.cli")
@@ -48,8 +47,8 @@ FINER = ("--accuracy", "0.02 %")
 #: Of the converter, in steps: what recordings of real oscilloscopes of the series show.
 NOISE = ("--noise", "0.6")
 
-#: What lies on the disc, and how thick the gel below it really is; the files say 20 um.
-GEL = {"disc_on_pla.toml": "24 um", "chip.toml": "15 um"}
+#: What lies on the disc, and how thick (m) the gel below it really is; the files say 20 um.
+GEL = {"disc_on_pla.toml": 24e-6, "chip.toml": 15e-6}
 
 #: By how much the simulated generator's clock is off, relative: what `workbench.instruments.simulated` has by default.
 CLOCK = 5e-6
@@ -72,7 +71,7 @@ class Bench:
         self.folder = folder
         for name, thickness in GEL.items():
             text = (folder / name).read_text(encoding="utf-8")
-            (folder / "truth" / name).write_text(text.replace('"20 um"', f'"{thickness}"'), encoding="utf-8")
+            (folder / "truth" / name).write_text(text.replace('"20 um"', f'"{1e6 * thickness:g} um"'), encoding="utf-8")
         shutil.copy(folder / "disc.toml", folder / "truth")
         self._seed = 0
 
@@ -155,7 +154,7 @@ def whole_way(folder: Path) -> None:
 def outcome(folder: Path) -> None:
     """Print every fitted parameter with its interval beside the truth, and whether the one holds the other."""
     print(f"{'':18}{'found':>14}{'95 % interval':>32}{'truth':>14}{'off (%)':>10}")
-    registry, held = Registry((folder / "truth",)), 0
+    registry, held = wb.Registry((folder / "truth",)), 0
     found = [(name, one) for fit, name in (("fit_disc", "pzt_bench/disc"), ("fit_sample", "pla_bench/print"))
              for one in json.loads((folder / fit / "fit.json").read_text(encoding="utf-8"))["parameters"]]
     for material, one in found:
@@ -169,12 +168,12 @@ def outcome(folder: Path) -> None:
     print(f"{held} of {len(found)} intervals hold the truth")
 
 
-def true_value(parameter: str, registry: Registry, material: str) -> float:
+def true_value(parameter: str, registry: wb.Registry, material: str) -> float:
     """What the bench was given, in SI: a coefficient of a material, its loss, the gel's thickness, or the clock."""
     if parameter == "bench.clock":
         return CLOCK
     if parameter == "couplant.thickness":
-        return parse_quantity(GEL["disc_on_pla.toml"], "length", source=__file__, field="GEL")
+        return GEL["disc_on_pla.toml"]
     coefficient = parameter.rpartition("/")[2].partition(".")[2]
     value = registry.load(material).parameters()[coefficient.removesuffix(".loss")]
     return value.imag if coefficient.endswith(".loss") else value.real

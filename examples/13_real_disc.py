@@ -15,10 +15,9 @@ wrote down. What is known of it is in real_disc/campaign.toml; 1.04 to 1.07 MHz 
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 from pathlib import Path
-
-from workbench.cli import main as workbench
 
 CAMPAIGN = Path(__file__).resolve().parent / "real_disc" / "campaign.toml"
 
@@ -33,7 +32,8 @@ def main() -> int:
     chips = (CAMPAIGN.parents[2] / "geometry" / "chips").as_posix()
     campaign = options.output / "campaign.toml"
     campaign.write_text(text.replace('"../../geometry/chips', f'"{chips}'), encoding="utf-8")
-    return workbench(["diagnose", str(campaign), "-o", str(options.output)])
+    command = [sys.executable, "-m", "workbench", "diagnose", str(campaign), "-o", str(options.output)]
+    return subprocess.run(command).returncode
 
 
 if __name__ == "__main__":

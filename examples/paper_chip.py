@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from geometry.chip import Chip
+import workbench as wb
 
 #: Height (m) of the pressure node above the bottom of the transducer (section 4.4).
 NODE = 3.25e-3
@@ -20,7 +20,7 @@ RANGES = {
 }
 
 
-def chip_with(chip: Chip, lengths: Mapping[str, float]) -> Chip:
+def chip_with(chip: wb.Chip, lengths: Mapping[str, float]) -> wb.Chip:
     """The chip with these lengths (m); the middle of the cavity lies `node.offset` above the printed node."""
     below = chip.transducer.thickness.value + lengths.get("couplant.thickness", chip.layer("couplant").thickness.value)
     height = lengths["sidewall.thickness"] + lengths["bond.thickness"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.device import device_model
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 Real = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def any_recordings(folder: Path, files: Mapping[str, str], recorded: Real) -> Ca
     any_other = 1.0 / (1j * omega * 1e-10 + 1.0 / resonance)
     for line in files["campaign.toml"].splitlines():
         if line.startswith("recording = "):
-            write_csv(Spectrum(recorded, any_other, NOISE * np.abs(any_other)), folder / line.split('"')[1])
+            write_spectrum(Spectrum(recorded, any_other, NOISE * np.abs(any_other)), folder / line.split('"')[1])
     return read_campaign(folder / "campaign.toml", materials=[MATERIALS])
 
 
@@ -102,5 +102,5 @@ def conceal(
     for index, recording in enumerate(near.recordings):
         clean, noise = near.predict(x, index, ())[0], rng.standard_normal((2, recorded.size))
         seen = clean * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
-        write_csv(Spectrum(recorded, seen, NOISE * np.abs(seen)), folder / f"{recording.name}.csv")
+        write_spectrum(Spectrum(recorded, seen, NOISE * np.abs(seen)), folder / f"{recording.name}.csv")
     return read_campaign(folder / "campaign.toml", materials=[MATERIALS]), x

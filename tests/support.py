@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import re
@@ -22,11 +23,12 @@ from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.commands.terminal import table_parts
-from workbench.design.uncertainty import Input, Uncertainty
+from workbench.design.uncertainty import Uncertainty
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution, System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import Number
 from workbench.physics.term import Condition, Term
 from workbench.report.page import TextTable
 
@@ -189,7 +191,7 @@ def impedance_gradient(solution: Solution) -> NDArray[np.complex128]:
     return np.asarray((1j / (solution.omega * solution.charge**2))[:, None] * solution.forms)
 
 
-def independent(inputs: Sequence[Input]) -> Uncertainty:
+def independent(inputs: Sequence[Number]) -> Uncertainty:
     """Uncertain numbers that have nothing to do with each other."""
     return Uncertainty(tuple(inputs), np.eye(len(inputs)))
 
@@ -244,7 +246,7 @@ def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
 
 def started_at(parameter: Parameter, start: float) -> Parameter:
     """The same parameter with another start, moved into its bounds."""
-    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))
+    return replace(parameter, value=float(np.clip(start, parameter.low, parameter.high)))
 
 
 def shape(chip: Chip, region: str, **sizes: float) -> Chip:
@@ -266,3 +268,10 @@ def pot(chip: Chip, *, fillet: float) -> Chip:
                       cavity_radius=wall.cavity_radius, profile=profile)
     layers = [printed if layer is floor else layer for layer in chip.layers if layer is not wall]
     return replace(chip, layers=tuple(layers), ports=None)
+
+
+def with_fields(value: Any, **changes: Any) -> Any:
+    """A copy of a frozen value with other fields, none of them checked."""
+    found = copy.copy(value)
+    found.__dict__.update(changes)
+    return found

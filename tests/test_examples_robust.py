@@ -1,17 +1,17 @@
-"""examples/19_robust_by_measurement.py without its computations: its files, its commands, and what it says."""
+"""examples/17_robust_by_measurement.py without its computations: its files, its commands, and what it says."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas
 import pytest
+from support import with_fields
 
 from geometry.chip import read_chip
 from geometry.chip_file import write_chip
@@ -20,7 +20,7 @@ from workbench.commands.options import command_parser
 from workbench.design.goal import read_goal
 
 _SPEC = importlib.util.spec_from_file_location(
-    "robust", Path(__file__).resolve().parents[1] / "examples" / "19_robust_by_measurement.py")
+    "robust", Path(__file__).resolve().parents[1] / "examples" / "17_robust_by_measurement.py")
 example = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(example)
 
@@ -40,7 +40,7 @@ def test_every_command_is_one_and_the_goals_are_read(tmp_path: Path, monkeypatch
     # They ask the same of the same chip, but for what is uncertain.
     assert goals["nominal"].robust is None
     assert goals["robust"].robust.materials
-    assert replace(goals["robust"], robust=None, source="", bounds=()) == replace(
+    assert with_fields(goals["robust"], robust=None, source="", bounds=()) == with_fields(
         goals["nominal"], source="", bounds=(), chip=goals["robust"].chip)
     assert {bound.text for bound in goals["robust"].bounds} == {example.REQUIRED}
 

@@ -19,7 +19,7 @@ import live_chip
 import pytest
 
 from geometry.chip import read_chip
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import simulate
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -89,7 +89,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     chip.write_text(live_chip.TEXT)
     recorded = simulate(read_chip(chip).with_dimensions({"substrate.thickness": 0.805e-3}), points=101,
                         accuracy=0.01)
-    write_csv(recorded.spectrum, folder / "recorded.csv")
+    write_spectrum(recorded.spectrum, folder / "recorded.csv")
     command = [sys.executable, "-m", "workbench", "app", str(chip), "--recording", str(folder / "recorded.csv"),
                "--vary", *live_chip.WANTED, "--accuracy", "1 %", "--no-browser", "-o", str(folder / "out")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}

@@ -10,7 +10,7 @@ from support import CAVITY_LAYERS
 
 from workbench.cli import main
 from workbench.model.discretisation import ROWS
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 CHIP = """
 [chip]
@@ -58,7 +58,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     (tmp_path / "chip.toml").write_text(CHIP)
     frequency = np.linspace(300e3, 450e3, 31)
-    write_csv(Spectrum(frequency, 5.0 - 1j / (2 * np.pi * frequency * 1e-9)), tmp_path / "disc.csv")
+    write_spectrum(Spectrum(frequency, 5.0 - 1j / (2 * np.pi * frequency * 1e-9)), tmp_path / "disc.csv")
     return tmp_path
 
 
@@ -227,7 +227,7 @@ def test_a_wrong_phase_is_a_finding_and_not_mended_silently(
     frequency = np.linspace(300e3, 450e3, 61)
     good = 5.0 - 1j / (2 * np.pi * frequency * 1e-9)
     wrong = -good if correction == "negate" else np.conj(good)
-    write_csv(Spectrum(frequency, wrong), folder / "wrong.csv")
+    write_spectrum(Spectrum(frequency, wrong), folder / "wrong.csv")
     command = ["compare", "wrong.csv", "chip.toml", "-o", "out", "--accuracy", "0.5 %"]
     message = said(command, capsys, status=0)
     assert word in message
@@ -257,8 +257,8 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "accuracy of nothing": (["diagnose", "chip.toml", "--accuracy", "0", "-o", "out"],
                             ["--accuracy", "'0'", "the finest there is"]),
     "accuracy in hertz": (["mesh", "chip.toml", "--accuracy", "5 Hz"], ["--accuracy", "5 Hz", "%, ppm, 1"]),
-    "tolerance of nothing": (["simulate", "chip.toml", "--tolerance", "0", "-o", "out", "--no-cad"],
-                             ["tolerance", "0.0", "between 0 and 1"]),
+    "error of nothing": (["simulate", "chip.toml", "--relative-error", "0", "-o", "out", "--no-cad"],
+                             ["relative_error", "0.0", "between 0 and 1"]),
     "unknown field": (["render", "chip.toml", "--at", "400 kHz", "--field", "presure", "-o", "out"],
                       ["--field", "'presure'", "did you mean 'pressure'"]),
     "output is a file": (["export", "chip.toml", "-o", "disc.csv"], ["--output", "'disc.csv'", "a file is in the way"]),

@@ -10,7 +10,7 @@ import pytest
 from workbench.bench.compensation import Compensation, Fixture, Load, compensate, fixture_from_load
 from workbench.files.errors import InputError
 from workbench.instruments.circuit import Circuit
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 from workbench.results.spectrum import Spectrum
 
 FREQUENCY = np.linspace(0.9e6, 1.15e6, 51)

@@ -74,11 +74,14 @@ def safe(bench: Any, path: Path) -> Any:
 
 def test_a_sweep_reads_what_is_connected(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    seen = []
+    seen: list[int] = []
+    shares: list[tuple[str, float]] = []
     run = measure(setup(bench, tmp_path), path, sleep=no_wait,
-                  show=lambda progress: seen.append((len(progress.run.points), progress.expected)))
+                  progress=lambda text, share: shares.append((text, share)),
+                  on_point=lambda run: seen.append(len(run.points)))
     assert run.complete
-    assert seen == [(n, 5) for n in range(1, 6)]
+    assert seen == [1, 2, 3, 4, 5]
+    assert shares == [("points", n / 5) for n in range(1, 6)]
     assert [p.frequency for p in run.points] == [1e6, 1.005e6, 1.01e6, 1.015e6, 1.02e6]
     for point in run.points:
         # Five stated uncertainties: once in 3e5 points by chance, and they are a thousandth of Z here.
@@ -102,13 +105,13 @@ def test_every_interruption_ends_safe_and_is_resumed(bench: Any, tmp_path: Path,
     path = tmp_path / "run.h5"
     drives = []
 
-    def interrupt(progress: Any) -> None:
+    def interrupt(run: Any) -> None:
         drives.append(bench.drive)
-        if len(progress.run.points) == 2:
+        if len(run.points) == 2:
             raise error("stop")
 
     with pytest.raises(error):
-        measure(setup(bench, tmp_path), path, sleep=no_wait, show=interrupt)
+        measure(setup(bench, tmp_path), path, sleep=no_wait, on_point=interrupt)
     assert drives == [5.0, 5.0]
     assert safe(bench, path)
     before = read_run(path)
@@ -243,7 +246,7 @@ def test_limits_lower_the_drive_before_the_device_sees_more(bench: Any, tmp_path
     highest = []
     path = tmp_path / "run.h5"
     run = measure(setup(bench, tmp_path, limits='device_current = "40 mA"'), path, sleep=no_wait,
-                  show=lambda progress: highest.append(bench.drive))
+                  on_point=lambda run: highest.append(bench.drive))
     assert max(highest) == pytest.approx(0.04 * 62.5, abs=0.02)
     for point in run.points:
         assert 2.0 * np.mean(np.abs(point.voltage[:, 1])) / 0.5 <= 0.0404

@@ -14,8 +14,9 @@ from workbench.fem.solve import Solution
 from workbench.fitting.joint import FitResult
 from workbench.readers import Reading
 from workbench.results.brief import TEXT_COLUMNS, TEXT_LINES, Brief
+from workbench.results.circuit import bvd_impedance
 from workbench.results.comparison import compare
-from workbench.results.merit import bvd_impedance, figures
+from workbench.results.merit import figures
 from workbench.results.notebook import Shown, Summary
 from workbench.results.spectrum import Spectrum, spectrum_of
 

@@ -21,7 +21,7 @@ from workbench.cli import main
 from workbench.commands import mesh, states
 from workbench.model.discretisation import ROWS
 from workbench.readers import read_recording
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 from workbench.simulation.run import simulate as simulate_state
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
@@ -194,7 +194,7 @@ def recorded(path: Path, chip: Path, *, scale: complex = 1.0) -> Spectrum:
     """A recording made of the simulation itself: every 750 Hz, times `scale`."""
     run = simulate_state(read_chip(chip), points=201, accuracy=5e-3)
     spectrum = Spectrum(run.spectrum.frequency, scale * run.spectrum.impedance)
-    write_csv(spectrum, path)
+    write_spectrum(spectrum, path)
     return spectrum
 
 

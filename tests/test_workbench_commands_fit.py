@@ -19,7 +19,7 @@ from workbench.model.problem import build, fill
 from workbench.readers import read_recording
 from workbench.reduced.reduction import reduce
 from workbench.report.fit import shown_estimate
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
 
@@ -35,7 +35,7 @@ def record_of(path: Path, changes: dict[str, float], name: str, *, points: int =
     frequency = np.linspace(300e3, 450e3, points)
     solution = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-6).solve(frequency, values)
     spectrum = Spectrum.from_solver(frequency, solution.impedance)
-    write_csv(spectrum, path.with_name(name))
+    write_spectrum(spectrum, path.with_name(name))
     return path.with_name(name)
 
 

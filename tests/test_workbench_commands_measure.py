@@ -20,7 +20,7 @@ from workbench.commands.measure import sketch
 from workbench.instruments.circuit import device_of, open_circuit, resistor
 from workbench.instruments.simulated import SimulatedBench
 from workbench.readers import read_recording
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 from workbench.results.spectrum import Spectrum
 
 pytestmark = pytest.mark.usefixtures("tables_fit")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from workbench.readers import read_recording
+from workbench.results.circuit import bvd_impedance
 from workbench.results.comparison import MetricRow, compare
-from workbench.results.merit import bvd_impedance, figures
+from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"

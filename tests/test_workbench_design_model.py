@@ -47,7 +47,7 @@ def model(chip: Chip) -> DesignModel:
     own = Registry().load(PLA).parameters()["shear_modulus"].imag
     ranges = {"sidewall.thickness": (0.71e-3, 0.73e-3), "cavity.radius": (3.92e-3, 4.08e-3),
               LOSS: (1.05 * own, 0.95 * own)}
-    return design_model(chip, "filled", ranges, figures=ALL, operation=WARM, points=81, tolerance=TOLERANCE,
+    return design_model(chip, "filled", ranges, figures=ALL, operation=WARM, points=81, relative_error=TOLERANCE,
                         accuracy=COARSE)
 
 
@@ -202,5 +202,5 @@ def test_bad_questions(chip: Chip, model: DesignModel) -> None:
 def test_a_model_that_full_solves_refute_is_refused(model: DesignModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("workbench.design.bases.ROUNDS", 1)
     with pytest.raises(NotConfirmed, match="narrow the ranges") as refusal:
-        of_range_model(model.range_model, model.chip, "filled", figures=("f0", "p0"), tolerance=1e-7)
+        of_range_model(model.range_model, model.chip, "filled", figures=("f0", "p0"), relative_error=1e-7)
     assert pickle.loads(pickle.dumps(refusal.value)).error == refusal.value.error

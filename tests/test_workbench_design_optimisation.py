@@ -11,24 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import STACK
+from support import STACK, with_fields
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from workbench.design.bounds import parse_bounds
 from workbench.design.boxes import TrustRegion, sides_within
 from workbench.design.descent import descend
-from workbench.design.evaluation import Evaluation, Operation
+from workbench.design.evaluation import Evaluation
 from workbench.design.evolution import evolve, undominated
 from workbench.design.goal import DesignObjective, Goal, Robust, SearchOptions, read_goal
-from workbench.design.modelling import Report
 from workbench.design.optimisation import optimise
 from workbench.design.programme import Programme
 from workbench.design.search import attempt, optima, search_all
 from workbench.design.spread import Spread
 from workbench.design.steps import settle
-from workbench.design.variables import LengthVariable, MaterialChoice, Stock, changed
+from workbench.design.variables import MaterialChoice, VariedNumber, changed
 from workbench.files.errors import InputError
+from workbench.files.quantities import ProgramSource
+from workbench.jobs.progress import Progress
 from workbench.jobs.workers import Workers
 from workbench.model.drive import VoltageDrive
 from workbench.reduced.ranges import NotCovered
@@ -90,8 +91,8 @@ def programme(*texts: str, step: float | None = None, hill: Hill | None = None, 
     bounds = tuple(bound for text in texts
                    for bound in parse_bounds(text, lengths, chip.regions, VoltageDrive(), source="test", field="bound"))
     low, high = ranges.get("substrate", (0.7, 0.9))
-    variables = (LengthVariable(SUBSTRATE, 1e-3 * low, 1e-3 * high, step),
-                 LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3, step))
+    variables = (VariedNumber(SUBSTRATE, 1e-3 * low, 1e-3 * high, step),
+                 VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3, step))
     return Programme(hill or Hill(), variables, DesignObjective("e_ac", maximise=True), bounds, lengths)
 
 
@@ -238,8 +239,8 @@ def test_the_rest_is_optimal_beside_a_step() -> None:
 def test_an_evolutionary_search_finds_the_stock_of_brute_force() -> None:
     values = (0.7e-3, 0.78e-3, 0.9e-3)
     one = programme("f0 >= 1.05 MHz", step=0.02e-3)
-    one = replace(one, variables=(LengthVariable(SUBSTRATE, values[0], values[-1]), one.variables[1]))
-    found = evolve([one], [Stock(SUBSTRATE, values)], SearchOptions(population=16, generations=12),
+    one = replace(one, variables=(VariedNumber(SUBSTRATE, values[0], values[-1]), one.variables[1]))
+    found = evolve([one], [VariedNumber.listed(SUBSTRATE, values)], SearchOptions(population=16, generations=12),
                    workers=Workers())
     assert len(found) == 1
     assert found[0].lengths[SUBSTRATE] == 0.78e-3
@@ -265,7 +266,7 @@ def test_a_front_lies_between_its_two_optima() -> None:
 
 
 def test_boxes_keep_to_the_bounds() -> None:
-    variables = (LengthVariable("a", 1.0, 2.0), LengthVariable("b", 1.0, 1.1))
+    variables = (VariedNumber("a", 1.0, 2.0), VariedNumber("b", 1.0, 1.1))
     reach = TrustRegion.relative({"a": 1.5, "b": 1.05}, 0.2)
     box = reach.about({"a": 1.2, "b": 1.05}, variables)
     assert box["a"] == pytest.approx((1.0, 1.6))
@@ -319,21 +320,19 @@ class FakeModel:
         return self
 
 
-def goal(*variables: LengthVariable | Stock | MaterialChoice, texts: tuple[str, ...] = (), **changes: object) -> Goal:
+def goal(*variables: VariedNumber | MaterialChoice, texts: tuple[str, ...] = (), **changes: object) -> Goal:
     chip = read_chip(CHIPS / "reference_chip.toml")
-    bounds = tuple(bound for text in texts for bound in parse_bounds(
-        text, chip.dimensions(), chip.regions, VoltageDrive(), source="test", field="bound"))
-    own = variables or (LengthVariable(SUBSTRATE, 0.76e-3, 0.9e-3, 20e-6), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3))
-    found = Goal("goal.toml", chip, "filled", Operation(), (DesignObjective("e_ac", maximise=True),), own, bounds,
-                 search=SearchOptions(starts=4, looked_at=4, descended=1))
-    return replace(found, **changes)
+    own = {SUBSTRATE: {"from": 0.76e-3, "to": 0.9e-3, "step": 20e-6}, SIDEWALL: {"from": 0.65e-3, "to": 0.8e-3}}
+    found = Goal(chip, own, maximise="e_ac", constraints=texts, state="filled", source=ProgramSource("goal.toml"),
+                 search={"starts": 4, "looked_at": 4, "descended": 1})
+    return with_fields(found, **({"variables": variables} if variables else {}), **changes)
 
 
 def test_a_goal_ends_in_a_confirmed_chip(tmp_path: Path) -> None:
-    said: list[tuple[str, str]] = []
-    report: Report = lambda row, activity, share: said.append((row, activity))  # noqa: E731
+    said: list[str] = []
+    report: Progress = lambda text, share: said.append(text)  # noqa: E731
     kept: list[float] = []
-    found = optimise(goal(texts=("f0 >= 1.05 MHz",)), solver=FakeSolver(), report=report,
+    found = optimise(goal(texts=("f0 >= 1.05 MHz",)), solver=FakeSolver(), progress=report,
                      keep=lambda chip, point: kept.append(point.objective))
     assert found.best is not None
     assert found.best.accepted
@@ -345,7 +344,7 @@ def test_a_goal_ends_in_a_confirmed_chip(tmp_path: Path) -> None:
     assert found.best.after.figures["f0"] >= 1.05e6 > found.before.figures["f0"]
     assert found.chosen.at_best == 4
     assert [each.text for each in found.best.candidate.active] == ["f0 >= 1.05 MHz"]
-    assert {"model", "starts", "steps", "full solve"} <= {activity for _, activity in said}
+    assert {"model", "starts", "steps", "full solve"} <= {text.rpartition(": ")[2] for text in said}
     assert kept == sorted(kept, reverse=True)
     assert read_chip(write_chip(chip, tmp_path / "best.toml")).layers == chip.layers
 
@@ -365,14 +364,14 @@ def test_what_cannot_be_kept_is_said() -> None:
 
 def test_models_move_to_where_the_optimum_is() -> None:
     # Bounds from 0.5 to 0.85 mm of a sidewall of 0.72 mm, models of 2 % to either side: the top is at 0.74 mm.
-    task = goal(LengthVariable(SUBSTRATE, 0.5e-3, 1.2e-3), LengthVariable(SIDEWALL, 0.5e-3, 0.85e-3))
-    task = replace(task, search=replace(task.search, reach=0.02, moves=5))
+    task = goal(VariedNumber(SUBSTRATE, 0.5e-3, 1.2e-3), VariedNumber(SIDEWALL, 0.5e-3, 0.85e-3))
+    task = with_fields(task, search=replace(task.search, reach=0.02, moves=5))
     found = optimise(task, solver=FakeSolver())
     assert found.searched[0].models > 1
     assert not found.searched[0].open_sides
     assert 1e3 * found.best.chip.layer("sidewall").thickness.value == pytest.approx(TOP[SIDEWALL], abs=1e-3)
     # Without moves it says where it stopped.
-    stopped = optimise(replace(task, search=replace(task.search, moves=0)), solver=FakeSolver())
+    stopped = optimise(with_fields(task, search=replace(task.search, moves=0)), solver=FakeSolver())
     assert stopped.searched[0].open_sides == (SUBSTRATE, SIDEWALL)
     assert any("that a model covered" in each.text for each in stopped.best.candidate.active)
 
@@ -387,7 +386,7 @@ def test_a_box_that_no_model_covers_is_halved() -> None:
 def test_stock_and_materials_are_those_of_brute_force() -> None:
     glass = ("soda_lime_glass/independent_reference", "borosilicate_glass")
     stock = (0.5e-3, 1.0e-3, 1.1e-3)
-    task = goal(LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, stock),
+    task = goal(VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3), VariedNumber.listed(SUPERSTRATE, stock),
                 MaterialChoice("superstrate", glass))
     found = optimise(task, solver=FakeSolver())
     assert len(found.searched) == 6
@@ -402,13 +401,13 @@ def test_stock_and_materials_are_those_of_brute_force() -> None:
 
 
 def test_stock_alone_needs_no_model() -> None:
-    found = optimise(goal(Stock(SUPERSTRATE, (0.5e-3, 1.0e-3, 1.1e-3))), solver=FakeSolver())
+    found = optimise(goal(VariedNumber.listed(SUPERSTRATE, (0.5e-3, 1.0e-3, 1.1e-3))), solver=FakeSolver())
     assert found.best.candidate.lengths == {SUPERSTRATE: 1.0e-3}
 
 
 def test_an_evolutionary_goal_takes_stock_on_one_model() -> None:
-    task = goal(LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, (0.9e-3, 1.0e-3, 1.2e-3)))
-    task = replace(task, search=replace(task.search, evolutionary=True, population=10, generations=8))
+    task = goal(VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3), VariedNumber.listed(SUPERSTRATE, (0.9e-3, 1.0e-3, 1.2e-3)))
+    task = with_fields(task, search=replace(task.search, evolutionary=True, population=10, generations=8))
     found = optimise(task, solver=FakeSolver())
     assert len(found.searched) == 1
     assert found.best.candidate.lengths[SUPERSTRATE] == 1.0e-3
@@ -417,8 +416,8 @@ def test_an_evolutionary_goal_takes_stock_on_one_model() -> None:
 
 
 def test_a_front_is_confirmed_at_its_ends_and_its_knee() -> None:
-    task = goal(LengthVariable(SUBSTRATE, 0.76e-3, 0.95e-3), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3))
-    task = replace(task, objectives=(*task.objectives, DesignObjective("f0", maximise=False)),
+    task = goal(VariedNumber(SUBSTRATE, 0.76e-3, 0.95e-3), VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3))
+    task = with_fields(task, objectives=(*task.objectives, DesignObjective("f0", maximise=False)),
                    search=replace(task.search, evolutionary=True, population=12, generations=8))
     found = optimise(task, solver=FakeSolver())
     confirmed = [hasattr(each, "accepted") for each in found.front]
@@ -438,15 +437,15 @@ def test_a_robust_optimum_keeps_away_from_a_bound() -> None:
     base = goal(texts=("f0 >= 1.05 MHz",))
     layers = tuple(replace(each, thickness=replace(each.thickness, tolerance=10e-6)) if each.region == "substrate"
                    else each for each in base.chip.layers)
-    task = replace(base, chip=replace(base.chip, layers=layers), robust=Robust(0.05, samples=400),
-                   variables=(LengthVariable(SUBSTRATE, 0.76e-3, 0.9e-3), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3)))
-    nominal = optimise(replace(task, robust=None), solver=FakeSolver()).best.candidate.lengths[SUBSTRATE]
+    task = with_fields(base, chip=replace(base.chip, layers=layers), robust=Robust(0.05, samples=400),
+                   variables=(VariedNumber(SUBSTRATE, 0.76e-3, 0.9e-3), VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3)))
+    nominal = optimise(with_fields(task, robust=None), solver=FakeSolver()).best.candidate.lengths[SUBSTRATE]
     robust = optimise(task, solver=FakeSolver()).best.candidate.lengths[SUBSTRATE]
     assert 1e3 * nominal == pytest.approx(0.85 / 1.05, abs=1e-4)
     # The quantile of 400 samples is known to a tenth of the tolerance.
     assert nominal - robust == pytest.approx(9e-6, abs=1e-6)
     with pytest.raises(InputError, match="a chip file with tolerances"):
-        optimise(replace(task, chip=base.chip), solver=FakeSolver())
+        optimise(with_fields(task, chip=base.chip), solver=FakeSolver())
 
 
 def test_the_quantile_is_the_one_of_numpy() -> None:

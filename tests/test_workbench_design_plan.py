@@ -13,9 +13,10 @@ from fake_models import CHIP
 from geometry.chip import parse_chip
 from geometry.names import CAVITY
 from materials.registry import Registry
-from workbench.design.axes import MaterialAxis, NumberAxis, with_materials
+from workbench.design.axes import with_materials
 from workbench.design.parts import parts_of, ranges_of
 from workbench.design.plan import Study, read_study
+from workbench.design.variables import MaterialChoice, VariedNumber
 from workbench.files.errors import InputError
 from workbench.files.tables import read_toml
 from workbench.model.drive import PowerDrive, VoltageDrive
@@ -52,7 +53,7 @@ def test_what_is_not_said_is_what_the_chip_says(folder: Path) -> None:
     assert found.band == found.chip.band
     assert found.operation.drive == VoltageDrive(10.0)
     assert found.operation.frequency is None
-    assert (found.tolerance, found.accuracy, found.confirmed, found.name) == (1e-3, 5e-4, 5, "study")
+    assert (found.relative_error, found.accuracy, found.confirmed, found.name) == (1e-3, 5e-4, 5, "study")
 
 
 def test_what_is_said_is_taken(folder: Path) -> None:
@@ -61,7 +62,7 @@ name = "mine"
 drive = "0.1 W"
 frequency = "1.03 MHz"
 band = ["1 MHz", "1.1 MHz"]
-tolerance = "0.3 %"
+relative_error = "0.3 %"
 accuracy = "0.5 %"
 limit = 50
 confirm = 0
@@ -78,7 +79,7 @@ substrate.thickness = { from = "0.8 mm", to = "0.9 mm" }
     assert found.operation.drive == PowerDrive(0.1)
     assert found.operation.frequency == 1.03e6
     assert found.operation.thermal_resistance == {"transducer": 4.0, "": 10.0}
-    assert (found.name, found.band, found.tolerance, found.accuracy) == ("mine", (1e6, 1.1e6), 3e-3, 5e-3)
+    assert (found.name, found.band, found.relative_error, found.accuracy) == ("mine", (1e6, 1.1e6), 3e-3, 5e-3)
     assert (found.limit, found.confirmed, found.size) == (50, 0, 14)
 
 
@@ -196,7 +197,8 @@ MISTAKES = {
     "a frequency outside the band": (HEAD + 'frequency = "3 MHz"\n', VARY, "study.frequency", "within the band"),
     "a band upside down": (HEAD + 'band = ["2 MHz", "1 MHz"]\n', VARY, "study.band", "a lower and a higher"),
     "a drive without its unit": (HEAD + 'drive = "10 V"\n', VARY, "study.drive", "10 Vpp"),
-    "a tolerance of the model of 100": (HEAD + 'tolerance = "100 %"\n', VARY, "study.tolerance", "between 0 and 1"),
+    "an error of the model of 100": (HEAD + 'relative_error = "100 %"\n', VARY, "study.relative_error",
+                                     "between 0 and 1"),
     "heating without resistances": (HEAD.replace("z_min", "heating"), VARY, "thermal", 'all = "10 K/W"'),
     "a resistance of no region": (HEAD, '[thermal]\nlid = "3 K/W"' + VARY, "thermal.lid", "superstrate"),
     "an unknown method": (HEAD, '[sample]\nmethod = "sobel"\npoints = 8' + VARY, "sample.method", "'sobol'"),
@@ -270,10 +272,10 @@ def test_a_mistake_is_answered(folder: Path, mistake: str) -> None:
 
 
 def test_axes_span_what_they_say() -> None:
-    axis = NumberAxis("x", "m", 1.0, 2.0, points=3)
+    axis = VariedNumber("x", 1.0, 2.0, points=3)
     np.testing.assert_allclose(axis.levels(), [1.0, 1.5, 2.0])
     np.testing.assert_allclose(axis.at(np.array([0.0, 1.0])), [1.0, 2.0])
-    listed = NumberAxis("x", "m", 1.0, 5.0, values=(5.0, 1.0))
+    listed = VariedNumber.listed("x", (5.0, 1.0))
     # Half of the way each; the end belongs to the last.
     np.testing.assert_allclose(listed.at(np.array([0.0, 0.49, 0.5, 1.0])), [5.0, 5.0, 1.0, 1.0])
-    assert MaterialAxis("bond", ("a", "b", "c")).at(np.array([math.nextafter(1.0, 0.0)])) == [2.0]
+    assert MaterialChoice("bond", ("a", "b", "c")).at(np.array([math.nextafter(1.0, 0.0)])) == [2.0]

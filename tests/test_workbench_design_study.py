@@ -220,7 +220,7 @@ def test_a_material_that_has_changed_is_another_study(tmp_path: Path) -> None:
 def test_two_studies_at_once_in_one_folder_are_refused(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL)
 
-    def second(part: str, activity: str, fraction: float) -> None:
+    def second(text: str, share: float) -> None:
         with pytest.raises(InputError, match="no other study is at work"):
             run(plan, tmp_path / "out")
 
@@ -355,7 +355,7 @@ def test_the_command_on_a_real_chip(tmp_path: Path, capsys: pytest.CaptureFixtur
 chip = "chip.toml"
 figures = ["f0", "z_min"]
 accuracy = "1 %"
-tolerance = "1 %"
+relative_error = "1 %"
 confirm = 1
 [vary]
 "substrate.thickness" = { from = "0.83 mm", to = "0.87 mm", points = 4 }

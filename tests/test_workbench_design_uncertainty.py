@@ -21,8 +21,9 @@ from materials.registry import Registry
 from workbench.design import stated
 from workbench.design.centre import centred_chip
 from workbench.design.stated import numbers_of, parse_statement, read_statements, stated_uncertainty
-from workbench.design.uncertainty import CUT, Input, Uncertainty, from_limits, from_standard
+from workbench.design.uncertainty import Uncertainty, halved_weights, known_as
 from workbench.files.errors import InputError
+from workbench.model.numbers import CUT, Number, Stated, limits
 from workbench.model.problem import FilledChip, fill
 
 PZT = "pzt4/acevedo_2026_initial"
@@ -36,8 +37,12 @@ def chip(text: str = DISC) -> Chip:
     return parse_chip(tomllib.loads(text), source="disc.toml")
 
 
-def normal(name: str, mean: float, deviation: float) -> Input:
-    return from_standard(name, mean, deviation, origin="test")
+def normal(name: str, mean: float, deviation: float) -> Number:
+    return known_as(Number(name, mean, *limits(name, mean)), Stated(deviation, origin="test"))
+
+
+def flat_thickness(mean: float, half_width: float) -> Number:
+    return known_as(Number("a.thickness", mean), Stated(half_width, "uniform", "test"))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -56,7 +61,7 @@ def test_a_tolerance_is_a_limit_unless_it_is_said_otherwise() -> None:
 
 
 def test_samples_follow_their_laws() -> None:
-    known = independent([from_limits("a.thickness", 1.0, 0.1, "uniform", origin="test"), normal("b.c33", 5.0, 0.2)])
+    known = independent([flat_thickness(1.0, 0.1), normal("b.c33", 5.0, 0.2)])
     drawn = known.draw(SAMPLES, seed=3)
     assert drawn.points.shape == (SAMPLES, 2)
     assert kstest(drawn.points[:, 0], uniform(0.9, 0.2).cdf).pvalue > LEVEL
@@ -89,7 +94,7 @@ def test_numbers_that_are_one_stay_one() -> None:
 
 def test_only_normal_laws_can_be_correlated() -> None:
     with pytest.raises(ValueError, match="only normal laws"):
-        Uncertainty((from_limits("a.thickness", 1.0, 0.1, "uniform", origin="test"), normal("b.c33", 5.0, 0.2)),
+        Uncertainty((flat_thickness(1.0, 0.1), normal("b.c33", 5.0, 0.2)),
                     np.array([[1.0, 0.5], [0.5, 1.0]]))
 
 
@@ -97,7 +102,7 @@ def test_weights_make_samples_those_of_half_the_uncertainty() -> None:
     known = Uncertainty((normal("a.c33", 5.0, 0.2), normal("a.c13", 3.0, 0.5),
                          ), np.array([[1.0, 0.8], [0.8, 1.0]]))
     points = known.draw(200_000, seed=2).points
-    weights = known.inputs[0].halved_weights(points[:, 0])
+    weights = halved_weights(known.inputs[0], points[:, 0])
     assert weights.mean() == pytest.approx(1.0, abs=0.01)
     # One further measurement of the first, after which half of its uncertainty is left, takes 3/4 rho^2 off the
     # variance of the second: what Bayes' rule for normal laws says. Standard errors are below 0.5 %, the cut's share
@@ -108,8 +113,8 @@ def test_weights_make_samples_those_of_half_the_uncertainty() -> None:
 
 
 def test_weights_of_a_uniform_law_keep_its_inner_half() -> None:
-    flat = from_limits("a.thickness", 1.0, 0.1, "uniform", origin="test")
-    assert flat.halved_weights(np.array([0.91, 0.951, 1.0, 1.049, 1.06])).tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
+    flat = flat_thickness(1.0, 0.1)
+    assert halved_weights(flat, np.array([0.91, 0.951, 1.0, 1.049, 1.06])).tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
 
 
 def test_no_sample_makes_a_material_more_active_than_it_is() -> None:

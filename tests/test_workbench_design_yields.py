@@ -18,10 +18,11 @@ from workbench.design.figures import figure_named
 from workbench.design.outcomes import evaluate
 from workbench.design.requirement import Requirement, parse_requirement
 from workbench.design.sensitivity import SHARE, check_sobol, names_to_ask, sensitivities, sobol
-from workbench.design.uncertainty import CUT, Input, Uncertainty, from_limits, from_standard
+from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, passed_share, yields
 from workbench.files.errors import InputError
 from workbench.model.drive import PowerDrive, VoltageDrive
+from workbench.model.numbers import CUT, Number, Stated
 
 Real = NDArray[np.float64]
 
@@ -58,13 +59,13 @@ def linear(**slopes: tuple[float, ...]) -> Polynomial:
     return Polynomial(terms={name: (0.0, np.array(each), np.zeros(len(each))) for name, each in slopes.items()})
 
 
-def normal(name: str, mean: float = 0.0, deviation: float = 1.0) -> Input:
+def normal(name: str, mean: float = 0.0, deviation: float = 1.0) -> Number:
     # No matter has a thickness around zero: the polynomials are of numbers, not of chips.
-    return replace(from_standard("x.e31", mean, deviation, origin="test"), name=name)
+    return known_as(Number(name, mean), Stated(deviation, origin="test"))
 
 
-def flat(name: str, half_width: float = 1.0) -> Input:
-    return replace(from_limits("x.e31", 0.0, half_width, "uniform", origin="test"), name=name)
+def flat(name: str, half_width: float = 1.0) -> Number:
+    return known_as(Number(name, 0.0), Stated(half_width, "uniform", "test"))
 
 
 TWO = independent([normal("a.thickness"), normal("b.c33")])

@@ -8,9 +8,8 @@ import pytest
 
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import device_model
-from workbench.diagnosis.state import scatter
 from workbench.files.errors import InputError
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, scatter, write_spectrum
 
 LAYER = """
 [[layers]]
@@ -76,7 +75,7 @@ def folder(tmp_path: Path) -> Path:
         spectrum = circuit(0.99e6)
         if name == "disc":
             spectrum = Spectrum(spectrum.frequency, spectrum.impedance, 0.01 * spectrum.magnitude)
-        write_csv(spectrum, tmp_path / f"{name}.csv")
+        write_spectrum(spectrum, tmp_path / f"{name}.csv")
     return tmp_path
 
 
@@ -147,7 +146,7 @@ def test_states_of_two_devices_are_told_apart(folder: Path) -> None:
 
 
 def test_a_recording_of_another_disc_is_refused(folder: Path) -> None:
-    write_csv(circuit(0.99e6, capacitance=5e-9), folder / "disc.csv")
+    write_spectrum(circuit(0.99e6, capacitance=5e-9), folder / "disc.csv")
     with pytest.raises(InputError, match="not of this device"):
         read_campaign(folder / "campaign.toml")
 

@@ -26,7 +26,7 @@ from workbench.files.errors import InputError
 from workbench.fitting.seen import through_bench
 from workbench.model.problem import build, fill, with_boundary_layers
 from workbench.reduced.reduction import reduce
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 Real = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Bench:
         for k in range(1, FREQUENCIES.size):
             noise[:, k] = colour * noise[:, k - 1] + np.sqrt(1.0 - colour**2) * noise[:, k]
         seen = clean * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
-        write_csv(Spectrum(FREQUENCIES, seen, NOISE * np.abs(seen)), self.folder / f"{name}.csv")
+        write_spectrum(Spectrum(FREQUENCIES, seen, NOISE * np.abs(seen)), self.folder / f"{name}.csv")
         self.states.append(f'[states.{name}]\nchip = "{chip}.toml"\nrecording = "{name}.csv"\ndrive = "{drive}"\n')
 
     def model(self, known: Mapping[str, str]) -> Model:

@@ -10,7 +10,7 @@ from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.device import device_model
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import Parameter
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 LAYER = '[[layers]]\nrole = "{role}"\nmaterial = "{material}"\nthickness = {thickness}\nradius = "4 mm"\n{more}\n'
 HEAD = '[chip]\nname = "small"\nband = ["0.88 MHz", "1.12 MHz"]\n'
@@ -92,7 +92,7 @@ def folder(tmp_path: Path) -> Path:
     omega = 2.0 * np.pi * frequency
     motion = 30.0 + 1j * omega * 1e-3 + (2.0 * np.pi * 0.99e6) ** 2 * 1e-3 / (1j * omega)
     for name in ("disc", "empty", "filled", "warm"):
-        write_csv(Spectrum(frequency, 1.0 / (1j * omega * 2.2e-10 + 1.0 / motion)), tmp_path / f"{name}.csv")
+        write_spectrum(Spectrum(frequency, 1.0 / (1j * omega * 2.2e-10 + 1.0 / motion)), tmp_path / f"{name}.csv")
     return tmp_path
 
 
@@ -172,13 +172,13 @@ def test_what_files_state_is_known_unless_the_campaign_says_otherwise(folder: Pa
         "water/iapws_2011.density": 0.02, SPEED: 0.1}, rel=1e-12)
     taken = {each.name: each for each in found.taken}
     assert set(taken) == set(found.known)
-    assert taken["transducer.thickness"].source == f"{folder / 'disc.toml'}: tolerance"
-    assert (taken[BULK].source, taken[BULK].unit) == ("bench_pla/test: uncertainty", "Pa")
+    assert taken["transducer.thickness"].origin == f"{folder / 'disc.toml'}: tolerance"
+    assert (taken[BULK].origin, taken[BULK].unit) == ("bench_pla/test: uncertainty", "Pa")
     other = read(folder, f'[known]\n"{BULK}" = "1 %"\n[fixed]\nnames = ["{SHEAR}", "transducer.thickness"]\n')
     assert other.known[BULK] == pytest.approx(0.034e9)
     assert not {SHEAR, "transducer.thickness"} & set(other.known)
     assert f"{SHEAR}.loss" in other.known
-    assert {each.name: each.source for each in other.taken}[BULK] == f"{folder / 'campaign.toml'}: [known]"
+    assert {each.name: each.origin for each in other.taken}[BULK] == f"{folder / 'campaign.toml'}: [known]"
     assert read(folder, "[between]\ndefaults = false\n", head='known = "named"').known == {}
 
 
@@ -218,10 +218,11 @@ def test_a_length_that_differs_between_stacks_is_known_in_each(folder: Path) -> 
 # The model's accuracy
 
 
-@pytest.mark.parametrize(("text", "accuracy"), [
-    ("", None), ("[model]\n", None), ('[model]\naccuracy = "0.2 %"\n', 0.002), ('[model]\naccuracy = "0"\n', 0.0)])
-def test_the_accuracy_of_the_model(folder: Path, text: str, accuracy: float | None) -> None:
-    assert read(folder, text).model_accuracy == accuracy
+@pytest.mark.parametrize(("text", "inhomogeneity"), [
+    ("", None), ("[model]\n", None), ('[model]\ninhomogeneity = "0.2 %"\n', 0.002),
+    ('[model]\ninhomogeneity = "0"\n', 0.0)])
+def test_the_inhomogeneity_of_the_model(folder: Path, text: str, inhomogeneity: float | None) -> None:
+    assert read(folder, text).inhomogeneity == inhomogeneity
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -256,11 +257,11 @@ def test_the_accuracy_of_the_model(folder: Path, text: str, accuracy: float | No
     ('[fixed]\nnames = ["bench.gain[disc]"]', "fixed.names", "bench.gain[disc]", "a state has"),
     ('[between]\n"bench.gain" = "0.5"', "between.bench.gain", "0.5", '"0.5 %" or "50 %"?'),
     ('[known]\n"bench.clock" = 5e-6', "known.bench.clock", "5e-06", '"5e-06 %" or "0.0005 %"?'),
-    ('[model]\naccuracy = "0.002"', "model.accuracy", "0.002", '"0.002 %" or "0.2 %"?'),
-    ('[model]\naccuracy = "-1 %"', "model.accuracy", "-1 %", "from 0"),
-    ('[model]\naccuracy = "2"', "model.accuracy", "2", "0.2 %"),
-    ('[model]\naccuracy = "1 mm"', "model.accuracy", "1 mm", "a share in one of %"),
-    ('[model]\nacuracy = "1 %"', "model.acuracy", "acuracy", "'accuracy'"),
+    ('[model]\ninhomogeneity = "0.002"', "model.inhomogeneity", "0.002", '"0.002 %" or "0.2 %"?'),
+    ('[model]\ninhomogeneity = "-1 %"', "model.inhomogeneity", "-1 %", "from 0"),
+    ('[model]\ninhomogeneity = "2"', "model.inhomogeneity", "2", "0.2 %"),
+    ('[model]\ninhomogeneity = "1 mm"', "model.inhomogeneity", "1 mm", "a share in one of %"),
+    ('[model]\ninhomogenity = "1 %"', "model.inhomogenity", "inhomogenity", "'inhomogeneity'"),
 ])
 def test_a_mistake_is_named(folder: Path, tables: str, field: str, value: str, said: str) -> None:
     with pytest.raises(InputError) as caught:

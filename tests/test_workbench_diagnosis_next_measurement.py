@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.next_measurement import next_measurement_text, options
 from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import Stated
 from workbench.physics.softening import DRIVE_SQUARED
 
 Real = NDArray[np.float64]
@@ -21,8 +22,8 @@ Real = NDArray[np.float64]
 POINTS = 3
 ROWS = 2 * POINTS
 #: A state's own gain, a lead, and a number that a hypothesis brings.
-PARAMETERS = (Parameter("bench.gain[two]", 0.0, -0.5, 0.5, 0.1, "1", ("two",), offset=True),
-              Parameter("bench.series_resistance", 0.0, -1.0, 1.0, 0.3, "ohm"),
+PARAMETERS = (Parameter("bench.gain[two]", 0.0, -0.5, 0.5, Stated(0.1), "1", recordings=("two",), offset=True),
+              Parameter("bench.series_resistance", 0.0, -1.0, 1.0, Stated(0.3), "ohm"),
               Parameter("softening", 0.0, 0.0, 1.0, None, "1/V^2"))
 
 

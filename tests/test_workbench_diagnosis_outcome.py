@@ -19,12 +19,12 @@ from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.discrepancy import DiscrepancyModes
 from workbench.diagnosis.findings import Found, NotTried, Refitted
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.knowledge import Taken
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import Number, Stated
 from workbench.physics.term import Admissible
 from workbench.report.diagnosis import diagnosis_record, established_table, write_diagnosis_report
 from workbench.results.spectrum import Spectrum
@@ -35,7 +35,7 @@ LEADS = Effect("leads", "bench", "bench", "leads that are longer than stated", (
     Parameter("bench.series_resistance", 0.0, -0.3, 5.0, None, "ohm"),
     Parameter("bench.series_inductance", 0.0, -1e-7, 2e-6, None, "H")))
 GLASS = Effect("shear modulus of glass", "superstrate", "stiffness", "another glass", (
-    Parameter("glass.shear_modulus", 26e9, 20e9, 30e9, 1e9, "Pa"),),
+    Parameter("glass.shear_modulus", 26e9, 20e9, 30e9, Stated(1e9), "Pa"),),
     admissible={"glass.shear_modulus": Admissible(20e9, 30e9, "Pa", "any glass")})
 PARAMETERS = (*LEADS.parameters, *GLASS.parameters)
 NOTHING = Evidence("nothing", 0.0)
@@ -67,8 +67,9 @@ def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Refitted:
 
 
 def campaign() -> Any:
+    gel = Number("couplant.thickness", 20e-6, stated=Stated(1e-6, origin="campaign.toml"), unit="m")
     return SimpleNamespace(name="device", fitted=(state("empty"),), held_out=(state("filled"),), tied={}, known={},
-                           taken=(Taken("couplant.thickness", 1e-6, "m", "campaign.toml"),))
+                           taken=(gel,))
 
 
 def model() -> Any:
@@ -126,7 +127,7 @@ def test_the_headline_of_every_other_verdict() -> None:
                      "mismatch, but shear modulus of glass would too.",
         "no_mismatch": f"The model as stated explains the recordings: {left}.",
         "parameters_explain": f"The known parameters, within what is known of them, explain the recordings: {left}; "
-                              "the density of pla moves most, by +2.5 standard uncertainties.",
+                              "the pla density moves most, by +2.5 standard uncertainties.",
         "below_detection": "Something may be missing, leads most likely, at odds of 5: not enough to name a cause.",
         "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
     }

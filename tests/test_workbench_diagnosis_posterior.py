@@ -24,6 +24,7 @@ from workbench.diagnosis.evidence import LinearisedProblem
 from workbench.diagnosis.likelihood import Hypothesis, LocalProblem, Scales
 from workbench.diagnosis.posterior import Posterior
 from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import Stated
 
 Real = NDArray[np.float64]
 
@@ -91,7 +92,8 @@ class Straight:
         residual = random.standard_normal(40) + 0.8 * columns[:, 0]
         named = (("c", 4.0, -1.0, 9.0, 0.3), ("e", -2.0, -8.0, 3.0, 0.5), ("loss", 0.5, -9.0, high, None))
         return cls(np.array([4.1, -2.2, 0.4]), tangents, residual, columns,
-                   tuple(Parameter(name, start, low, high, prior, "1") for name, start, low, high, prior in named),
+                   tuple(Parameter(name, start, low, high, None if prior is None else Stated(prior), "1")
+                         for name, start, low, high, prior in named),
                    (Scales(0.0, 0.0, 0.0), Scales(0.3, 0.0, 0.0), Scales(2.0, 0.0, 0.0)))
 
     @property
@@ -184,7 +186,8 @@ def test_a_range_that_ends_near_the_optimum_is_what_laplace_does_not_see() -> No
 def test_the_transform_of_the_unit_cube_has_the_density_of_the_prior() -> None:
     # Bounds far from the centre of a normal prior, and near it: at it, on one side.
     straight = Straight.made()
-    low = (Parameter("c", 4.0, 3.9, 4.2, 0.3, "1"), Parameter("e", -2.0, -2.0, 3.0, 0.5, "1"), straight.parameters[2])
+    low = (Parameter("c", 4.0, 3.9, 4.2, Stated(0.3), "1"), Parameter("e", -2.0, -2.0, 3.0, Stated(0.5), "1"),
+           straight.parameters[2])
     for parameters in (straight.parameters, low):
         narrow = Straight(straight.x, straight.tangents, straight.residual, straight.columns, parameters,
                           straight.settings)

@@ -15,6 +15,7 @@ from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.parameter import Parameter, material_parameter
+from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
 from workbench.search.constrained import Inequality
 
@@ -67,7 +68,7 @@ def moved(problem: Problem, parameters: tuple[Parameter, ...], x: Real) -> Piezo
 
 def test_a_material_is_one_in_each_recording_with_what_is_added_there(stack: Problem) -> None:
     shared = free(stack, PLA, "shear_modulus", "bulk_modulus")
-    own = replace(shared[0], name=f"{PLA}.shear_modulus[again]", start=0.0, low=-1e9, high=1e9, recordings=("again",),
+    own = replace(shared[0], name=f"{PLA}.shear_modulus[again]", value=0.0, low=-1e9, high=1e9, recordings=("again",),
                   offset=True)
     everything = (own, *shared)
     found = {i.name: i for i in inequalities([stack, stack], everything, recordings=["first", "again"])}
@@ -193,7 +194,7 @@ def test_a_material_in_two_recordings_is_conditioned_once(stack: Problem) -> Non
 
 
 def test_parameters_that_are_no_materials_bring_no_conditions(stack: Problem) -> None:
-    assert inequalities([stack], (Parameter("bench.gain", 0.0, -1.0, 1.0, 0.1, "1"),)) == ()
+    assert inequalities([stack], (Parameter("bench.gain", 0.0, -1.0, 1.0, Stated(0.1), "1"),)) == ()
     assert inequalities([stack], free(stack, PZT, "e31", "density")) == ()
     assert inequalities([stack], free(stack, "gel/test", "sound_speed")) == ()
 

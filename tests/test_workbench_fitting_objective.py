@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.fitting.objective import FitRecording, Objective
-from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter, parameters
+from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.seen import log_ratio, lorentzian, through_bench
-from workbench.model.numbers import LENGTHS
+from workbench.model.numbers import BENCH_ELEMENTS, LENGTHS, Stated
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.results.spectrum import Spectrum
@@ -191,7 +191,7 @@ def test_recordings_have_names_of_their_own(stack: Problem, chip: Chip) -> None:
 
 def offset(shared: Parameter, state: str, size: float) -> Parameter:
     """What one recording alone adds to a parameter."""
-    return replace(shared, name=f"{shared.name}[{state}]", start=0.0, low=-size, high=size, prior=size,
+    return replace(shared, name=f"{shared.name}[{state}]", value=0.0, low=-size, high=size, stated=Stated(size),
                    recordings=(state,), offset=True)
 
 
@@ -199,7 +199,7 @@ def offset(shared: Parameter, state: str, size: float) -> Parameter:
 def between(stack: Problem, chip: Chip, bare: tuple[Chip, Problem]) -> Objective:
     """One chip recorded twice and its disc, and one of every kind of parameter that one recording has an offset to."""
     shared = parameters(stack, chip, PZT, ["c33", "c33.loss", "transducer.radius", "bench.gain", "bench.clock"])
-    speed = Parameter(f"{GEL}.sound_speed", 1.0, 0.9, 1.1, 0.02, "1", relative=True)
+    speed = Parameter(f"{GEL}.sound_speed", 1.0, 0.9, 1.1, Stated(0.02), "1", relative=True)
     (thickness,) = parameters(stack, chip, PZT, ["couplant.thickness"])
     own = [offset(p, name, 0.1 * p.scale) for p in (*shared, speed) for name in ("disc", "again")]
     # The thickness is exact but for what one recording adds.

@@ -13,7 +13,6 @@ from materials.kinds import Material
 from materials.value import Value
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import (
-    BENCH_ELEMENTS,
     CERAMIC_LOSS,
     CERAMIC_LOSS_REACH,
     POLYMER_FOUR,
@@ -25,6 +24,7 @@ from workbench.fitting.parameter import (
     material_parameter,
     parameters,
 )
+from workbench.model.numbers import BENCH_ELEMENTS, Stated
 from workbench.model.problem import Problem
 
 PZT, PLA, GEL = "pzt/test", "pla/test", "gel/test"
@@ -234,7 +234,9 @@ def test_tolerances_of_radii_that_coincide_must_agree(chip: Chip, name: str, sec
 def test_a_bench_element_starts_from_an_ideal_bench(name: str) -> None:
     found = bench_parameter(name, ["one", "two"])
     known = BENCH_ELEMENTS[name]
-    assert found == Parameter(f"bench.{name}", 0.0, known.low, known.high, known.prior, known.unit, ("one", "two"))
+    stated = Stated(known.prior, origin="benches of laboratories")
+    assert found == Parameter(f"bench.{name}", 0.0, known.low, known.high, stated, known.unit,
+                              recordings=("one", "two"))
     assert bench_parameter(f"bench.{name}") == replace(found, recordings=())
     assert (found.is_bench, found.is_material, found.is_dimension, found.is_loss) == (True, False, False, False)
 
@@ -314,4 +316,4 @@ def test_a_start_outside_its_bounds_is_refused(start: float, low: float, high: f
 @pytest.mark.parametrize("prior", [0.0, -1.0, math.nan])
 def test_a_prior_is_a_positive_number(prior: float) -> None:
     with pytest.raises(ValueError, match="positive standard uncertainty"):
-        Parameter("bench.gain", 0.0, -1.0, 1.0, prior, "1")
+        Parameter("bench.gain", 0.0, -1.0, 1.0, Stated(prior), "1")

@@ -27,7 +27,7 @@ from workbench.reduced.reduction import reduce
 from workbench.report.fit import fit_record
 from workbench.reproduction.fits import PaperFit
 from workbench.results.merit import figures
-from workbench.results.spectrum import Origin, Spectrum, write_csv
+from workbench.results.spectrum import Origin, Spectrum, write_spectrum
 
 MATERIAL = "pzt4/acevedo_2026_initial"
 DATE = datetime(2026, 11, 21, 14, 40, tzinfo=UTC)
@@ -55,7 +55,7 @@ def recorded(chip: Chip, folder: Path) -> Spectrum:
     frequency = np.linspace(300e3, 450e3, 61)
     solution = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-6).solve(frequency, values)
     spectrum = Spectrum.from_solver(frequency, solution.impedance, origin=Origin("measured", "disc.csv"))
-    write_csv(spectrum, folder / "disc.csv")
+    write_spectrum(spectrum, folder / "disc.csv")
     return spectrum
 
 

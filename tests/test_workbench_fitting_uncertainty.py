@@ -32,6 +32,7 @@ from workbench.fitting.uncertainty import (
     residual_findings,
 )
 from workbench.model.dimensions import flexible
+from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.results.comparison import compare
@@ -68,7 +69,7 @@ class Made(Objective):
 def free(
     name: str, *, start: float = 0.0, low: float = -10.0, high: float = 10.0, prior: float | None = 1e3
 ) -> Parameter:
-    return Parameter(f"bench.{name}", start, low, high, prior, "1")
+    return Parameter(f"bench.{name}", start, low, high, None if prior is None else Stated(prior), "1")
 
 
 def made(problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter]) -> FitSearch:

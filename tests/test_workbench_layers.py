@@ -201,7 +201,8 @@ PLAIN_ROOMS = (
     "geometry", "materials", "workbench.acoustics", "workbench.app", "workbench.bench", "workbench.fem",
     "workbench.files", "workbench.instruments", "workbench.physics", "workbench.readers", "workbench.render",
     "workbench.results", "workbench.simulation", "workbench.model.discretisation", "workbench.model.drive",
-    "workbench.model.job_size", "workbench.model.particles", "workbench.model.problem",
+    "workbench.model.device_numbers", "workbench.model.job_size", "workbench.model.numbers",
+    "workbench.model.particles", "workbench.model.problem",
 )
 #: A sentence that begins so names its subject late or never.
 RIDDLE = re.compile(r"(?:^|[.:;!?]\s+|\n\s*\n\s*)(What|How|By what|As of|The same)\b")

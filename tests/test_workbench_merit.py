@@ -12,14 +12,9 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 from workbench.readers import read_recording
-from workbench.results.merit import (
-    NoResonance,
-    bvd_impedance,
-    effective_coupling,
-    figures,
-    fit_resonance,
-    thickness_coupling,
-)
+from workbench.results.circuit import bvd_impedance, fit_circuit
+from workbench.results.merit import NoResonance, effective_coupling, figures, thickness_coupling
+from workbench.results.pole import fit_pole
 from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -151,22 +146,24 @@ def test_choice_among_resonances() -> None:
 
 
 def test_circuit_is_recovered_exactly() -> None:
-    fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)), "bvd",
+    fit = fit_circuit(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)),
                         series_resistance=True)
-    expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True)) | {"Rs": 1.0}
+    expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True))
     assert set(fit.parameters) == set(expected)
     for name, value in expected.items():
         assert fit.parameters[name].value == pytest.approx(value, rel=1e-9)
+    assert fit.series_resistance.value == pytest.approx(1.0, rel=1e-9)
     assert fit.rms_residual < 1e-10
     q = math.sqrt(CIRCUIT["motional_inductance"] / CIRCUIT["motional_capacitance"]) / CIRCUIT["motional_resistance"]
-    assert fit.q.value == pytest.approx(q, rel=1e-9)
-    assert fit.frequency.value == pytest.approx(q * 5.905 / (2 * math.pi * 151.99e-6), rel=1e-9)
+    (one,) = fit.resonances
+    assert one.q.value == pytest.approx(q, rel=1e-9)
+    assert one.frequency.value == pytest.approx(q * 5.905 / (2 * math.pi * 151.99e-6), rel=1e-9)
 
 
 def test_pole_of_a_circuit() -> None:
     """Y = j w C0 + j w / L1 / (w1^2 - w^2 + j w R1 / L1): its pole has |p| = ws and Q = Re p / 2 Im p. The straight
     background holds all but the mirror pole's curvature, (5 / 2 Q)^2 / 4 of 1 / 4 Q, 1e-6 here."""
-    fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **sharp(400))), "pole")
+    fit = fit_pole(Spectrum(SWEEP, bvd_impedance(SWEEP, **sharp(400))))
     assert fit.frequency.value == pytest.approx(1e6 * math.sqrt(1.0 - 1.0 / 800.0**2), rel=1e-7)
     assert fit.q.value == pytest.approx(400.0, rel=1e-5)
     assert fit.model.frequency[0] == pytest.approx(1e6 - 5 * 2500.0, abs=501.0)
@@ -175,32 +172,31 @@ def test_pole_of_a_circuit() -> None:
 def test_pole_is_not_misled_by_an_overtone() -> None:
     """A mode 56 kHz away is background to the pole but breaks the one-mode circuit, and the residual says so."""
     spectrum = two_modes()
-    pole, circuit = fit_resonance(spectrum, "pole", band=(985e3, 1003e3)), fit_resonance(spectrum, "bvd")
+    pole, circuit = fit_pole(spectrum, band=(985e3, 1003e3)), fit_circuit(spectrum)
     q = math.sqrt(CIRCUIT["motional_inductance"] / CIRCUIT["motional_capacitance"]) / CIRCUIT["motional_resistance"]
     assert pole.q.value == pytest.approx(q, rel=1e-3)
     assert pole.rms_residual < 1e-3 < 0.05 < circuit.rms_residual
 
 
-@pytest.mark.parametrize("method", ["bvd", "pole"])
 @pytest.mark.parametrize("known", [True, False])
-def test_standard_errors_are_those_of_repeated_noise(method: Any, known: Any) -> None:
+def test_standard_errors_are_those_of_repeated_noise(known: bool) -> None:
     """100 noisy copies: the spread of a standard deviation is 7 %, so 25 % is 3.5 sigma; a bias of the mean stays below
-    0.4 of a standard error (4 sigma of the mean). Where the uncertainty is not told, the noise is the one each method
-    then assumes: equal in ln Z for the circuit, equal in Y for the pole."""
+    0.4 of a standard error (4 sigma of the mean). Where the uncertainty is not told, the noise is the one that is then
+    assumed: equal in Y."""
     generator = np.random.default_rng(20)
     clean = bvd_impedance(SWEEP, **sharp(150))
     modulus = np.abs(clean)
-    deviation = 2e-3 * modulus * (modulus / modulus.min() if method == "pole" and not known else 1.0)
+    deviation = 2e-3 * modulus * (1.0 if known else modulus / modulus.min())
     values, errors, chi = [], [], []
     for _ in range(100):
         noise = deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
-        fit = fit_resonance(Spectrum(SWEEP, clean + noise, deviation if known else None), method, band=(985e3, 1015e3))
+        fit = fit_pole(Spectrum(SWEEP, clean + noise, deviation if known else None), band=(985e3, 1015e3))
         values.append([fit.frequency.value, fit.q.value])
         errors.append([fit.frequency.standard_error, fit.q.standard_error])
         chi.append(fit.reduced_chi_square)
     spread, stated = np.std(values, axis=0, ddof=1), np.mean(errors, axis=0)
     np.testing.assert_allclose(stated, spread, rtol=0.25)
-    truth = fit_resonance(Spectrum(SWEEP, clean), method, band=(985e3, 1015e3))
+    truth = fit_pole(Spectrum(SWEEP, clean), band=(985e3, 1015e3))
     bias = np.mean(values, axis=0) - [truth.frequency.value, truth.q.value]
     assert np.all(np.abs(bias) < 0.4 * spread)
     if known:
@@ -216,26 +212,17 @@ def test_stated_and_estimated_uncertainty_agree() -> None:
     clean = bvd_impedance(SWEEP, **sharp(150))
     deviation = 2e-3 * np.abs(clean)
     noisy = clean + deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
-    told, judged, doubled = (fit_resonance(Spectrum(SWEEP, noisy, uncertainty), "bvd")
+    told, judged, doubled = (fit_circuit(Spectrum(SWEEP, noisy, uncertainty))
                              for uncertainty in (deviation, None, 2.0 * deviation))
-    expected = told.q.standard_error * math.sqrt(told.reduced_chi_square)
-    assert judged.q.standard_error == pytest.approx(expected, rel=0.01)
-    assert doubled.q.standard_error == pytest.approx(2.0 * told.q.standard_error, rel=1e-6)
-
-
-@pytest.mark.parametrize(("options", "message"), [
-    ({"method": "circle"}, "'circle' is not one of bvd, pole"),
-    ({"method": "pole", "series_resistance": True}, "belongs to the method bvd"),
-])
-def test_fit_refuses(options: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT)), **options)
+    by_told, by_judged, by_doubled = (fit.resonances[0].q.standard_error for fit in (told, judged, doubled))
+    assert by_judged == pytest.approx(by_told * math.sqrt(told.reduced_chi_square), rel=0.01)
+    assert by_doubled == pytest.approx(2.0 * by_told, rel=1e-6)
 
 
 def test_too_few_points() -> None:
     spectrum = Spectrum(SWEEP[158::6], bvd_impedance(SWEEP[158::6], **CIRCUIT))  # 989 kHz in steps of 3
     with pytest.raises(ValueError, match=r"4 points about .* do not determine a pole"):
-        fit_resonance(spectrum, "pole", band=(989e3, 998e3))
+        fit_pole(spectrum, band=(989e3, 998e3))
 
 
 # ---- a recording
@@ -256,11 +243,11 @@ def test_unibas_disc(shared: Path) -> None:
     assert got.antiresonance.z_max == pytest.approx(3887.0, rel=1e-3)
     assert got.antiresonance.circuit_capacitance == pytest.approx(792.06e-12, rel=0.05)
     assert got.q_step_change < 1e-3
-    peak = fit_resonance(spectrum, "bvd", band=(985e3, 1003e3)).parameters
+    peak = fit_circuit(spectrum, band=(985e3, 1003e3)).parameters
     for name, value in (("R1", 5.905), ("L1", 151.99e-6), ("C1", 168.61e-12)):
         assert peak[name].value == pytest.approx(value, rel=0.05)
-    assert fit_resonance(spectrum, "bvd").rms_residual > 0.3
-    pole = fit_resonance(spectrum, "pole")
+    assert fit_circuit(spectrum).rms_residual > 0.3
+    pole = fit_pole(spectrum)
     assert pole.frequency.value == pytest.approx(994.1e3, abs=500.0)
     assert pole.q.value == pytest.approx(got.q, rel=0.05)
 
@@ -268,7 +255,7 @@ def test_unibas_disc(shared: Path) -> None:
 def test_stutts_close_modes(shared: Path) -> None:
     """G peaks at 111.28 and 112.72 kHz, phase reversed in the file."""
     reading = read_recording(shared / "recordings" / "stutts-4294a" / "sampleadmittance.txt", correction="negate")
-    pole = fit_resonance(reading.spectrum, "pole", near=112.72e3)
+    pole = fit_pole(reading.spectrum, near=112.72e3)
     assert pole.frequency.value == pytest.approx(112.72e3, abs=50.0)
     with pytest.raises(NoResonance):
         figures(reading.spectrum.restricted(114.3e3, 130e3))

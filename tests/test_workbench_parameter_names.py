@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from materials.registry import Registry
+from workbench.files.quantities import parse_quantity
 from workbench.model.numbers import ParameterKind, ParameterName, placed, real_part
 
 
@@ -68,3 +70,33 @@ def test_numbers_are_parts_of_complex_values() -> None:
     assert placed(values, {"gel.shear_modulus.loss": -4.0, "gel.thickness": 5.0}) == {
         "gel.shear_modulus": 2.0 - 4.0j, "gel.thickness": 5.0 + 0.0j}
     assert values["gel.shear_modulus"] == 2.0 - 1.0j
+
+
+@pytest.mark.parametrize(("text", "quantity", "unit", "words"), [
+    ("pzt4/a.c33.loss", "pressure", "Pa", "pzt4 c33 loss"),
+    ("pzt/disc@2.eps33", "permittivity", "1", "pzt eps33"),
+    ("water/a.shear_viscosity", "viscosity", "Pa s", "water shear viscosity"),
+    ("water/a.diffusivity_of_sound", "diffusivity", "m^2/s", "water diffusivity of sound"),
+    ("transducer.thickness[empty]", "length", "m", "transducer thickness in the state empty"),
+    ("sidewall.draft", "angle", "rad", "sidewall draft"),
+    ("bench.series_resistance", "resistance", "ohm", "bench series resistance"),
+    ("bench.gain", "share", "1", "bench gain"),
+    ("bench.colour", "", "", "bench colour"),
+    ("couplant.rim_1.width", "", "", "couplant rim 1 width"),
+    ("softening", "", "", "softening"),
+])
+def test_a_name_tells_its_quantity_unit_and_words(text: str, quantity: str, unit: str, words: str) -> None:
+    name = ParameterName.parse(text)
+    assert (name.quantity, name.unit, name.in_words) == (quantity, unit, words)
+
+
+def test_every_coefficient_of_a_material_has_a_unit() -> None:
+    registry = Registry()
+    found = {key for name in registry.names() for key in registry.load(name, notes=[]).parameters()}
+    assert found
+    assert [key for key in sorted(found) if not ParameterName.parse(f"m/a.{key}").unit] == []
+
+
+def test_a_permittivity_needs_no_unit() -> None:
+    for text in ("830", 830, "830 1"):
+        assert parse_quantity(text, "permittivity", source="", field="") == 830.0

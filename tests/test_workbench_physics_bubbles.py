@@ -14,12 +14,9 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import solve_full
-from workbench.model.problem import Problem
+from workbench.fem.operators import assemble
 from workbench.physics import bubbles, electrodes, fluid, piezoelectric
-from workbench.physics.bubbles import AIR_IN_WATER, BubbleCompressibility, ResonantBubbles, WoodBubbles
-from workbench.reduced.reduction import reduce
+from workbench.physics.bubbles import AIR_IN_WATER, BubbleCompressibility, WoodBubbles
 
 LIQUID: dict[str, complex] = {"water.density": 998.0, "water.sound_speed": 1482.0, "water.shear_viscosity": 0.89e-3}
 GAS: dict[str, complex] = {f"gas.{name}": complex(value) for name, value in AIR_IN_WATER.items()}
@@ -163,36 +160,6 @@ def test_the_series_meets_the_closed_form() -> None:
     assert below[0][0] == pytest.approx(above[0][0], rel=1e-10)
     # The first term left out, 4 / 18243225 y^12, is 4e-10 of the slope.
     assert below[1][0] == pytest.approx(above[1][0], rel=2e-9)
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# A whole chip
-
-
-@pytest.fixture(scope="module")
-def bubbly(filled: Problem) -> tuple[FullOperators, dict[str, complex]]:
-    """The filled chip with resonant bubbles in its water and a trace of gas in its gel."""
-    terms = (*filled.terms, ResonantBubbles("cavity", "water", "gas"), WoodBubbles("couplant", "gel", "trace"))
-    trace = {name.replace("gas.", "trace."): value for name, value in GAS.items()} | {"trace.void_fraction": 1e-5}
-    more = {"gas.void_fraction": 1e-5, "gas.radius": 8e-6, "water.shear_viscosity": 0.89e-3}
-    return assemble(filled.mesh, terms), {**filled.values, **GAS, **trace, **more}
-
-
-def test_the_energy_of_a_chip_with_bubbles_closes(bubbly: tuple[FullOperators, dict[str, complex]]) -> None:
-    operators, values = bubbly
-    frequency = np.linspace(300e3, 400e3, 5)
-    solution = solve_full(operators, frequency, values)
-    losses = solution.dissipation()
-    assert np.abs(losses.sum(axis=1) / solution.input_power() - 1.0).max() < 1e-10
-    (resonant,) = (q for q, i in enumerate(operators.integrals) if isinstance(i.coefficient, BubbleCompressibility))
-    assert (losses[:, resonant] > 0.01 * losses.sum(axis=1)).all()
-    reduced = reduce(operators, np.linspace(300e3, 400e3, 21), values)
-    assert np.abs(reduced.solve(frequency, values).impedance / solution.impedance - 1.0).max() < 1e-5
-    slope = solution.parameter_gradient(values, ("gas.radius", "trace.void_fraction"))
-    for column, name in enumerate(("gas.radius", "trace.void_fraction")):
-        ends = [solve_full(operators, frequency, values | {name: values[name] * (1.0 + sign * 1e-5)}).impedance
-                for sign in (1.0, -1.0)]
-        assert slope[:, column] == pytest.approx((ends[0] - ends[1]) / (2e-5 * values[name]), rel=1e-4)
 
 
 def test_the_air_in_the_bubbles_is_the_registrys() -> None:

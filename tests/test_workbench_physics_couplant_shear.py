@@ -362,31 +362,6 @@ def test_a_resolved_viscous_layer_gives_the_same_spectrum(
     assert miss < tolerance * effect
 
 
-def test_without_viscosity_the_chip_is_the_base_model_and_the_tangent_its_change(filled: Problem) -> None:
-    model = sheared(filled, 0.0)
-    frequency = np.array([310e3, 350e3, 395e3])
-    operators = assemble(model.mesh, model.terms)
-    at = solve_full(operators, frequency, model.values)
-    assert np.abs(at.impedance / impedance(filled, frequency) - 1.0).max() < 1e-11
-    slope = at.parameter_gradient(model.values, (ROOT,))[:, 0]
-    step = 1e-5
-    found = (solve_full(operators, frequency, {**model.values, ROOT: step}).impedance - at.impedance) / step
-    # One-sided, since the root has no sign: the next order is the step times the slope over Z, 1e-4.
-    assert np.abs(found / slope - 1.0).max() < 1e-3
-
-
-def test_the_layer_takes_the_power_that_nothing_else_does(filled: Problem) -> None:
-    lossless = filled.with_values({name: complex(value.real) for name, value in filled.values.items()})
-    frequency = np.linspace(300e3, 400e3, 5)
-    for viscosity, modulus in ((1e-3, 0.0), (1.0, 0.0), (5.0, 2e6)):
-        model = sheared(lossless, viscosity, modulus)
-        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
-        mine = [ROOT in i.coefficient.parameters for i in solution.operators.integrals]
-        taken = solution.dissipation()[:, mine].sum(axis=1)
-        assert (taken > 0.0).all()
-        assert np.abs(taken / solution.input_power() - 1.0).max() < 1e-7
-
-
 def test_the_reduced_model_follows(filled: Problem) -> None:
     model = sheared(filled, 1.0)
     frequency = np.linspace(300e3, 400e3, 7)

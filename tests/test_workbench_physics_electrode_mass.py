@@ -159,22 +159,6 @@ def test_a_disc_with_films_has_the_spectrum_of_one_with_meshed_films(
     assert without > 1.0
 
 
-def test_the_mass_loses_nothing_and_has_a_derivative(plate: Plate) -> None:
-    operators, values, _ = plate
-    frequency = np.array([0.9e6, 1.3e6])
-    mass, step = 0.1, 1e-4
-    solution = solve_full(operators, frequency, values | {MASS: mass})
-    faces = [q for q, i in enumerate(operators.integrals) if MASS in i.coefficient.parameters]
-    assert [operators.integrals[q].place for q in faces] == ["electrode_live"] * 2 + ["electrode_ground"] * 2
-    losses = solution.dissipation()
-    assert not losses[:, faces].any()
-    assert np.abs(losses.sum(axis=1) / solution.input_power() - 1.0).max() < 1e-10
-    (slope,) = solution.parameter_gradient(values | {MASS: mass}, (MASS,)).T
-    ends = [solve_full(operators, frequency, values | {MASS: mass + sign * step}).impedance for sign in (1.0, -1.0)]
-    # The difference's own error is (step / 0.1)^2 times a few.
-    assert slope == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-4)
-
-
 def test_ten_micrometres_of_silver_are_admissible() -> None:
     allowed = ADMISSIBLE["surface_density"]
     assert allowed.lowest < 10e-6 * SILVER_DENSITY < allowed.highest

@@ -49,32 +49,6 @@ def test_it_is_water_of_that_temperature(filled: Problem, offset: float) -> None
     assert error < 1e-2
 
 
-def test_its_derivatives_are_those_of_its_coefficients() -> None:
-    stated = water(STATED)
-    slope = fluid_slopes(stated, water)
-    assert slope is not None
-    values = {"water.density": complex(stated.density), "water.sound_speed": complex(stated.sound_speed),
-              **named(stated, slope, 4.0)}
-    omega = np.array([2e6, 6e6])
-    for integral in FluidTemperature("cavity", "water").integrals():
-        for name in integral.coefficient.parameters:
-            step = 1e-4 * values[name]
-            ends = [integral.coefficient(omega, {**values, name: values[name] + sign * step}) for sign in (1.0, -1.0)]
-            difference = (ends[0] - ends[1]) / (2.0 * step)
-            # Central differences err by the square of the step.
-            assert integral.coefficient.derivative(omega, values, name) == pytest.approx(difference, rel=1e-5, abs=0.0)
-
-
-def test_at_the_stated_temperature_nothing_is_added() -> None:
-    stated = water(STATED)
-    slope = fluid_slopes(stated, water)
-    assert slope is not None
-    values = {"water.density": complex(stated.density), "water.sound_speed": complex(stated.sound_speed),
-              **named(stated, slope, 0.0)}
-    for integral in FluidTemperature("cavity", "water").integrals():
-        assert not integral.coefficient(np.array([6e6]), values).any()
-
-
 def test_water_is_faster_when_warmer_and_a_fluid_without_a_law_has_no_slope() -> None:
     found = fluid_slopes(water(STATED), water)
     assert found is not None

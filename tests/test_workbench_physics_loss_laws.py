@@ -18,7 +18,7 @@ from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
-from workbench.model.problem import Problem, problem
+from workbench.model.problem import problem
 from workbench.physics import solid
 from workbench.physics.loss_laws import ADMISSIBLE, SERIES_BELOW, FractionalLoss
 
@@ -157,40 +157,6 @@ def test_a_stack_with_each_law_is_the_closed_form(
         assert np.abs(expected / without - 1.0).max() > 0.05
         # Twenty elements or more on a wavelength, (k h)^4 / 1440 = 1e-5, on the flank of a resonance.
         assert np.abs(found / expected - 1.0).max() < 2e-4
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# On a chip
-
-
-@pytest.mark.parametrize(("exponent", "lead"), [
-    (0.3, "shear_fractional_loss"), (0.0, "bulk_fractional_loss"), (1.0, "bulk_fractional_loss")])
-def test_without_amplitude_nothing_changes_and_the_tangent_is_the_change(
-    filled: Problem, exponent: float, lead: str
-) -> None:
-    name = f"pla.{lead}"
-    model = filled.with_terms((FRACTIONAL,), law(exponent, 0.0, 0.0))
-    frequency = np.array([310e3, 350e3, 395e3])
-    operators = assemble(model.mesh, model.terms)
-    base = solve_full(assemble(filled.mesh, filled.terms), frequency, filled.values).impedance
-    step = 1e-6 * ADMISSIBLE[lead].highest
-    below, at, above = (solve_full(operators, frequency, {**model.values, name: s}) for s in (-step, 0.0, step))
-    assert np.abs(at.impedance / base - 1.0).max() < 1e-11
-    slope = at.parameter_gradient(model.values, (name,))[:, 0]
-    assert np.abs((above.impedance - below.impedance) / (2.0 * step) / slope - 1.0).max() < 1e-4
-
-
-def test_the_law_takes_power_where_nothing_else_does(filled: Problem) -> None:
-    lossless = filled.with_values({name: complex(value.real) for name, value in filled.values.items()})
-    frequency = np.linspace(300e3, 400e3, 5)
-    for exponent in (0.4, 1.0):
-        model = lossless.with_terms((FRACTIONAL,), law(exponent, 3e7, 1e7))
-        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
-        losses = solution.dissipation()
-        mine = [q for q, i in enumerate(solution.operators.integrals) if i in FRACTIONAL.integrals()]
-        assert len(mine) == 2
-        assert (losses[:, mine] > 0.0).all()
-        assert np.abs(losses[:, mine].sum(axis=1) / solution.input_power() - 1.0).max() < 1e-7
 
 
 def test_the_limits_are_the_loss_of_the_papers_epoxy_at_the_stiffness_of_its_pla() -> None:

@@ -84,32 +84,6 @@ def test_a_bare_ring_is_an_electrode_that_ends_a_little_further_in(disc: Disc, e
     assert miss < 0.1
 
 
-@pytest.mark.parametrize("bare", [0.0, 0.123])
-def test_the_tangent_is_the_change(disc: Disc, bare: float) -> None:
-    base, rim = disc(), Rim("rim")
-    model = base.with_terms((PartialElectrode("transducer", "pzt", rim, True),), {rim.number: bare})
-    operators = assemble(model.mesh, model.terms)
-    at = solve_full(operators, FREQUENCY, model.values)
-    if not bare:
-        assert np.abs(at.impedance / impedance(base) - 1.0).max() < 1e-11
-    for name in (rim.number, "pzt.eps33"):
-        # No width is below zero.
-        step = 1e-7 * max(1.0, abs(model.values[name]))
-        one, two = (solve_full(operators, FREQUENCY, {**model.values, name: model.values[name] + k * step}).impedance
-                    for k in (1, 2))
-        slope = at.parameter_gradient(model.values, (name,))[:, 0]
-        found = (4.0 * one - 3.0 * at.impedance - two) / (2.0 * step)
-        assert np.abs(found - slope).max() < 1e-4 * np.abs(slope).max()
-
-
-def test_a_bare_ring_takes_no_power(disc: Disc) -> None:
-    for edge in (2.0e-3, 2.4e-3):
-        model = bared(disc(), edge, 1.5e-3, 2.4e-3)
-        solution = solve_full(assemble(model.mesh, model.terms), FREQUENCY, model.values)
-        assert (solution.input_power() > 0.0).all()
-        assert np.abs(solution.dissipation().sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9
-
-
 def test_a_mesh_without_the_skin_is_refused(small_disc: Problem) -> None:
     model = bared(small_disc, 1.5e-3)
     with pytest.raises(ModelError, match=r"no row of elements for 'transducer beyond 0\.5 skin 0\.01'"):

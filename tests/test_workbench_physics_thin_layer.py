@@ -192,58 +192,6 @@ def test_a_soft_layer_that_is_meshed_does_the_same(
     assert misses["tangential only"] > 0.1
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# What every effect has to be
-
-
-@pytest.fixture(scope="module")
-def perfect(skinned: Problem) -> Problem:
-    return bonded(skinned, 0.0, 0.0)
-
-
-def test_a_perfect_bond_is_the_base_model(skinned: Problem, perfect: Problem) -> None:
-    frequency = np.array([310e3, 395e3])
-    base = solve_full(assemble(skinned.mesh, skinned.terms), frequency, skinned.values)
-    found = solve_full(assemble(perfect.mesh, perfect.terms), frequency, perfect.values)
-    assert np.abs(found.impedance / base.impedance - 1.0).max() < 1e-11
-
-
-@pytest.mark.parametrize("name", [NORMAL, TANGENTIAL])
-def test_the_tangent_of_a_perfect_bond_is_the_change_of_the_spectrum(perfect: Problem, name: str) -> None:
-    frequency = np.array([310e3, 350e3, 395e3])
-    operators = assemble(perfect.mesh, perfect.terms)
-    at = {step: solve_full(operators, frequency, {**perfect.values, name: step}) for step in (-1e-16, 0.0, 1e-16)}
-    slope = at[0.0].parameter_gradient(perfect.values, (name,))[:, 0]
-    found = (at[1e-16].impedance - at[-1e-16].impedance) / 2e-16
-    assert np.abs(found / slope - 1.0).max() < 1e-4  # rounding of Z, 1e-11, against a change of 1e-5
-    assert np.abs(slope).min() > 0.0
-
-
-@pytest.mark.parametrize("name", [NORMAL, TANGENTIAL, LOSS, THICKNESS, "epoxy.bulk_modulus", "epoxy.shear_modulus"])
-def test_derivatives_are_those_of_the_coefficients(filled: Problem, name: str) -> None:
-    values = bonded(filled, 3e-14, 2e-13, loss=0.1).values
-    step = 1e-5 * values[name]
-    omega = np.array([1e6])
-    for integral in TERM.integrals():
-        g = integral.coefficient
-        found = (g(omega, {**values, name: values[name] + step}) - g(omega, {**values, name: values[name] - step}))
-        exact = g.derivative(omega, values, name)
-        assert found / (2.0 * step) == pytest.approx(exact, rel=1e-8, abs=0.0)
-
-
-def test_an_imperfect_bond_is_passive_and_closes_the_balance_of_power(skinned: Problem) -> None:
-    frequency = np.linspace(300e3, 400e3, 5)
-    lossless = skinned.with_values({name: complex(value.real) for name, value in skinned.values.items()})
-    for normal, tangential, loss, upper in ((5e-14, 0.0, 0.3, True), (0.0, 3e-13, 0.3, False),
-                                            (1e-13, 1e-12, 0.1, True)):
-        model = bonded(lossless, normal, tangential, loss=loss, upper=upper)
-        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
-        losses = solution.dissipation()
-        taken = losses[:, [i.place == "bond" for i in solution.operators.integrals]].sum(axis=1)
-        assert (taken > 0.0).all()
-        assert np.abs(taken / solution.input_power() - 1.0).max() < 1e-7  # nothing else takes any
-
-
 def test_the_reduced_model_follows(skinned: Problem) -> None:
     model = bonded(skinned, 2e-14, 1e-13, loss=0.05)
     frequency = np.linspace(300e3, 400e3, 7)

@@ -10,8 +10,8 @@ import pytest
 from workbench.files.errors import InputError
 from workbench.readers import FORMATS, ColumnMap, RecordedQuantity, detect, read_column_map, read_recording
 from workbench.readers.findings import examine
-from workbench.results.merit import bvd_impedance
-from workbench.results.spectrum import Origin, Spectrum, write_csv
+from workbench.results.circuit import bvd_impedance
+from workbench.results.spectrum import Origin, Spectrum, write_spectrum
 
 DATA = Path(__file__).parent / "data" / "spectra"
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -333,7 +333,7 @@ def test_active_points_and_units() -> None:
 
 def test_correction_is_asked_for_and_noted(tmp_path: Path) -> None:
     path = tmp_path / "reversed.csv"
-    write_csv(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)
+    write_spectrum(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)
     as_recorded = read_recording(path)
     assert [finding.code for finding in as_recorded.findings] == ["negated"]
     np.testing.assert_array_equal(as_recorded.spectrum.impedance, -IMPEDANCE)

@@ -14,7 +14,7 @@ from workbench.cli import main
 from workbench.files.errors import InputError
 from workbench.readers import ColumnMap, RecordedQuantity, read_column_map, read_recording
 from workbench.readers.headings import Heading, understand
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 
 ROOT = Path(__file__).resolve().parents[1]
 

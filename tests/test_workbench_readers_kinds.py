@@ -31,8 +31,8 @@ from workbench.readers import ColumnMap, RecordedQuantity, read_column_map, read
 from workbench.readers.columns import contradiction
 from workbench.readers.findings import examine
 from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS
-from workbench.results.merit import bvd_impedance
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.circuit import bvd_impedance
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 HEAD = "Frequency (Hz),R (Ohm),X (Ohm)\n"
 
@@ -543,7 +543,7 @@ def bvd_like(frequency: np.ndarray) -> np.ndarray:
 
 
 def test_the_workbenchs_own_file_is_read_back_as_before(tmp_path: Path) -> None:
-    write_csv(Spectrum(FREQUENCY, Z), tmp_path / "own.csv")
+    write_spectrum(Spectrum(FREQUENCY, Z), tmp_path / "own.csv")
     reading = read_recording(tmp_path / "own.csv")
     np.testing.assert_array_equal(reading.spectrum.impedance, Z)
     assert reading.findings == ()

@@ -17,7 +17,7 @@ import pytest
 
 from workbench.files.errors import InputError
 from workbench.readers import Reading, read_column_map, read_recording
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 
 FREQUENCY = np.linspace(0.95e6, 1.05e6, 21)
 Z = bvd_impedance(FREQUENCY, motional_resistance=5.9, motional_inductance=152e-6, motional_capacitance=168.6e-12,

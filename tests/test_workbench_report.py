@@ -22,8 +22,6 @@ from workbench.report.figures import (
     MODEL_COLUMNS,
     figures_record,
     figures_row,
-    resonance_fits,
-    resonance_record,
 )
 from workbench.report.page import (
     Answer,
@@ -34,8 +32,17 @@ from workbench.report.page import (
     number_text,
     write_report,
 )
+from workbench.report.resonances import (
+    resonance_notes,
+    resonances_record,
+    resonances_table,
+    single_fit_record,
+    single_fits_record,
+)
+from workbench.results.circuit import fit_circuit
 from workbench.results.comparison import compare
-from workbench.results.merit import figures, fit_resonance, measured_figures
+from workbench.results.merit import figures, measured_figures
+from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Spectrum
 
 #: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.
@@ -154,14 +161,26 @@ def test_without_a_resonance_there_are_no_figures_and_a_reason() -> None:
 
 def test_fits_are_recorded_with_their_errors() -> None:
     spectrum = resonator()
-    fits = resonance_fits(spectrum)
-    assert set(fits) == {"pole", "bvd"}
-    record = resonance_record(fit_resonance(spectrum, "bvd"))
+    assert set(single_fits_record(spectrum)) == {"pole", "bvd"}
+    record = single_fit_record(fit_circuit(spectrum))
     # The circuit itself, without noise: the fit returns what was put in.
     assert record["frequency_hz"][0] == pytest.approx(F0, rel=1e-6)
     assert record["q"][0] == pytest.approx(Q, rel=1e-5)
     assert record["C0"][0] == pytest.approx(STATIC, rel=1e-5)
     assert all(len(value) == 2 for key, value in record.items() if key != "rms_residual")
+
+
+def test_resonances_are_listed_with_their_errors() -> None:
+    found = {"disc": resonances_of(resonator()), "capacitor": None}
+    table = resonances_table(found)
+    assert [row[0] for row in table.rows] == ["disc", "capacitor"]
+    assert table.rows[0][1].startswith(f"{1e-6 * F0:.4f}")
+    assert table.rows[1][1] == "none"
+    record = resonances_record(found["disc"])
+    assert record["resonances"][0]["frequency_hz"][0] == pytest.approx(F0, rel=1e-6)
+    assert record["static_capacitance_f"][0] == pytest.approx(STATIC, rel=1e-5)
+    assert resonances_record(None) == {"resonances": []}
+    assert resonance_notes(found)[0].startswith("disc: the circuit of these resonances leaves")
 
 
 def test_a_comparison_is_recorded_with_all_it_found() -> None:

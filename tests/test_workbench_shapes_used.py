@@ -22,8 +22,9 @@ from workbench.design.stated import stated_uncertainty
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.fitting.objective import FitRecording, Objective
-from workbench.fitting.parameter import dimension_parameter, shown_factor, shown_unit
+from workbench.fitting.parameter import dimension_parameter
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import ParameterKind, ParameterName
 from workbench.model.problem import build, fill
@@ -56,7 +57,7 @@ def test_a_name_is_that_of_a_dimension() -> None:
     draft, bow = ParameterName.parse("sidewall.draft"), ParameterName.parse("superstrate.bow[filled]")
     assert draft.kind is bow.kind is ParameterKind.DIMENSION
     assert draft.is_shape
-    assert (draft.dimension_unit, bow.dimension_unit) == ("rad", "m")
+    assert (draft.unit, bow.unit) == ("rad", "m")
     assert not draft.is_radius
     assert not bow.is_thickness
     assert math.radians(3.0) * shown_factor("rad") == pytest.approx(3.0, rel=1e-15)

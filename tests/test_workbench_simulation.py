@@ -160,8 +160,8 @@ def test_a_grid_of_frequencies_rises_from_above_zero(band: tuple[float, float], 
 def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
     with pytest.raises(InputError, match="did you mean 'filled'"):
         simulate(cell, "filed")
-    with pytest.raises(InputError, match=r"simulate: tolerance: received 0\.0"):
-        simulate(disc, tolerance=0.0)
+    with pytest.raises(InputError, match=r"simulate: relative_error: received 0\.0"):
+        simulate(disc, relative_error=0.0)
     states = tuple(replace(state, particle="pzt5a") if state.particle else state for state in cell.states)
     with pytest.raises(InputError, match=r"states\.filled\.particle: received 'pzt5a'; expected an isotropic solid"):
         snapshot(replace(cell, states=states), None, 400e3, accuracy=quadratic(ELEMENTS))

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from workbench.files.errors import InputError
 from workbench.readers import read_recording
-from workbench.results.merit import bvd_impedance
-from workbench.results.spectrum import Origin, Spectrum, corrected, write_csv
+from workbench.results.circuit import bvd_impedance
+from workbench.results.spectrum import Origin, Spectrum, corrected, write_spectrum
 
 FREQUENCY = np.array([1.0e6, 1.1e6, 1.2e6])
 IMPEDANCE = np.array([3.0 - 4.0j, 5.0 + 1.0j, 2.0 - 2.0j])
@@ -151,7 +151,7 @@ def test_csv_round_trip_is_exact(tmp_path: Path) -> None:
                     {"columns": "Frequency(Hz), |Z|(Ohm)-data", "correction": "negate: yes, µ"})
     written = Spectrum(FREQUENCY / 3.0, IMPEDANCE * np.pi, np.array([0.1, 0.2, 1.0 / 3.0]), origin)
     path = tmp_path / "made" / "spectrum.csv"
-    write_csv(written, path)
+    write_spectrum(written, path)
     got = read_recording(path).spectrum
     np.testing.assert_array_equal(got.frequency, written.frequency)
     np.testing.assert_array_equal(got.impedance, written.impedance)
@@ -172,7 +172,7 @@ def test_csv_round_trip_of_any_numbers(tmp_path_factory: Any, values: Any) -> No
     frequency, real, imaginary = (np.array(column) for column in zip(*sorted(values), strict=True))
     written = Spectrum(frequency, real + 1j * imaginary)
     path = tmp_path_factory.mktemp("any") / "spectrum.csv"
-    write_csv(written, path)
+    write_spectrum(written, path)
     got = read_recording(path).spectrum
     np.testing.assert_array_equal(got.frequency, frequency)
     np.testing.assert_array_equal(got.impedance, written.impedance)
@@ -188,7 +188,7 @@ def test_what_all_points_share_is_a_part_of_the_uncertainty(tmp_path: Path) -> N
     # Interpolated, restricted and written, it is still there.
     assert found.restricted(1e5, 2e5).shared_uncertainty == shared
     assert found.on([1.5e5, 2.5e5]).shared_uncertainty == shared
-    write_csv(found, tmp_path / "spectrum.csv")
+    write_spectrum(found, tmp_path / "spectrum.csv")
     again = read_recording(tmp_path / "spectrum.csv").spectrum
     assert again.shared_uncertainty == shared
     assert again.noise == pytest.approx(own, rel=1e-12)

@@ -63,11 +63,17 @@ if TYPE_CHECKING:
     from workbench.render.gallery import draw_state as draw_state
     from workbench.render.plots import draw_spectra as draw_spectra
     from workbench.render.tolerances import draw_tolerance as draw_tolerance
+    from workbench.results.circuit import CircuitFit as CircuitFit
+    from workbench.results.circuit import FittedResonance as FittedResonance
+    from workbench.results.circuit import bvd_impedance as bvd_impedance
+    from workbench.results.circuit import fit_circuit as fit_circuit
     from workbench.results.comparison import Comparison as Comparison
     from workbench.results.comparison import compare as compare
     from workbench.results.merit import Figures as Figures
     from workbench.results.merit import figures as figures
+    from workbench.results.resonances import fit_resonances as fit_resonances
     from workbench.results.spectrum import Spectrum as Spectrum
+    from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
@@ -77,12 +83,14 @@ if TYPE_CHECKING:
 PUBLIC = {
     "Campaign": "workbench.diagnosis.campaign",
     "Chip": "geometry.chip",
+    "CircuitFit": "workbench.results.circuit",
     "Comparison": "workbench.results.comparison",
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.outcome",
     "Evaluation": "workbench.design.evaluation",
     "Figures": "workbench.results.merit",
+    "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",
     "InputError": "workbench.files.errors",
     "MaterialFit": "workbench.fitting.recordings",
@@ -98,6 +106,7 @@ PUBLIC = {
     "Tolerance": "workbench.design.tolerance",
     "Study": "workbench.design.plan",
     "StudyResult": "workbench.design.study_result",
+    "bvd_impedance": "workbench.results.circuit",
     "compare": "workbench.results.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
@@ -106,6 +115,8 @@ PUBLIC = {
     "draw_tolerance": "workbench.render.tolerances",
     "figures": "workbench.results.merit",
     "fit": "workbench.fitting.recordings",
+    "fit_circuit": "workbench.results.circuit",
+    "fit_resonances": "workbench.results.resonances",
     "full_evaluation": "workbench.design.model",
     "measure": "workbench.bench.sweep",
     "optimise": "workbench.design.optimisation",
@@ -123,6 +134,7 @@ PUBLIC = {
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",
     "write_chip": "geometry.chip_file",
+    "write_spectrum": "workbench.results.spectrum",
 }
 
 __all__ = sorted(PUBLIC)

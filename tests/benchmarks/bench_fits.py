@@ -49,7 +49,7 @@ from workbench.model.numbers import placed  # noqa: E402
 from workbench.model.problem import build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.reduced.reduction import reduce  # noqa: E402
-from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
+from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
 #: What the chip files state, with the numbers that fits start from.
 DISC, POLYMER = "pzt4/acevedo_2026_initial", "pla/acevedo_2026"
@@ -170,7 +170,7 @@ def record(arguments: argparse.Namespace) -> None:
         seed = 100_000 * arguments.seed + trial
         truth, lengths = drawn(arguments.kind, np.random.default_rng(seed))
         (folder / "chip.toml").write_text(CHIPS[arguments.kind])
-        write_csv(recorded(arguments.kind, truth, lengths, seed=seed), folder / "recording.csv")
+        write_spectrum(recorded(arguments.kind, truth, lengths, seed=seed), folder / "recording.csv")
         (folder / "truth.json").write_text(json.dumps({**truth, **lengths, "bench.clock": CLOCK}, indent=1))
 
 

@@ -51,7 +51,7 @@ from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E
 from workbench.readers import read_recording  # noqa: E402
 from workbench.reduced.reduction import reduce  # noqa: E402
 from workbench.report.diagnosis import diagnosis_record  # noqa: E402
-from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
+from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
 EXAMPLE = ROOT / "examples" / "small_campaign"
 
@@ -218,7 +218,7 @@ def record_states(chip: Chip, factors: Mapping[str, float], folder: Path) -> Non
         solved = reduce(assemble(problem.mesh, problem.terms), frequency, values).solve(frequency, values)
         noise = random.standard_normal((2, frequency.size))
         seen = np.conj(solved.impedance) * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
-        write_csv(Spectrum(frequency, seen), folder / f"{state}.csv")
+        write_spectrum(Spectrum(frequency, seen), folder / f"{state}.csv")
 
 
 if __name__ == "__main__":

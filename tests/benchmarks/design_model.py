@@ -1,6 +1,6 @@
 """What figures of a design cost on a reduced model, and how far they are off, on the filled reference chip.
 
-    .venv/bin/python tests/benchmarks/design_model.py [--share 0.05] [--tolerance 1e-3] [--points 100] [--full 8]
+    .venv/bin/python tests/benchmarks/design_model.py [--share 0.05] [--relative-error 1e-3] [--points 100] [--full 8]
 
 Six lengths (thicknesses of couplant, substrate, sidewall, bond and lid, radius of the cavity), each within the share
 given. Prints what the model takes, what one evaluation takes without and with all derivatives, beside one of
@@ -36,7 +36,7 @@ FIGURES = ("f0", "z_min", "q", "p0", "e_ac", "mean_e_ac", "trap_height", "trap_o
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--share", type=float, default=0.05)
-    parser.add_argument("--tolerance", type=float, default=1e-3)
+    parser.add_argument("--relative-error", type=float, default=1e-3)
     parser.add_argument("--points", type=int, default=100)
     parser.add_argument("--full", type=int, default=8)
     with_json(parser)
@@ -54,7 +54,7 @@ def measure(arguments: argparse.Namespace, found: Measurements) -> None:
     ranges = {name: ((1.0 - arguments.share) * known[name].value, (1.0 + arguments.share) * known[name].value)
               for name in LENGTHS}
     started = time.perf_counter()
-    model = design_model(chip, "filled", ranges, figures=FIGURES, tolerance=arguments.tolerance)
+    model = design_model(chip, "filled", ranges, figures=FIGURES, relative_error=arguments.relative_error)
     made = model.range_model
     assert made is not None
     print(f"model of {len(ranges)} parameters: {time.perf_counter() - started:.0f} s, of which the range model "

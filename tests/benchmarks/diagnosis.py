@@ -13,17 +13,17 @@ import argparse
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.trial import make_trial  # noqa: E402
 from measurements import Measurements, measurements, with_json  # noqa: E402
+from support import with_fields  # noqa: E402
 
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
@@ -52,7 +52,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         truth = make_trial(options.seed, tuple(options.effects), folder, points=481)
         print("concealed:", ", ".join(f"{e.name} ({e.detectability:.0f} sigmas)" for e in truth.effects))
         campaign = read_campaign(folder / "campaign.toml")
-        campaign = replace(campaign, states=tuple(s for s in campaign.states if s.name in ("empty", "filled")))
+        campaign = with_fields(campaign, states=tuple(s for s in campaign.states if s.name in ("empty", "filled")))
         found = diagnose(campaign)
         print(f"found: {found.headline} {len(found.model.effects)} hypotheses, {len(found.found.final)} settled")
 

@@ -172,7 +172,7 @@ def starts(arguments: argparse.Namespace) -> None:
     reached = 0
     for number in range(arguments.count):
         factors = 1.0 + 0.15 * random.uniform(-1.0, 1.0, len(prepared.parameters))
-        moved = [replace(p, start=p.start * f) for p, f in zip(prepared.parameters, factors, strict=True)]
+        moved = [replace(p, value=p.start * f) for p, f in zip(prepared.parameters, factors, strict=True)]
         result = fit_parameters(prepared.recordings, moved, coarse=prepared.coarse, bands=0, profiles=False)
         off = max(abs(e.value / case.truth[short(e.parameter.name)] - 1.0)
                   for e in result.estimates if not e.parameter.is_loss)

@@ -105,7 +105,7 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
                            accuracy=fineness)
         # From the moduli of PMMA: those of the chip's own material are the truth.
         start = material_starts(prepared, Registry(), [PMMA])[PMMA]
-        moved = tuple(replace(p, start=float(np.clip(x, p.low, p.high)))
+        moved = tuple(replace(p, value=float(np.clip(x, p.low, p.high)))
                       for p, x in zip(prepared.parameters, start, strict=True))
         return replace(prepared, parameters=moved)
 

@@ -23,13 +23,13 @@ import sys
 import tempfile
 import time
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
+from support import with_fields  # noqa: E402
 
 from workbench.design.parts import numbers_by_name, parts_of  # noqa: E402
 from workbench.design.plan import Study, read_study  # noqa: E402
@@ -67,8 +67,8 @@ def timed(plan: Study, folder: Path, jobs: int, kept: Measurements) -> bytes:
     """One run without an interruption; the bytes of its table."""
     reached: dict[str, float] = {}
 
-    def show(part: str, activity: str, fraction: float) -> None:
-        reached[activity] = time.perf_counter()
+    def show(text: str, share: float) -> None:
+        reached[text.rpartition(": ")[2]] = time.perf_counter()
 
     begun = time.perf_counter()
     found = study(plan, folder, jobs=jobs, progress=show)
@@ -100,7 +100,7 @@ def overhead(plan: Study, folder: Path, jobs: int, kept: Measurements) -> None:
     shutil.rmtree(folder / "points")
     (folder / "points").mkdir()
     spent = -processor_time()
-    study(replace(plan, confirmed=0), folder, jobs=jobs)
+    study(with_fields(plan, confirmed=0), folder, jobs=jobs)
     spent += processor_time()
     share = 1.0 - plan.size * alone / spent
     kept.add("a point alone, processor time", alone, "s")

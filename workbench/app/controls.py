@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, is_film, length_uncertainty
+from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
-from geometry.dimension import Dimension
 from geometry.names import CAVITY
 from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
+from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
+from workbench.model.device_numbers import assumed_by_role, coefficient_number, length_number
 from workbench.model.dimensions import flexible_within
-from workbench.model.numbers import LOSS, ParameterKind, ParameterName, real_part
+from workbench.model.numbers import LOSS, Number, ParameterName, real_part
 from workbench.model.problem import Problem
 
 #: Default relative range of a number to either side. Twice as wide, a range model of six lengths has about twice as
@@ -32,71 +31,29 @@ SAVED_DIGITS = 6
 #: Separator of the ends of a range, as in "substrate.thickness=0.8mm..0.9mm".
 RANGE_MARK = ".."
 
-#: Dimension of the units that the ends of a range may be written in, by SI unit.
-DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
-               "kg/m^3": "density", "m/s": "speed", "m^2/s": "diffusivity"}
-#: Thickness (m) below which layers are shown in micrometres.
+#: Thinner layers than this (m) are told in micrometres.
 _THIN = 2e-4
 
 
-@dataclass(frozen=True)
-class Control:
-    """A number that can be moved.
+@dataclass(frozen=True, kw_only=True)
+class Control(Number):
+    """A number that can be moved: between ``low`` and ``high``, from the value in the chip's file.
 
-    ``value`` is that of the chip's file, ``low`` and ``high`` the range. ``tolerance`` is stated by the chip's file for
-    a length (limits), or by a material's entry for a constant (standard uncertainty), None if nobody stated one; all
-    SI. A length without a tolerance has the one assumed by its role (`geometry.assumed`). The number is shown in
-    ``unit``, ``factor`` of which are one in SI. ``narrowed`` is a note if the range does not hold the limits.
+    The uncertainty of a length is stated as limits, that of a constant as a standard one; a length without one has
+    that assumed by its role (`geometry.assumed`). The number is shown in ``shown_unit``, ``factor`` of which are one in
+    SI. ``narrowed`` says in words that the range does not hold the limits.
     """
 
-    name: str
-    value: float
-    low: float
-    high: float
-    tolerance: float | None
-    unit: str
+    shown_unit: str
     factor: float
     narrowed: str = ""
-
-    @property
-    def label(self) -> str:
-        """Its name in words: "substrate thickness", "pla shear modulus"."""
-        parsed = ParameterName.parse(self.name)
-        owner = parsed.owner.split("/")[0].replace("_", " ")
-        words = f"{owner} {parsed.coefficient.replace('_', ' ')}"
-        return f"{words}, loss" if parsed.is_loss else words
-
-    @property
-    def is_length(self) -> bool:
-        return ParameterName.parse(self.name).kind is ParameterKind.DIMENSION
-
-    @property
-    def is_radius(self) -> bool:
-        return ParameterName.parse(self.name).is_radius
-
-    @property
-    def known(self) -> LengthUncertainty:
-        """The uncertainty of the length: by its tolerance, or by its role."""
-        return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation (SI) of the tolerance or the assumption, 0 if there is none."""
-        if self.is_length:
-            return self.known.deviation
-        return self.tolerance or 0.0
-
-    @property
-    def assumed(self) -> str:
-        """The assumption about a length without a tolerance, in words; empty if a tolerance is stated."""
-        return self.known.assumed if self.is_length else ""
 
     @property
     def told_tolerance(self) -> str:
         """The tolerance as its field shows it, in ``unit``: a film's assumed one as a factor; empty for none."""
         if self.tolerance is not None:
             return f"{self.tolerance * self.factor:.4g}"
-        if not self.is_length:
+        if not self.is_dimension:
             return ""
         if is_film(self.name):
             return f"\N{MULTIPLICATION SIGN}{FILM_FACTOR:g}"
@@ -106,29 +63,23 @@ class Control:
     def farthest(self) -> tuple[float, float]:
         """The ends (SI) that it can be moved to, beyond its range."""
         ends = [self.low, self.high, self.value / FARTHEST, self.value * FARTHEST]
-        if self.is_length:
+        if self.is_dimension:
             ends += [self.known.lowest, self.known.highest]
         return min(ends), max(ends)
 
     def saved(self, length: float) -> float:
         """A length (m or rad) as a chip file holds it: rounded to :data:`SAVED_DIGITS` digits in its unit."""
-        unit = self.unit.replace("µ", "u")
-        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", DIMENSIONS[self.si_unit],
+        unit = self.shown_unit.replace("µ", "u")
+        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.quantity,
                               source="live view", field=self.name)
 
-    @property
-    def si_unit(self) -> str:
-        """The SI unit of the number."""
-        parsed = ParameterName.parse(self.name)
-        return parsed.dimension_unit if self.is_length else UNITS.get(parsed.coefficient, "1")
+    def shown(self, number: float, digits: int = 6) -> str:
+        """A number (SI) in ``shown_unit``, without it."""
+        return f"{number * self.factor:.{digits}g}"
 
-    def shown(self, number: float) -> str:
-        """A number (SI) in ``unit``, without it."""
-        return f"{number * self.factor:.6g}"
-
-    def told(self, number: float) -> str:
+    def told(self, number: float, digits: int = 6) -> str:
         """A number (SI) with its unit."""
-        return f"{self.shown(number)} {self.unit}".rstrip()
+        return f"{self.shown(number, digits)} {self.shown_unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
         """A copy with a range that holds `number` (SI) well within."""
@@ -160,8 +111,8 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
         found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
-    # It raises for a radius that would pass another one, and for a shape that folds a cell.
-    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_length})
+    # Refuses a radius that would pass another one, and a shape that folds a cell.
+    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_dimension})
     return tuple(found.values())
 
 
@@ -176,31 +127,26 @@ def _usual(chip: Chip, problem: Problem) -> list[str]:
 
 
 def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        unit, tolerance = parsed.dimension_unit, chip.dimensions()[name].tolerance
-    else:
-        unit = UNITS.get(parsed.coefficient, "1")
-        tolerance = _uncertainty(problem, parsed)
-    shown, factor = shown_unit(unit), shown_factor(unit)
-    if unit == "m" and value < _THIN:
+    number = _number(chip, problem, name, value)
+    shown, factor = shown_unit(number.unit), shown_factor(number.unit)
+    if number.unit == "m" and value < _THIN:
         shown, factor = "µm", 1e6
     narrowed = ""
     if ends:
-        low, high = _ends(name, ends, DIMENSIONS[unit])
+        low, high = _ends(name, ends, number.quantity)
     else:
-        reach = max(RELATIVE_REACH * abs(value), TOLERANCES * (tolerance or 0.0))
-        if parsed.is_shape and tolerance is None:
-            reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[parsed.coefficient])
+        reach = max(RELATIVE_REACH * abs(value), TOLERANCES * (number.tolerance or 0.0))
+        if number.parsed.is_shape and number.tolerance is None:
+            reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[number.parsed.coefficient])
         low, high = value - reach, value + reach
-        if parsed.kind is ParameterKind.DIMENSION:
-            known = length_uncertainty(name, Dimension(value, tolerance))
+        if number.is_dimension:
+            known = number.known
             low, high = admissible_range(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if parsed.kind is ParameterKind.DIMENSION and admissible_range(chip, name, low, high) != (low, high):
+    if number.is_dimension and admissible_range(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
         low, high = admissible_range(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
@@ -209,16 +155,19 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
                          f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "
                          "them")
-    return Control(name, value, low, high, tolerance, shown, factor, narrowed)
+    return Control(name, value, low, high, number.stated, number.unit, number.tied, shown_unit=shown, factor=factor,
+                   narrowed=narrowed)
 
 
-def _uncertainty(problem: Problem, parsed: ParameterName) -> float | None:
-    """The standard uncertainty that a material's entry states for a number, None if it does not."""
-    for material in problem.materials.values():
-        stated = material.values.get(parsed.coefficient) if material.name == parsed.owner else None
-        if stated is not None:
-            return stated.loss_uncertainty if parsed.is_loss else stated.uncertainty
-    return None
+def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
+    """The number of that name and `value` (SI), with what its file states of it, or a length's role lets assume."""
+    parsed = ParameterName.parse(name)
+    if parsed.is_dimension:
+        found = length_number(chip, name)
+        return replace(found, stated=found.stated or assumed_by_role(name, value))
+    owner = next((each for each in problem.materials.values() if each.name == parsed.owner), None)
+    stated = None if owner is None else coefficient_number(owner, parsed.local).stated
+    return Number(name, value, stated=stated, unit=parsed.unit)
 
 
 def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:

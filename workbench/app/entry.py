@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from workbench.app.controls import DIMENSIONS, Control
+from workbench.app.controls import Control
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 
@@ -19,7 +19,7 @@ def typed_number(text: object, control: Control, field: str) -> float:
     Raises:
         InputError: no finite number, a decimal comma, or an unknown unit.
     """
-    typed, unit = str(text).strip(), control.unit or "no unit"
+    typed, unit = str(text).strip(), control.shown_unit or "no unit"
     comma = _COMMA.fullmatch(typed)
     if comma is not None:
         point = f"{comma[1] or 0}.{comma[2]}{comma[3] or ''}"
@@ -27,9 +27,8 @@ def typed_number(text: object, control: Control, field: str) -> float:
     try:
         number = float(typed)
     except ValueError:
-        dimension = DIMENSIONS[control.si_unit]
         if typed[:1].isdigit() or typed[:1] in ("+", "-", "."):
-            return parse_quantity(typed, dimension, source="live view", field=field)
+            return parse_quantity(typed, control.quantity, source="live view", field=field)
         raise InputError("live view", field, typed, f"a number in {unit}, for example {control.shown(control.value)}"
                          ) from None
     if not math.isfinite(number):

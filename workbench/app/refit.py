@@ -13,7 +13,7 @@ from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.prepare import prepare
 from workbench.jobs.process import Send
-from workbench.model.numbers import placed
+from workbench.model.numbers import Stated, placed
 from workbench.results.spectrum import Spectrum
 
 #: Largest number of further descents if the recording stays unexplained: a fit that somebody waits for is to end within
@@ -80,4 +80,4 @@ def known_to(parameter: Parameter, uncertainty: float | None) -> Parameter:
     if not parameter.is_loss:
         least = min(start, low) if low > 0.0 else -np.inf
         low, high = max(least, min(low, start - _REACH * uncertainty)), max(high, start + _REACH * uncertainty)
-    return replace(parameter, prior=uncertainty, low=low, high=high)
+    return replace(parameter, stated=Stated(uncertainty, origin="live view"), low=low, high=high)

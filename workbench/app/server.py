@@ -321,7 +321,7 @@ class LiveView:
                       "curve": {"magnitude": "", "phase": "", "tolerance": "", "ticks": {"x": [], "y": [], "phase": []},
                                 "read": {"frequency": [], "magnitude": [], "phase": []}}})
         state.client_only("pointed")
-        narrowed = [f"{each.label} {each.narrowed}" for each in session.controls if each.narrowed]
+        narrowed = [f"{each.parsed.in_words} {each.narrowed}" for each in session.controls if each.narrowed]
         if narrowed:
             state.works = {"ranges": {"name": "Ranges", "text": "; ".join(narrowed), "running": False, "report": ""}}
         self._show_rows()
@@ -355,8 +355,8 @@ class LiveView:
         outside, rows = self.session.outside(), []
         for index, each in enumerate(self.session.controls):
             low, high = each.low * each.factor, each.high * each.factor
-            rows.append({"index": index, "name": each.name, "label": each.label, "unit": each.unit, "low": low,
-                         "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
+            rows.append({"index": index, "name": each.name, "label": each.parsed.in_words, "unit": each.shown_unit,
+                         "low": low, "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
                          "tolerance": each.told_tolerance, "assumed": each.assumed, "entries": self._entries[each.name],
                          "free": each.name in self.works.free, "outside": each.name in outside})
         self._state.rows = rows

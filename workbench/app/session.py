@@ -36,7 +36,7 @@ from workbench.fem.solve import sweep
 from workbench.files.errors import InputError, choose
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
-from workbench.model.numbers import placed
+from workbench.model.numbers import Stated, placed
 from workbench.model.particles import Particle, particle_from
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
@@ -127,7 +127,7 @@ class Session:
         self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
-        self._stated = {name: each.tolerance for name, each in self._controls.items()}
+        self._stated = dict(self._controls)
         self._values = {name: each.value for name, each in self._controls.items()}
         self._history = History(dict(self._values))
         self._last_moved = ""
@@ -216,13 +216,13 @@ class Session:
             InputError: no such number, or a tolerance below zero.
         """
         with self._lock:
-            control = self.control(name, "tolerance")
-            if tolerance is None:
-                tolerance = self._stated[name]
-            elif not 0.0 <= tolerance < np.inf:
-                raise InputError("live view", f"tolerance of {name}", control.told(tolerance),
-                                 "a number that is not below zero")
-            self._controls[name] = replace(control, tolerance=tolerance)
+            control, stated = self.control(name, "tolerance"), self._stated[name].stated
+            if tolerance is not None and tolerance != self._stated[name].tolerance:
+                if not 0.0 <= tolerance < np.inf:
+                    raise InputError("live view", f"tolerance of {name}", control.told(tolerance),
+                                     "a number that is not below zero")
+                stated = Stated(tolerance, "uniform" if control.is_dimension else "normal", "live view")
+            self._controls[name] = replace(control, stated=stated)
 
     def control(self, name: str, field: str = "number") -> Control:
         """The control of that name; `field` is named in errors.
@@ -237,15 +237,15 @@ class Session:
         """The chip of the file with the tolerances that were typed; radii of one length share theirs."""
         with self._lock:
             typed = {name: each.tolerance for name, each in self._controls.items()
-                     if each.is_length and each.tolerance != self._stated[name]}
+                     if each.is_dimension and each.stated != self._stated[name].stated}
         return self.chip.with_tolerances({
             other: tolerance for name, tolerance in typed.items() for other in moving_together(self.chip, name)})
 
     def typed_uncertainties(self) -> dict[str, float]:
         """Standard uncertainties (SI) of constants that were typed, by name."""
         with self._lock:
-            return {name: each.tolerance for name, each in self._controls.items()
-                    if not each.is_length and each.tolerance is not None and each.tolerance != self._stated[name]}
+            return {name: each.deviation for name, each in self._controls.items()
+                    if not each.is_dimension and each.stated != self._stated[name].stated}
 
     def present_chip(self) -> Chip:
         """The chip with its present lengths."""
@@ -255,7 +255,7 @@ class Session:
         """The moved constants of materials (SI); a chip's file does not hold them."""
         with self._lock:
             return {name: self._values[name] for name, each in self._controls.items()
-                    if not each.is_length and self._values[name] != each.value}
+                    if not each.is_dimension and self._values[name] != each.value}
 
     def save(self, path: Path) -> None:
         """Write the chip with its present lengths, rounded (`Control.saved`), as a chip file. Its description lists
@@ -264,7 +264,7 @@ class Session:
         Raises:
             OSError: it cannot be written.
         """
-        values = {name: number if number == each.value or not each.is_length else each.saved(number)
+        values = {name: number if number == each.value or not each.is_dimension else each.saved(number)
                   for name, number in self.values.items() for each in (self.control(name),)}
         chip, constants = moved_chip(self.chip, values), self.moved_constants()
         if constants:
@@ -277,9 +277,9 @@ class Session:
         for name, number in values.items():
             control = self.control(name)
             if not np.isfinite(number):
-                raise InputError("live view", name, number, f"a finite number in {control.unit or 'no unit'}")
+                raise InputError("live view", name, number, f"a finite number in {control.shown_unit or 'no unit'}")
             low, high = control.farthest
-            if control.is_length:
+            if control.is_dimension:
                 low, high = admissible_range(self.chip, name, low, high)
             if not low <= number <= high:
                 raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
@@ -302,7 +302,7 @@ class Session:
             names = self.outside()
             for name in names:
                 wider = self._controls[name].reaching(self._values[name])
-                if wider.is_length:
+                if wider.is_dimension:
                     low, high = admissible_range(self.chip, name, wider.low, wider.high)
                     wider = replace(wider, low=low, high=high)
                 self._controls[name] = wider
@@ -342,7 +342,7 @@ class Session:
             near[each.name] = (low, high)
         if not wide:
             return {WHOLE: whole}
-        alone = {f"{each.label} {each.low * each.factor:.4g} to {each.high * each.factor:.4g} {each.unit}":
+        alone = {f"{each.parsed.in_words} {each.shown(each.low, 4)} to {each.told(each.high, 4)}":
                  near | {each.name: whole[each.name]} for each in wide}
         return {NEAR: near, **alone, **({WHOLE: whole} if len(wide) > 1 else {})}
 
@@ -479,7 +479,7 @@ class Session:
         """The chip with its present numbers, or with `values` (SI) only, for work in another process."""
         with self._lock:
             held = self.values if values is None else values
-            constants = {name: number for name, number in held.items() if not self._controls[name].is_length}
+            constants = {name: number for name, number in held.items() if not self._controls[name].is_dimension}
             chip = moved_chip(self.stated_chip(), held)
             return Present(chip, self.state, constants, self.registry, self.band, self.accuracy)
 

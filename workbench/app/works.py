@@ -13,15 +13,13 @@ from workbench.app.background import Say, Stopped
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import NAMED
-from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
-from workbench.files.quantities import UNITS
 from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
 from workbench.jobs.process import STAND_BACK, Send, stream
 from workbench.jobs.workers import Processes
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 #: Name of each kind of work on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
@@ -114,7 +112,7 @@ class Works:
         if not isinstance(found, Refit):
             return "stopped"
         by_name = {each.name: each for each in session.controls}
-        told = ", ".join(f"{by_name[name].label} {by_name[name].told(number)} ± "
+        told = ", ".join(f"{by_name[name].parsed.in_words} {by_name[name].told(number)} ± "
                          f"{by_name[name].told(found.errors[name])}" for name, number in found.values.items())
         off = f"off by {found.before:.3g} % before, {found.after:.3g} % now"
         told = f"{off}: {told}. {' '.join(found.findings)}".strip()
@@ -148,7 +146,7 @@ class Works:
         if session.recording is None:
             raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
         chip = write_chip(session.present_chip(), folder / "chip.toml")
-        write_csv(session.recording, folder / "recording.csv")
+        write_spectrum(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.
@@ -157,8 +155,7 @@ class Works:
         for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
-                unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
-                known[parameter.name] = f"{parameter.prior!r} {unit}"
+                known[parameter.name] = f"{parameter.prior!r} {parameter.unit}"
         path = folder / "campaign.toml"
         write_atomic(path, "\n".join([
             toml_table("[campaign]", {"known": NAMED}),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from workbench.bench.setup import AMPLITUDE_RESOLUTION, SOURCE_RESISTANCE, Bench
 from workbench.bench.sine_fit import NoSine, SineFit, fit_sines
 from workbench.files.errors import InputError
 from workbench.instruments.instrument import InstrumentError, Waveform
+from workbench.jobs.progress import Progress, no_progress
 
 #: The pause (s) before the bench is opened anew, doubled from one attempt to the next.
 _PAUSE = 0.2
@@ -54,25 +54,19 @@ class Implausible(InstrumentError):
     """The data from the instruments cannot be a measurement of the requested point."""
 
 
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """State after a point: the run so far and the largest number of points."""
-
-    run: Run
-    expected: int
-
-
 def measure(
     setup: BenchSetup,
     path: Path | str,
     *,
     resume: bool = False,
     sleep: Callable[[float], None] = time.sleep,
-    show: Callable[[Progress], None] | None = None,
+    progress: Progress = no_progress,
+    on_point: Callable[[Run], object] = lambda _run: None,
 ) -> Run:
     """Measure everything that `setup` asks for into the run file `path`; with `resume` only the missing points.
 
-    Every finished point is on the disk at any moment; the drive is off when this returns or raises.
+    `on_point` is called with the run after every point. Every finished point is on the disk at any moment; the drive is
+    off when this returns or raises.
 
     Raises:
         InputError: the run exists and `resume` was not asked for, or was made with another BENCH.toml.
@@ -93,7 +87,7 @@ def measure(
             if left_on:
                 _note(journal, "the process before this one had left the drive on; it was switched off first")
             try:
-                _sweep(setup, rig, journal, sleep=sleep, show=show)
+                _sweep(setup, rig, journal, sleep=sleep, progress=progress, on_point=on_point)
             except BaseException as error:
                 try:
                     rig.make_safe()
@@ -125,14 +119,14 @@ def _note(journal: Journal, text: str) -> None:
 
 
 def _sweep(
-    setup: BenchSetup, rig: Rig, journal: Journal, *, sleep: Callable[[float], None],
-    show: Callable[[Progress], None] | None,
+    setup: BenchSetup, rig: Rig, journal: Journal, *, sleep: Callable[[float], None], progress: Progress,
+    on_point: Callable[[Run], object],
 ) -> None:
     expected = expected_points(setup)
     while (target := next_target(setup, journal.run.points)) is not None:
         journal.add(_insistently(setup, rig, journal, target, sleep))
-        if show is not None:
-            show(Progress(journal.run, expected))
+        progress("points", min(len(journal.run.points) / expected, 1.0))
+        on_point(journal.run)
 
 
 def _insistently(

@@ -38,7 +38,7 @@ class Asked:
     points: int
     at: float | None
     full: bool
-    tolerance: float
+    relative_error: float
     drive: Drive
     accuracy: float | Discretisation
 
@@ -57,7 +57,7 @@ def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
     return Asked(
         registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
-        tolerance=options.tolerance, drive=parse_drive(options.drive),
+        relative_error=options.relative_error, drive=parse_drive(options.drive),
         accuracy=asked_accuracy(options),
     )
 

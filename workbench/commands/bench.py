@@ -198,7 +198,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     for text in device.findings:
         say_finding(text, console)
     problem = with_boundary_layers(build(device, accuracy=asked.accuracy, band=asked.band))
-    model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
+    model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.relative_error)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"
 

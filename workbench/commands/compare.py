@@ -23,10 +23,12 @@ from workbench.report.comparison import (
     write_comparison_report,
 )
 from workbench.report.figures import figures_record
+from workbench.report.resonances import resonances_record, resonances_table
 from workbench.report.simulation import simulation_record
 from workbench.results.comparison import compare
 from workbench.results.merit import measured_figures
-from workbench.results.spectrum import write_csv
+from workbench.results.resonances import resonances_of
+from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,20 +47,23 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
         run = run_state(chip, options.state, asked, show)
         show(run.state, "done", 1.0)
     comparison = compare(measured, run.spectrum)
-    write_csv(run.spectrum, folder / "spectrum.csv")
+    write_spectrum(run.spectrum, folder / "spectrum.csv")
     merit, reason = measured_figures(measured)
+    resonances = {"measured": resonances_of(comparison.measured), "simulated": run.resonances}
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,
         "read_as": reading.read_as or None,
         "findings": [str(finding) for finding in reading.findings],
-        "measured": figures_record(merit, reason), "simulated": simulation_record(run),
+        "measured": {**figures_record(merit, reason), "circuit": resonances_record(resonances["measured"])},
+        "simulated": simulation_record(run),
         "comparison": comparison_record(comparison),
     })
     next_step = what_next(comparison, options.chip, options.recording)
     write_comparison_report(measured, run, comparison, folder, findings=list(map(str, reading.findings)),
-                            next_step=next_step)
+                            next_step=next_step, resonances=resonances)
     print_table(f"{chip.name}, {run.state}", compared_figures_table(comparison))
     print_table("", distance_table(comparison))
+    print_table("", resonances_table(resonances))
     print_paragraph(next_step)
     for text in (*(finding.message for finding in reading.findings), *run.findings):
         say_finding(text, console)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
 from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
+from workbench.commands.terminal import by_rows, print_line, print_table, progress_bars, say_finding
 from workbench.design.goal import read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
@@ -45,7 +45,7 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
     # Or the chip of an earlier run would pass for this one's.
     best_file.unlink(missing_ok=True)
     with progress_bars(console) as show:
-        found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, report=show,
+        found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, progress=by_rows(show),
                          keep=lambda chip, _point: write_chip(chip, so_far))
         if found.best is not None:
             write_chip(found.best.chip, best_file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,14 +26,12 @@ from workbench.fitting.record import (
     registry_entry,
     source,
 )
+from workbench.jobs.progress import Progress
 from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.fit import fit_record, gel_record, write_fit_report
 from workbench.reproduction import fits as paper
-from workbench.results.spectrum import write_csv
-
-#: Called with what is being done and the share of it that is done.
-Progress = Callable[[str, float], None]
+from workbench.results.spectrum import write_spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +85,8 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     if gel:
         record["gel_study"] = gel_record(gel)
     for match in result.recordings:
-        write_csv(match.fitted, folder / f"{match.name}_fitted.csv")
-        write_csv(match.start, folder / f"{match.name}_start.csv")
+        write_spectrum(match.fitted, folder / f"{match.name}_fitted.csv")
+        write_spectrum(match.start, folder / f"{match.name}_start.csv")
     write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
     # Last: where it is, everything is.
     write_json(folder / "fit.json", record)

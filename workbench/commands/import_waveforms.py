@@ -16,7 +16,7 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.instruments.instrument import Waveform
 from workbench.report.measurement import pairs_table
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -52,7 +52,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
             if len(set(frequencies)) < len(frequencies):
                 raise InputError("command line", "FILE", [f"{f:.6g} Hz" for f in frequencies],
                                  "pairs of different frequencies; without --resistance only ratios are written")
-            write_csv(pairs_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
+            write_spectrum(pairs_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
     print_table(f"CH{options.total} over CH{options.reference}", pairs_table(found, values))
     if len(found) == 1 and values is not None:
         console.print("one frequency: no spectrum.csv was written, which takes captures at two frequencies or more",

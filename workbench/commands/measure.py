@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from workbench.bench.compensation import Compensation
 from workbench.bench.pairs import degrees
+from workbench.bench.plan import expected_points
 from workbench.bench.run_file import Run, exists, read_run, write_run
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.spectra import level_spectra, read_compensation, results
-from workbench.bench.sweep import Progress, measure
+from workbench.bench.sweep import measure
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.report.measurement import measured_figures_table, write_measurement
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,8 +41,8 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
     path.parent.mkdir(parents=True, exist_ok=True)
     before = exists(path)
     try:
-        with _ended_in_order(), _live(console) as show:
-            measure(setup, path, resume=options.resume, show=show)
+        with _ended_in_order(), _live(console, expected_points(setup)) as show:
+            measure(setup, path, resume=options.resume, on_point=show)
     except InputError:
         raise  # a mistake in the command or in BENCH.toml: what is at the path is another run
     except BaseException:
@@ -68,11 +69,12 @@ def _ended_in_order() -> Iterator[None]:
 
 
 class _live:
-    """The spectrum so far on the console: call with every :class:`Progress`."""
+    """The spectrum so far on the console: call with the run after every point."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, expected: int) -> None:
         from rich.live import Live
 
+        self._expected = expected
         self._live = Live(console=console, refresh_per_second=4, transient=True)
 
     def __enter__(self) -> _live:
@@ -82,12 +84,12 @@ class _live:
     def __exit__(self, *_: object) -> None:
         self._live.stop()
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, run: Run) -> None:
         from rich.text import Text
 
-        points = progress.run.points
+        points = run.points
         last = points[-1]
-        lines = [f"{len(points)} of at most {progress.expected} points; last {last.frequency / 1e6:.6f} MHz at "
+        lines = [f"{len(points)} of at most {self._expected} points; last {last.frequency / 1e6:.6f} MHz at "
                  f"{last.amplitude:g} Vpp: {abs(last.impedance):.4g} ohm +- {last.uncertainty:.2g}, "
                  f"{degrees(last.impedance):.1f} degrees",
                  *last.flags]
@@ -124,7 +126,7 @@ def _write_results(
     write_run(run, path, results=results(levels, compensation))
     for found in levels:
         end = "" if len(setup.levels) == 1 else f"_{found.level:g}Vpp"
-        write_csv(found.spectrum, path.with_name(path.stem + end + ".csv"))
+        write_spectrum(found.spectrum, path.with_name(path.stem + end + ".csv"))
     write_measurement(setup, run, levels, path.with_suffix(".html"))
     print_table(path.name, measured_figures_table(levels))
     for found in levels:

@@ -52,7 +52,7 @@ def _with_model(sub: argparse.ArgumentParser) -> None:
     _with_accuracy(sub)
     _with_materials(sub)
     # For the commands without these options.
-    sub.set_defaults(points=481, at=None, full=False, tolerance=1e-4, drive="10 Vpp")
+    sub.set_defaults(points=481, at=None, full=False, relative_error=1e-4, drive="10 Vpp")
 
 
 def _with_accuracy(sub: argparse.ArgumentParser) -> None:
@@ -89,7 +89,7 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
                      "continued")
     sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
-    sub.add_argument("--tolerance", type=float, default=1e-4, metavar="ERROR",
+    sub.add_argument("--relative-error", type=float, default=1e-4, metavar="ERROR",
                      help="relative error of the reduced model's impedance (default 0.0001)")
     sub.add_argument("--no-pictures", action="store_true",
                      help="leave out the pictures of fields and solid model (default: drawn)")

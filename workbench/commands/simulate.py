@@ -24,6 +24,7 @@ from workbench.model.discretisation import discretisation
 from workbench.model.job_size import job_size, memory_to_use
 from workbench.model.problem import fill
 from workbench.report.page import Picture
+from workbench.report.resonances import resonances_table
 from workbench.report.simulation import (
     gathering_record,
     simulated_figures_table,
@@ -31,7 +32,7 @@ from workbench.report.simulation import (
     without_resonance,
     write_simulation_report,
 )
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 from workbench.simulation.gathering import gathering
 from workbench.simulation.run import Simulation
 
@@ -66,7 +67,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
             runs.append(run)
         solids = parts()
     # The last state is the one the device works in: the filled chip comes after the empty one.
-    write_csv(runs[-1].spectrum, folder / "spectrum.csv")
+    write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for found in map(gathering, runs) if found is not None]
     write_json(folder / "merit.json", {
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
@@ -83,6 +84,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     for path in unfinished.values():
         path.unlink(missing_ok=True)
     print_table(chip.name, simulated_figures_table(chip, runs))
+    print_table("", resonances_table({run.state: run.resonances for run in runs}))
     for answer in reversed(answers):
         print_paragraph(str(answer))
     for text in dict.fromkeys(text for run in runs for text in run.findings):

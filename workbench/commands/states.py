@@ -13,7 +13,7 @@ from workbench.commands.terminal import Show
 from workbench.files.writing import write_atomic
 from workbench.model.discretisation import discretisation
 from workbench.model.problem import fill
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import Simulation, Snapshot
 from workbench.simulation.run import simulate as simulate_state
 
@@ -31,9 +31,9 @@ def run_state(
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
-        tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
+        relative_error=asked.relative_error, drive=asked.drive, accuracy=asked.accuracy,
         on_point=points.add if points else None, known=points.known if points else None,
-        on_spectrum=(lambda _found: None) if spectrum is None else partial(write_csv, path=spectrum),
+        on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),
     )
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from workbench.commands.asked import asked_jobs, output_folder
-from workbench.commands.terminal import print_table, progress_bars, say_finding
+from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.model.problem import fill
@@ -27,7 +27,8 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with _executor(options) as (executor, jobs), progress_bars(console) as show:
-        found = study(plan, folder, jobs=jobs, executor=executor, overwrite=options.overwrite, progress=show)
+        found = study(plan, folder, jobs=jobs, executor=executor, overwrite=options.overwrite,
+                      progress=by_rows(show))
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)
         show("report", "done", 1.0)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from workbench.jobs.progress import Progress
 from workbench.report.page import TextTable
 
 if TYPE_CHECKING:
@@ -22,11 +23,12 @@ Show = Callable[[str, str, float], None]
 @contextmanager
 def progress_bars(console: Console) -> Iterator[Show]:
     """Progress bars, one for each state: called with the state, what is being done, and the fraction of it."""
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    from rich import progress
 
-    bars = Progress(TextColumn("{task.fields[state]:>12}"), TextColumn("{task.description:<14}"), BarColumn(),
-                    TimeElapsedColumn(), console=console)
-    tasks: dict[str, TaskID] = {}
+    bars = progress.Progress(
+        progress.TextColumn("{task.fields[state]:>12}"), progress.TextColumn("{task.description:<14}"),
+        progress.BarColumn(), progress.TimeElapsedColumn(), console=console)
+    tasks: dict[str, progress.TaskID] = {}
     with bars:
         def show(state: str, activity: str, fraction: float) -> None:
             if state not in tasks:
@@ -34,6 +36,15 @@ def progress_bars(console: Console) -> Iterator[Show]:
             bars.update(tasks[state], description=activity, completed=fraction)
 
         yield show
+
+
+def by_rows(show: Show) -> Progress:
+    """Shows "part: what is done" in the row of the part."""
+    def told(text: str, share: float) -> None:
+        part, _, activity = text.rpartition(": ")
+        show(part, activity, share)
+
+    return told
 
 
 def say_finding(text: str, console: Console) -> None:

@@ -24,75 +24,24 @@ from geometry.names import CAVITY, VACUUM
 from geometry.parts import Layer, State
 from geometry.plausible import check_length
 from geometry.stretch import admissible_range, canonical_names, mesh_limits
-from materials.entry import KINDS
 from materials.registry import Registry
+from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, nearest_names
-from workbench.files.quantities import UNITS, parse_quantity
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.numbers import ParameterName
+from workbench.model.device_numbers import device_numbers, full_names
+from workbench.model.numbers import Number, ParameterName
 from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
-
-#: How the name of what fills a region ends, as something that varies.
-MATERIAL = ".material"
 
 _KEYS = ("from", "to", "points", "values", "tolerance", "materials")
 _EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for what fills a region, '
             '{ materials = [...] }')
 
 
-@dataclass(frozen=True)
-class NumberAxis:
-    """A number that varies, by its parameter ``name`` (`workbench.model.numbers`): between ``low`` and ``high``, or
-    over ``values`` where there are any; ``points`` of a range on a grid. All in SI ``unit``."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    values: tuple[float, ...] = ()
-    points: int | None = None
-
-    def levels(self) -> Real:
-        """The numbers (n,) of a grid or a list."""
-        return np.array(self.values) if self.values else np.linspace(self.low, self.high, self.points or 2)
-
-    def at(self, share: Real) -> Real:
-        """The numbers (n,) at shares (n,) from 0 to 1 of the way; of a list each has an equal part of the way."""
-        return self.low + (self.high - self.low) * share if not self.values else np.array(self.values)[
-            _index(share, len(self.values))]
-
-
-@dataclass(frozen=True)
-class MaterialAxis:
-    """What fills a ``region``: one of ``materials``, by their full names. Its numbers are places in that list."""
-
-    region: str
-    materials: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        return f"{self.region}{MATERIAL}"
-
-    def levels(self) -> Real:
-        """The places (n,) in the list."""
-        return np.arange(float(len(self.materials)))
-
-    def at(self, share: Real) -> Real:
-        """The places (n,) in the list at shares (n,) from 0 to 1 of it."""
-        return _index(share, len(self.materials)).astype(float)
-
-
-Axis = NumberAxis | MaterialAxis
-
-
-def _index(share: Real, count: int) -> NDArray[np.int64]:
-    return np.minimum((share * count).astype(np.int64), count - 1)
-
-
 def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Registry, *,
-              method: str) -> tuple[Axis, ...]:
+              method: str) -> tuple[Variable, ...]:
     """What the table [vary] says, of a chip in those `states`; `method` is that of the sample.
 
     Raises:
@@ -105,11 +54,11 @@ def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Reg
     choices = {name: _choice(name, table.at(name), entry, chip, states, registry)
                for name, entry in entries.items() if "materials" in entry or name.endswith(MATERIAL)}
     numbers = Numbers.of(chip, states, list(choices.values()), registry)
-    axes: list[Axis] = []
+    axes: list[Variable] = []
     for name, entry in entries.items():
         _check_points(entry, method, ranged="from" in entry or "tolerance" in entry)
         axes.append(choices[name] if name in choices else _number_axis(name, table.at(name), entry, numbers))
-    _check_lengths(chip, [axis for axis in axes if isinstance(axis, NumberAxis)], table)
+    _check_lengths(chip, [axis for axis in axes if isinstance(axis, VariedNumber)], table)
     return tuple(axes)
 
 
@@ -150,31 +99,27 @@ class Numbers:
     unusual: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialAxis], registry: Registry) -> Numbers:
+    def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry) -> Numbers:
         """Those of a chip in its states with all choices of materials."""
-        lengths = {name: each for name, each in chip.dimensions().items() if not name.startswith("ports.")}
-        found: list[dict[str, float]] = []
+        found: list[dict[str, Number]] = []
         for state, *chosen in product(states, *(axis.materials for axis in choices)):
             picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
             held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
-            coefficients = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
-            found.append({name: each.value for name, each in lengths.items()}
-                         | {name: value.real for name, value in coefficients.items()}
-                         | {f"{name}.loss": value.imag for name, value in coefficients.items()})
+            found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
+                          if not name.startswith("ports.")})
         everywhere = set.intersection(*(set(each) for each in found))
-        common = {name: frozenset(each[name] for each in found) for name in found[0] if name in everywhere}
+        common = {name: frozenset(each[name].value for each in found) for name in found[0] if name in everywhere}
         return cls(common, frozenset(set().union(*found) - everywhere),
-                   {name: each.tolerance for name, each in lengths.items()}, chip.unusual)
+                   {name: each.tolerance for name, each in found[0].items() if each.is_dimension}, chip.unusual)
 
     def full_name(self, written: str) -> str:
         """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
-        parsed = ParameterName.parse(written)
-        full = {owner for owner in (ParameterName.parse(name).owner for name in {*self.common, *self.others})
-                if "/" in owner and owner.split("/")[0] == parsed.owner}
-        return f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
+        owners = {ParameterName.parse(name).owner for name in {*self.common, *self.others}}
+        full = full_names(written, (owner for owner in owners if "/" in owner))
+        return full[0] if len(full) == 1 else written
 
 
-def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -> NumberAxis:
+def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -> VariedNumber:
     name = numbers.full_name(written)
     if name in numbers.others:
         raise InputError(entry.source, field, written, "a number of a material that every state and every alternative "
@@ -183,10 +128,10 @@ def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -
         shown = [known for known in numbers.common if not known.endswith(".loss")]
         raise InputError(entry.source, field, written, "a length that the spectrum feels or a material's coefficient "
                          f"(with .loss its imaginary part): {', '.join(shown)}", nearest_names(name, numbers.common))
-    dimension = dimension_of(name)
-    unit = next(iter(UNITS[dimension]))
+    parsed = ParameterName.parse(name)
+    dimension, unit = parsed.quantity, parsed.unit
     if "values" in entry:
-        axis = NumberAxis(name, unit, *_values(entry, dimension))
+        axis = VariedNumber.listed(name, _values(entry, dimension))
         _check_plausible(name, axis.values, entry, numbers)
         return axis
     if "tolerance" in entry:
@@ -197,7 +142,7 @@ def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -
         raise InputError(entry.source, field, f"{low:g} to {high:g} {unit}", "from a lower number to a higher one")
     _check_plausible(name, (low, high), entry, numbers)
     points = entry.content.get("points")
-    return NumberAxis(name, unit, low, high, points=points)
+    return VariedNumber(name, low, high, points=points)
 
 
 def _check_plausible(name: str, values: Sequence[float], entry: FileTable, numbers: Numbers) -> None:
@@ -211,8 +156,8 @@ def _quantity(entry: FileTable, key: str, dimension: str) -> float:
     return entry.quantity(key, dimension)
 
 
-def _values(entry: FileTable, dimension: str) -> tuple[float, float, tuple[float, ...]]:
-    """The lowest, the highest, and all values of a list."""
+def _values(entry: FileTable, dimension: str) -> tuple[float, ...]:
+    """The values of a list."""
     for key in ("from", "to", "tolerance"):
         if key in entry:
             raise entry.error(key, "values, or a range, not both")
@@ -223,7 +168,7 @@ def _values(entry: FileTable, dimension: str) -> tuple[float, float, tuple[float
                   for index, text in enumerate(listed))
     if len(set(found)) < 2:
         raise entry.error("values", "two different values at least; what stays the same belongs in the chip file")
-    return min(found), max(found), found
+    return found
 
 
 def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) -> tuple[float, float]:
@@ -250,30 +195,17 @@ def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) ->
     return value - width, value + width
 
 
-def dimension_of(name: str) -> str:
-    """The dimension of a parameter by name, a key of `workbench.files.quantities.UNITS`."""
-    parsed = ParameterName.parse(name)
-    if "/" not in parsed.owner:
-        return parsed.quantity
-    for kind in KINDS.values():
-        # The first form of a kind is the one that a solver has.
-        known = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
-        if parsed.coefficient in known:
-            return known[parsed.coefficient]
-    return "diffusivity" if parsed.coefficient == "diffusivity_of_sound" else "dimensionless"
-
-
-def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: FileTable) -> None:
+def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -> None:
     """Lengths are above zero, no radius passes another one, and of radii that coincide one varies."""
     first = canonical_names(chip)
     base = centred_in_ranges(chip, axes, table)
-    radii: dict[str, NumberAxis] = {}
+    radii: dict[str, VariedNumber] = {}
     for axis in axes:
         if axis.name not in base.dimensions():
             continue
         field, ends = table.at(axis.name), f"{millimetres(axis.low)} to {millimetres(axis.high)}"
         low, high = admissible_range(base, axis.name)
-        if not axis.low > 0.0 and not ParameterName.parse(axis.name).is_shape:
+        if not axis.low > 0.0 and not axis.parsed.is_shape:
             raise InputError(table.source, field, ends, "lengths above zero")
         if axis.name not in first:
             continue
@@ -293,7 +225,7 @@ def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: FileTable) -> 
                              f"a radius above the {millimetres(inner.high)} that {inner.name} reaches")
 
 
-def centred_in_ranges(chip: Chip, axes: Sequence[NumberAxis], table: FileTable | None = None) -> Chip:
+def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable | None = None) -> Chip:
     """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
     known, first = chip.dimensions(), canonical_names(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
@@ -315,7 +247,7 @@ def centred_in_ranges(chip: Chip, axes: Sequence[NumberAxis], table: FileTable |
 
 def _choice(
     name: str, field: str, entry: FileTable, chip: Chip, states: Sequence[str], registry: Registry
-) -> MaterialAxis:
+) -> MaterialChoice:
     region, regions = name.removesuffix(MATERIAL), chip.regions
     if not name.endswith(MATERIAL) or region not in regions:
         known = [f"{each}{MATERIAL}" for each in regions]
@@ -347,7 +279,7 @@ def _choice(
             except InputError as error:
                 raise InputError(entry.source, entry.at("materials"), full, f"a material that {region} can be made of: "
                                  f"{error}") from error
-    return MaterialAxis(region, tuple(found))
+    return MaterialChoice(region, tuple(found))
 
 
 def with_materials(chip: Chip, chosen: Mapping[str, str], registry: Registry) -> Chip:

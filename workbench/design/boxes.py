@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from workbench.design.variables import GRAIN, LengthVariable
+from workbench.design.variables import GRAIN, VariedNumber
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -28,7 +28,7 @@ class TrustRegion:
         """Half as far."""
         return TrustRegion({name: 0.5 * width for name, width in self.half_widths.items()})
 
-    def about(self, middle: Mapping[str, float], variables: Sequence[LengthVariable]) -> dict[str, tuple[float, float]]:
+    def about(self, middle: Mapping[str, float], variables: Sequence[VariedNumber]) -> dict[str, tuple[float, float]]:
         """The box about a `middle` (m), moved inwards where it crosses the bounds of the variables."""
         found = {}
         for each in variables:
@@ -38,9 +38,9 @@ class TrustRegion:
         return found
 
 
-def variables_in_box(variables: Sequence[LengthVariable], box: Box) -> tuple[LengthVariable, ...]:
+def variables_in_box(variables: Sequence[VariedNumber], box: Box) -> tuple[VariedNumber, ...]:
     """The variables with the ranges of a box."""
-    return tuple(LengthVariable(each.name, *box[each.name], each.step) for each in variables)
+    return tuple(VariedNumber(each.name, *box[each.name], each.step) for each in variables)
 
 
 def middle(box: Box) -> dict[str, float]:
@@ -48,7 +48,7 @@ def middle(box: Box) -> dict[str, float]:
     return {name: 0.5 * (low + high) for name, (low, high) in box.items()}
 
 
-def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[LengthVariable]) -> tuple[str, ...]:
+def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[VariedNumber]) -> tuple[str, ...]:
     """The variables that lie on a side of the box that is no bound of theirs: beyond it may be better ones."""
     found = []
     for each in variables:

@@ -17,7 +17,7 @@ from workbench.design.goal import SIGNED, Goal
 from workbench.design.programme import Programme, ProgrammePoint
 from workbench.design.search import Optimum
 from workbench.design.steps import settle
-from workbench.design.variables import LengthVariable, Selection, changed
+from workbench.design.variables import Selection, VariedNumber, changed
 
 #: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
 #: and largest share of its scale by which a bound may then be missed.
@@ -129,7 +129,7 @@ def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple
     return tuple(sorted(active, key=lambda each: -each.gain))
 
 
-def _own(goal: Goal, variable: LengthVariable) -> LengthVariable:
+def _own(goal: Goal, variable: VariedNumber) -> VariedNumber:
     return next(each for each in goal.unknowns if each.name == variable.name)
 
 

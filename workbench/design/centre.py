@@ -11,7 +11,7 @@ from materials.assumed import with_assumed_loss
 from materials.kinds import Material
 from materials.registry import Registry
 from workbench.design.model import all_of_one_length
-from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.model.numbers import ParameterName, placed
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, fl
     """`chip` and `registry` with `numbers` (SI, by parameter name) in the place of their own."""
     known = chip.dimensions()
     lengths = {name: number for name, number in numbers.items()
-               if ParameterName.parse(name).kind is ParameterKind.DIMENSION and number != known[name].value}
+               if ParameterName.parse(name).is_dimension and number != known[name].value}
     others = {name: number for name,
-              number in numbers.items() if ParameterName.parse(name).kind is not ParameterKind.DIMENSION}
+              number in numbers.items() if not ParameterName.parse(name).is_dimension}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
     registry = registry or Registry()
     return moved, CentredRegistry(registry.folders, registry.assumed_losses, others)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from workbench.design.goal import SearchOptions
 from workbench.design.programme import Programme, ProgrammePoint
-from workbench.design.variables import LengthVariable, Stock
+from workbench.design.variables import VariedNumber
 from workbench.jobs.workers import Workers, itself
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Popu
 
 
 def evolve(
-    programmes: Sequence[Programme], stock: Sequence[Stock], search: SearchOptions,
+    programmes: Sequence[Programme], stock: Sequence[VariedNumber], search: SearchOptions,
     first: Sequence[Mapping[str, float]] = (), *, workers: Workers,
     say: Callable[[float], None] | None = None, better: Callable[[PopulationMember], None] | None = None,
 ) -> list[PopulationMember]:
@@ -68,7 +68,7 @@ def evolve(
     workers.share(itself, tuple(programmes))
 
     def evaluate(rows: Sequence[Mapping[str, Any]]) -> list[PopulationMember]:
-        lengths = [{gene.name: gene.length(row[gene.name]) for gene in genes} for row in rows]
+        lengths = [{gene.number.name: gene.length(row[gene.number.name]) for gene in genes} for row in rows]
         found = workers.map(partial(judge, lengths=each) for each in lengths)
         for each in found:
             if better is not None and each.points[0].rank < min((one.points[0].rank for one in seen),
@@ -81,7 +81,7 @@ def evolve(
 
     problem = _problem(genes, programmes, evaluate)
     sampled = MixedVariableSampling().do(problem, search.population, random_state=np.random.default_rng(search.seed))
-    given = [{gene.name: gene.nearest(each[gene.name]) for gene in genes} for each in first]
+    given = [{gene.number.name: gene.nearest(each[gene.number.name]) for gene in genes} for each in first]
     if given:
         sampled = Population.merge(Population.new("X", given), sampled[: max(0, search.population - len(given))])
     algorithm = MixedVariableGA(pop_size=search.population, sampling=sampled, survival=RankAndCrowding())
@@ -109,42 +109,36 @@ def undominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
 class _Gene:
     """A length as pymoo varies it: a choice of the stock, a number of steps, or any number between two ends."""
 
-    name: str
-    low: float
-    high: float
-    step: float | None
-    values: tuple[float, ...]
+    number: VariedNumber
 
     def variable(self) -> Any:
         from pymoo.core.variable import Choice, Integer
         from pymoo.core.variable import Real as RealVariable
 
-        if self.values:
-            return Choice(options=list(range(len(self.values))))
-        if self.step is not None:
-            return Integer(bounds=(math.ceil(self.low / self.step - 1e-6), math.floor(self.high / self.step + 1e-6)))
-        return RealVariable(bounds=(self.low, self.high))
+        low, high, step = self.number.low, self.number.high, self.number.step
+        if self.number.values:
+            return Choice(options=list(range(len(self.number.values))))
+        if step is not None:
+            return Integer(bounds=(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)))
+        return RealVariable(bounds=(low, high))
 
     def length(self, value: Any) -> float:
         """The length (m) that a value of the variable is."""
-        if self.values:
-            return self.values[int(value)]
-        return LengthVariable(self.name, self.low, self.high, self.step).round(
-            float(value) if self.step is None else int(value) * self.step)
+        if self.number.values:
+            return self.number.values[int(value)]
+        return self.number.round(float(value) if self.number.step is None else int(value) * self.number.step)
 
     def nearest(self, length: float) -> Any:
         """The value of the variable nearest to a length (m)."""
-        if self.values:
-            return min(range(len(self.values)), key=lambda k: abs(self.values[k] - length))
-        value = min(max(length, self.low), self.high)
-        return value if self.step is None else round(LengthVariable(self.name, self.low, self.high,
-                                                                    self.step).round(value)
-                                                     / self.step)
+        if self.number.values:
+            return min(range(len(self.number.values)), key=lambda k: abs(self.number.values[k] - length))
+        value = min(max(length, self.number.low), self.number.high)
+        return value if self.number.step is None else round(self.number.round(value) / self.number.step)
 
 
-def _gene(variable: LengthVariable, stock: Sequence[Stock]) -> _Gene:
+def _gene(variable: VariedNumber, stock: Sequence[VariedNumber]) -> _Gene:
     values = next((each.values for each in stock if each.name == variable.name), ())
-    return _Gene(variable.name, variable.low, variable.high, variable.step, values)
+    return _Gene(replace(variable, values=values))
 
 
 def _problem(
@@ -161,5 +155,5 @@ def _problem(
             if programmes[0].bounds:
                 out["G"] = np.array([np.nan_to_num(-each.points[0].margins, nan=NOTHING) for each in members])
 
-    return Chips(vars={gene.name: gene.variable() for gene in genes}, n_obj=len(programmes),
+    return Chips(vars={gene.number.name: gene.variable() for gene in genes}, n_obj=len(programmes),
                  n_ieq_constr=len(programmes[0].bounds))

@@ -24,8 +24,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +37,12 @@ from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
-from workbench.design.uncertainty import Law
-from workbench.design.variables import MATERIAL, LengthVariable, MaterialChoice, Stock, Variable, first_name
+from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.drive import parse_drive
+from workbench.model.drive import Drive, read_drive
+from workbench.model.numbers import Law
 
 #: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
 #: 95 % of the chips.
@@ -76,7 +76,7 @@ class SearchOptions:
     ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
     the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model
     extends to either side of its middle, relative to the length there; within wider bounds models are moved, at most
-    ``moves`` times. ``tolerance``: relative error of the impedance on them. ``population`` and ``generations`` of the
+    ``moves`` times. ``relative_error``: of the impedance on them. ``population`` and ``generations`` of the
     evolutionary search, which ``evolutionary`` asks for.
     """
 
@@ -87,7 +87,7 @@ class SearchOptions:
     evaluations: int = 60
     reach: float = 0.1
     moves: int = 3
-    tolerance: float = 1e-3
+    relative_error: float = 1e-3
     evolutionary: bool = False
     population: int = 24
     generations: int = 20
@@ -109,13 +109,13 @@ class Robust:
     posteriors: tuple[Path, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Goal:
     """A design task whose description has been checked.
 
     ``chip`` in ``state`` as it is at first; ``operation`` its drive and thermal resistances; ``objectives`` one, or two
     for a Pareto front; ``bounds`` what it keeps to; ``band`` (Hz) within which its resonance is looked for; ``source``
-    the file that mistakes are reported under.
+    the name that mistakes are reported under: that of the file, or "Goal".
     """
 
     source: str
@@ -124,24 +124,73 @@ class Goal:
     operation: Operation
     objectives: tuple[DesignObjective, ...]
     variables: tuple[Variable, ...]
-    bounds: tuple[Bound, ...] = ()
-    band: tuple[float, float] | None = None
-    robust: Robust | None = None
-    search: SearchOptions = field(default_factory=SearchOptions)
+    bounds: tuple[Bound, ...]
+    band: tuple[float, float] | None
+    robust: Robust | None
+    search: SearchOptions
+
+    def __init__(
+        self,
+        chip: Chip,
+        variables: Mapping[str, Any],
+        *,
+        maximise: str | Sequence[str] = (),
+        minimise: str | Sequence[str] = (),
+        constraints: Sequence[str] = (),
+        state: str | None = None,
+        drive: Drive | str = "10 Vpp",
+        band: Sequence[float | str] | None = None,
+        thermal: Mapping[str, Any] | None = None,
+        robust: Mapping[str, Any] | None = None,
+        search: Mapping[str, Any] | None = None,
+        registry: Registry | None = None,
+        source: str = ProgramSource("Goal"),
+    ) -> None:
+        """A goal from a chip and from values as a goal's file has them, where numbers may stand in SI without units.
+
+        `variables`, `thermal`, `robust` and `search` are the tables of the file (:mod:`workbench.design.goal`);
+        `registry` is where alternative materials are looked up.
+
+        Raises:
+            InputError: the values do not describe a goal.
+        """
+        root = FileTable.made(source, {
+            "goal": {"maximise": maximise, "minimise": minimise, "constraints": constraints, "state": state,
+                     "drive": drive, "band": band},
+            "variables": variables, "thermal": thermal, "robust": robust, "search": search})
+        head = root.table("goal")
+        chosen = chip.state(None).name
+        if "state" in head:
+            chosen = head.choice("state", (each.name for each in chip.states))
+        options = _search(root.table("search"))
+        unknown = tuple(_variables(root.table("variables"), chip, registry))
+        if not unknown:
+            raise root.error("variables",
+                             'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
+        driven = read_drive(head)
+        bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
+                       for bound in parse_bounds(text, chip.dimensions(), chip.regions, driven, source=source,
+                                                 field=f"goal.constraints[{index}]"))
+        self.__dict__.update(
+            source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
+            operation=Operation(driven, thermal_resistance=read_thermal(root, chip.regions, ())),
+            objectives=_objectives(head, chip), band=_band(head),
+            robust=_robust(root.table("robust")) if "robust" in root else None)
+        _check(self)
 
     @property
-    def lengths(self) -> tuple[LengthVariable, ...]:
-        return tuple(each for each in self.variables if isinstance(each, LengthVariable))
+    def lengths(self) -> tuple[VariedNumber, ...]:
+        return tuple(each for each in self.variables if isinstance(each, VariedNumber) and not each.values)
 
     @property
-    def unknowns(self) -> tuple[LengthVariable, ...]:
+    def unknowns(self) -> tuple[VariedNumber, ...]:
         """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
         stock = self.stock if self.search.evolutionary else ()
-        return (*self.lengths, *(LengthVariable(each.name, each.values[0], each.values[-1]) for each in stock))
+        return (*self.lengths, *(replace(each, values=()) for each in stock))
 
     @property
-    def stock(self) -> tuple[Stock, ...]:
-        return tuple(each for each in self.variables if isinstance(each, Stock))
+    def stock(self) -> tuple[VariedNumber, ...]:
+        return tuple(each for each in self.variables if isinstance(each, VariedNumber) and each.values)
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -161,22 +210,9 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     root = FileTable.read(path).only(("goal", "variables", "thermal", "robust", "search"))
     head = root.table("goal").only(("chip", "state", "drive", "maximise", "minimise", "constraints", "band"))
     chip = read_chip(path.parent / head.text("chip", expected="the path of a chip file, relative to this file"))
-    state = chip.state(None).name
-    if "state" in head:
-        state = head.choice("state", (each.name for each in chip.states))
-    search = _search(root.table("search"))
-    variables = tuple(_variables(root.table("variables"), chip, registry))
-    if not variables:
-        raise root.error("variables", 'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
-    drive = parse_drive(head.text("drive", "10 Vpp"), source=str(path), field="goal.drive")
-    bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
-                   for bound in parse_bounds(text, chip.dimensions(), chip.regions, drive, source=str(path),
-                                             field=f"goal.constraints[{index}]"))
-    operation = Operation(drive, thermal_resistance=read_thermal(root, chip.regions, ()))
-    goal = Goal(str(path), chip, state, operation, _objectives(head, chip), variables, bounds, _band(head),
-                _robust(root.table("robust")) if "robust" in root else None, search)
-    _check(goal)
-    return goal
+    said = {key: value for key, value in head.content.items() if key != "chip"}
+    tables: dict[str, Any] = {key: root.content.get(key) for key in ("thermal", "robust", "search")}
+    return Goal(chip, root.content.get("variables", {}), **said, **tables, registry=registry, source=root.source)
 
 
 def _by_first_names(bound: Bound, chip: Chip) -> Bound:
@@ -235,7 +271,7 @@ def _variables(table: FileTable, chip: Chip, registry: Registry | None) -> Itera
             yield _material(inner, name, chip, registry)
         else:
             found = _length(inner, first_name(chip, name))
-            for each in found.values if isinstance(found, Stock) else (found.low, found.high):
+            for each in found.values or (found.low, found.high):
                 check_length(found.name, each, source=inner.source, field=inner.field, unusual=chip.unusual)
             yield found
 
@@ -252,14 +288,15 @@ def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
             yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
-def _length(table: FileTable, name: str) -> Stock | LengthVariable:
+def _length(table: FileTable, name: str) -> VariedNumber:
     if "values" in table:
         table.only(("values",))
-        values = [parse_quantity(text, "length", source=table.source, field=table.at(f"values[{index}]"))
-                  for index, text in enumerate(table.texts("values", expected='lengths such as ["0.15 mm", "1 mm"]'))]
+        listed = table.entries("values", expected='lengths such as ["0.15 mm", "1 mm"]')
+        values = [parse_quantity(each, "length", source=table.source, field=table.at(f"values[{index}]"))
+                  for index, each in enumerate(listed)]
         if len(set(values)) < max(2, len(values)) or min(values) <= 0.0:
             raise table.error("values", "two or more different lengths above zero")
-        return Stock(name, tuple(sorted(values)))
+        return VariedNumber.listed(name, sorted(values))
     table.only(("from", "to", "step"))
     low, high = (table.quantity(key, "length") for key in ("from", "to"))
     if not 0.0 < low < high:
@@ -267,7 +304,7 @@ def _length(table: FileTable, name: str) -> Stock | LengthVariable:
     step = table.optional_quantity("step", "length")
     if step is not None and not 0.0 < step <= high - low:
         raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
-    return LengthVariable(name, low, high, step)
+    return VariedNumber(name, low, high, step)
 
 
 def _material(table: FileTable, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
@@ -299,17 +336,17 @@ def _robust(table: FileTable) -> Robust:
 
 def _search(table: FileTable) -> SearchOptions:
     table.only(SearchOptions.__dataclass_fields__)
-    reach, tolerance = (table.quantity(key, "share", getattr(SearchOptions, key)) for key in ("reach", "tolerance"))
+    reach, error = (table.quantity(key, "share", getattr(SearchOptions, key)) for key in ("reach", "relative_error"))
     if not 0.0 < reach < 1.0:
         raise table.error("reach", "a share of a length between 0 and 100 %")
-    if not 1e-5 <= tolerance <= 0.1:
-        raise table.error("tolerance", "a relative error from 0.001 % to 10 %")
+    if not 1e-5 <= error <= 0.1:
+        raise table.error("relative_error", "a relative error from 0.001 % to 10 %")
     whole: Mapping[str, tuple[int, int]] = {
         "starts": (1, 1000), "looked_at": (1, 4096), "descended": (1, 64), "seed": (0, 2**31 - 1),
         "evaluations": (5, 10_000), "moves": (0, 100), "population": (4, 1000), "generations": (1, 10_000)}
     numbers: dict[str, Any] = {key: table.whole(key, getattr(SearchOptions, key), low=low, high=high)
                                for key, (low, high) in whole.items()}
-    return SearchOptions(**numbers, reach=reach, tolerance=tolerance, evolutionary=table.flag("evolutionary"))
+    return SearchOptions(**numbers, reach=reach, relative_error=error, evolutionary=table.flag("evolutionary"))
 
 
 def _check(goal: Goal) -> None:
@@ -330,9 +367,9 @@ def _check(goal: Goal) -> None:
             raise InputError(goal.source, "goal.constraints", None, "figures that the tolerances must leave in bounds")
         if not goal.search.evolutionary:
             raise InputError(goal.source, "search.evolutionary", False, f'true: "{TOLERANCE}" has no slope to follow')
-    choices = math.prod(len(each.values) if isinstance(each, Stock) else len(each.materials)
-                        for each in goal.variables if isinstance(each, MaterialChoice)
-                        or (isinstance(each, Stock) and not goal.search.evolutionary))
+    stock = () if goal.search.evolutionary else goal.stock
+    choices = math.prod([len(each.materials) for each in goal.variables if isinstance(each, MaterialChoice)]
+                        + [len(each.values) for each in stock])
     if choices > ENUMERATED:
         raise InputError(goal.source, "variables", f"{choices} choices of stock lengths and materials",
                          f"at most {ENUMERATED}; of stock lengths alone more, with evolutionary = true in [search]")

@@ -10,7 +10,7 @@ What figures need of a range model is far less than its spectra (`workbench.desi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -31,11 +31,12 @@ from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import flexible, flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
-from workbench.reduced.ranges import LIMIT, Progress, RangeModel, Ranges, numbers_in_ranges, range_model
+from workbench.reduced.ranges import LIMIT, RangeModel, Ranges, numbers_in_ranges, range_model
 from workbench.reduced.reduction import reduced
 from workbench.results.brief import Brief
 from workbench.results.spectrum import Spectrum
@@ -142,37 +143,35 @@ def design_model(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     points: int = 161,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     limit: int = LIMIT,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     accuracy: float | Discretisation = ACCURACY,
 ) -> DesignModel:
     """A model of a chip's figures over `ranges`, see `workbench.reduced.ranges.range_model` for the arguments.
 
     Args:
-        tolerance: relative error of Z at f0; that of the pressure is `workbench.design.bases.OF_PRESSURE` times that.
+        relative_error: of Z at f0; that of the pressure is `workbench.design.bases.OF_PRESSURE` times that.
 
     Raises:
         InputError: something in the chip, its materials, the ranges or the figures.
         NotCovered: `limit` full solves were not enough for the spectra.
-        NotConfirmed: full solves found figures that are further off than the tolerance.
+        NotConfirmed: full solves found figures that are further off than the error asked for.
     """
     check_figures(figures, chip.regions, source=chip.file, field="figures")
-    made = range_model(chip, state, ranges, registry=registry, band=band, points=points, tolerance=SWEEP,
-                       limit=limit, seed=seed, progress=_part_of(progress, 0.0, 0.5), accuracy=accuracy)
-    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry,
-                          tolerance=tolerance, seed=seed, progress=_part_of(progress, 0.5, 1.0))
-
-
-def _part_of(progress: Progress | None, begin: float, end: float) -> Progress | None:
-    """What shows the progress of a part of the work."""
-    return None if progress is None else lambda share: progress(begin + (end - begin) * share)
+    made = range_model(
+        chip, state, ranges, registry=registry, band=band, points=points, tolerance=SWEEP, limit=limit, seed=seed,
+        progress=lambda share: progress("spectra", 0.5 * share), accuracy=accuracy)
+    return of_range_model(
+        made, chip, state, figures=figures, operation=operation, registry=registry, relative_error=relative_error,
+        seed=seed, progress=lambda share: progress("figures", 0.5 + 0.5 * share))
 
 
 def of_range_model(
     made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
-    registry: Registry | None = None, tolerance: float = 1e-3, seed: int = 0, progress: Progress | None = None,
+    registry: Registry | None = None, relative_error: float = 1e-3, seed: int = 0,
+    progress: Callable[[float], None] | None = None,
 ) -> DesignModel:
     """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
 
@@ -185,7 +184,7 @@ def of_range_model(
     device, problem = fill(chip, state, registry), made.problem
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted)
     by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
-    bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=tolerance,
+    bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=relative_error,
                      by_place=by_place, seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)
@@ -214,7 +213,7 @@ def full_evaluation(
         InputError: something in the chip, its materials, the values or the figures.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
-    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is ParameterKind.DIMENSION}
+    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).is_dimension}
     others = {n: v for n, v in values.items() if n not in lengths}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths))
     device = fill(moved, state, registry)
@@ -248,7 +247,7 @@ def _cavity(
         return None, ""
     if not isinstance(fluid, Fluid):
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"
-    lengths = [n for n in names if ParameterName.parse(n).kind is ParameterKind.DIMENSION]
+    lengths = [n for n in names if ParameterName.parse(n).is_dimension]
     try:
         found = cavity_of(operators, device.chip, fluid, device.particle, lengths, highest)
     except NoCavity as error:

@@ -24,16 +24,15 @@ from workbench.design.stated import stated_uncertainty
 from workbench.design.variables import Selection, changed, first_name
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
+from workbench.jobs.progress import no_progress
 from workbench.model.discretisation import Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import NotCovered, Progress
 from workbench.reduced.reduction import reduced
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
-#: Called with a row of the progress, what is done there, and the share of it that is done.
-Report = Callable[[str, str, float], None]
 #: The same within one row.
 Say = Callable[[str, float], None]
 
@@ -45,10 +44,6 @@ HALVED = 4
 
 #: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
 DRAWN, DRAWN_WITHIN = 481, 1e-3
-
-
-def no_report(_row: str, _activity: str, _share: float) -> None:
-    """A report to nobody."""
 
 
 class Solver(Protocol):
@@ -80,9 +75,11 @@ class ChipSolver:
             InputError: the goal has figures of fields, and no chip with these lengths has any.
         """
         goal = self.goal
-        made = design_model(chip, goal.state, ranges, figures=goal.figures, operation=goal.operation,
-                            registry=self.registry, band=goal.band, tolerance=goal.search.tolerance, limit=SOLVES,
-                            seed=goal.search.seed, progress=progress, accuracy=self.accuracy)
+        told = no_progress if progress is None else lambda _text, share: progress(share)
+        made = design_model(
+            chip, goal.state, ranges, figures=goal.figures, operation=goal.operation, registry=self.registry,
+            band=goal.band, relative_error=goal.search.relative_error, limit=SOLVES, seed=goal.search.seed,
+            progress=told, accuracy=self.accuracy)
         of_field = [name for name in goal.figures if name in OF_FIELD]
         if of_field and made.reason:
             raise InputError(goal.source, "goal", ", ".join(of_field), f"figures of the impedance: {made.reason}")
@@ -212,7 +209,7 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
     stated = stated_uncertainty(goal.chip, goal.state, registry=registry, law=robust.law, posteriors=robust.posteriors)
     if not robust.materials and not robust.posteriors:
         stated = stated.without([name for name in stated.names
-                                 if ParameterName.parse(name).kind is not ParameterKind.DIMENSION])
+                                 if not ParameterName.parse(name).is_dimension])
     if not stated.inputs:
         raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}

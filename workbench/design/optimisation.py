@@ -22,9 +22,10 @@ from workbench.design.candidate import Confirmed, RoundedDesign, confirmed
 from workbench.design.choice import Keep, Searched, search_choice
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
-from workbench.design.modelling import ChipSolver, Report, Solver, no_report, spread_of
+from workbench.design.modelling import ChipSolver, Solver, spread_of
 from workbench.design.programme import ProgrammePoint
 from workbench.design.variables import selections
+from workbench.jobs.progress import Progress, by_part, no_progress
 from workbench.jobs.workers import begin_workers
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.results.brief import Brief
@@ -68,8 +69,8 @@ class Design(Brief):
 
 def optimise(
     goal: Goal, *, registry: Registry | None = None, accuracy: float | Discretisation = ACCURACY,
-    jobs: int | None = None, executor: Executor | None = None, report: Report = no_report, keep: Keep | None = None,
-    solver: Solver | None = None,
+    jobs: int | None = None, executor: Executor | None = None, progress: Progress = no_progress,
+    keep: Keep | None = None, solver: Solver | None = None,
 ) -> Design:
     """The best chip for a goal.
 
@@ -77,7 +78,7 @@ def optimise(
         accuracy: of the meshes, see `workbench.model.discretisation`.
         jobs: starts at a time, in as many processes; one in this process if None.
         executor: works out the starts in place of such processes, all at a time if `jobs` is None.
-        report: called with what is done, its subject, and the share of it that is done.
+        progress: called with the choice and what is done for it ("before: full solve"), and the share that is.
         keep: called with the best chip of the model so far, each time a start finds a better one.
         solver: what gives models and full solves, those of `workbench.design.model` if None.
 
@@ -88,6 +89,7 @@ def optimise(
     started = time.perf_counter()
     solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
     spread = spread_of(goal, registry)
+    report = by_part(progress)
     report("before", "full solve", 0.0)
     before = solver.full(goal.chip)
     report("before", "full solve", 1.0)

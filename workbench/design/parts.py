@@ -109,7 +109,7 @@ class ReducedModels:
             kept = load_range_model(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
             made = of_range_model(
                 kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
-                tolerance=study.tolerance, progress=lambda share: progress(0.5 + 0.5 * share))
+                relative_error=study.relative_error, progress=lambda share: progress(0.5 + 0.5 * share))
             write_atomic(path, pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL))
         progress(1.0)
         return path.read_bytes()

@@ -7,7 +7,7 @@
     drive = "10 Vpp"                # as of the option --drive; 10 Vpp unless stated
     frequency = "f0"                # the drive follows f0 (unless stated otherwise), or a frequency
     band = ["0.95 MHz", "1.1 MHz"]  # where f0 is looked for; that of the chip file unless stated
-    tolerance = "0.1 %"             # relative error of the reduced model's impedance
+    relative_error = "0.1 %"        # of the reduced model's impedance
     accuracy = "0.05 %"             # of the mesh, as of the option --accuracy
     confirm = 5                     # points that are solved in full at the end
 
@@ -26,65 +26,117 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry, user_registry
-from workbench.design.axes import Axis, MaterialAxis, NumberAxis, read_axes
+from workbench.design.axes import read_axes
 from workbench.design.evaluation import Operation
 from workbench.design.figures import check_figures
 from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
+from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose
+from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
 from workbench.model.discretisation import ACCURACY, discretisation
-from workbench.model.drive import parse_drive
+from workbench.model.drive import Drive, read_drive
 from workbench.reduced.ranges import LIMIT
 
 Real = NDArray[np.float64]
 
 #: Relative error of the reduced model's impedance unless stated otherwise, and points solved in full at the end.
-TOLERANCE, CONFIRMED = 1e-3, 5
+RELATIVE_ERROR, CONFIRMED = 1e-3, 5
 
-_KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "band", "tolerance", "accuracy", "limit",
-         "confirm")
+#: The frequency of a drive that follows the resonance.
+FOLLOWED = "f0"
+
+_KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "band", "relative_error", "accuracy",
+         "limit", "confirm")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Study:
-    """What is asked of a chip, checked.
+    """A study of a chip whose description has been checked.
 
     ``axes`` vary as ``sampling`` says, in every one of ``states``; ``figures`` by name; ``band`` (Hz) where f0 is
-    looked for; ``tolerance`` relative error of the reduced model's impedance, made with ``limit`` full solves at most;
-    ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name errors
-    are reported under.
-
-    Raises:
-        InputError: the axes and the sampling make no points.
+    looked for; ``relative_error`` of the reduced model's impedance, made with ``limit`` full solves at most;
+    ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name that
+    mistakes are reported under: that of the file, or "Study".
     """
 
     name: str
     chip: Chip
     states: tuple[str, ...]
     figures: tuple[str, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[Variable, ...]
     sampling: Sampling
     operation: Operation
     band: tuple[float, float]
-    tolerance: float = TOLERANCE
-    accuracy: float = ACCURACY
-    limit: int = LIMIT
-    confirmed: int = CONFIRMED
-    registry: Registry = field(default_factory=Registry)
-    file: str = "study"
+    relative_error: float
+    accuracy: float
+    limit: int
+    confirmed: int
+    registry: Registry
+    file: str
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        chip: Chip,
+        vary: Mapping[str, Any],
+        *,
+        figures: Sequence[str],
+        name: str | None = None,
+        state: str | None = None,
+        states: Sequence[str] | None = None,
+        sample: Mapping[str, Any] | None = None,
+        drive: Drive | str = "10 Vpp",
+        frequency: float | str = FOLLOWED,
+        band: Sequence[float | str] | None = None,
+        thermal: Mapping[str, Any] | None = None,
+        relative_error: float | str | None = None,
+        accuracy: float | str | None = None,
+        limit: int = LIMIT,
+        confirm: int = CONFIRMED,
+        registry: Registry | None = None,
+        source: str = ProgramSource("Study"),
+    ) -> None:
+        """A study of a chip from values as a study's file has them, where numbers may stand in SI without units.
+
+        `vary`, `sample` and `thermal` are the tables of the file (:mod:`workbench.design.plan`); materials come from
+        the user's registry unless another is given; `relative_error` is 0.1 % and `accuracy` 0.05 % unless stated.
+
+        Raises:
+            InputError: the values do not describe a study.
+        """
+        table = FileTable.made(source, {
+            "study": {"state": state, "states": states, "figures": figures, "drive": drive, "frequency": frequency,
+                      "band": band, "relative_error": relative_error, "accuracy": accuracy, "limit": limit,
+                      "confirm": confirm},
+            "thermal": thermal, "sample": sample, "vary": vary})
+        head = table.table("study")
+        registry = replace(user_registry(), assumed_losses=True) if registry is None else registry
+        chosen = _states(head, chip)
+        wanted = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
+                               chip.regions, source=source, field=head.at("figures"))
+        if not wanted:
+            raise head.error("figures", "one figure at least")
+        within = _band(head, chip)
+        operation = Operation(read_drive(head), _frequency(head, within), read_thermal(table, chip.regions, wanted))
+        sampling = read_sampling(table.table("sample", expected="a table [sample]"))
+        axes = read_axes(table.table("vary", expected="a table [vary]"), chip, chosen, registry, method=sampling.method)
+        self.__dict__.update(
+            name=chip.name if name is None else name, chip=chip, states=chosen, figures=wanted, axes=axes,
+            sampling=sampling, operation=operation, band=within, relative_error=_relative_error(head),
+            accuracy=_accuracy(head), limit=head.whole("limit", low=1, high=100_000),
+            confirmed=head.whole("confirm", low=0, high=1000), registry=registry, file=source)
         # So that a mistake is answered where the study is made, not where its points are first asked for.
         _ = self.sample
 
@@ -99,16 +151,16 @@ class Study:
         return len(self.states) * len(self.sample)
 
     @property
-    def numbers(self) -> tuple[NumberAxis, ...]:
+    def numbers(self) -> tuple[VariedNumber, ...]:
         """The axes that are numbers."""
-        return tuple(axis for axis in self.axes if isinstance(axis, NumberAxis))
+        return tuple(axis for axis in self.axes if isinstance(axis, VariedNumber))
 
     @property
-    def choices(self) -> tuple[MaterialAxis, ...]:
+    def choices(self) -> tuple[MaterialChoice, ...]:
         """The axes that are materials."""
-        return tuple(axis for axis in self.axes if isinstance(axis, MaterialAxis))
+        return tuple(axis for axis in self.axes if isinstance(axis, MaterialChoice))
 
-    def columns(self, axes: Sequence[Axis]) -> Real:
+    def columns(self, axes: Sequence[Variable]) -> Real:
         """The columns (n, len(axes)) of the sample that belong to some of the axes."""
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 
@@ -124,21 +176,12 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS)
     chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
-    registry, states = replace(user_registry(materials), assumed_losses=True), _states(head, chip)
-    figures = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
-                            chip.regions, source=head.source, field=head.at("figures"))
-    if not figures:
-        raise head.error("figures", "one figure at least")
-    band = _band(head, chip)
-    drive = parse_drive(head.text("drive", "10 Vpp"), source=head.source, field=head.at("drive"))
-    operation = Operation(drive, _frequency(head, band), read_thermal(table, chip.regions, figures))
-    sampling = read_sampling(table.table("sample", expected="a table [sample]"))
+    head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]')
     table.required("vary", "a table [vary] of what varies")
-    axes = read_axes(table.table("vary", expected="a table [vary]"), chip, states, registry, method=sampling.method)
-    return Study(
-        head.text("name", path.stem), chip, states, figures, axes, sampling, operation, band,
-        _share(head, "tolerance", TOLERANCE), _accuracy(head), head.whole("limit", LIMIT, low=1, high=100_000),
-        head.whole("confirm", CONFIRMED, low=0, high=1000), registry, str(path))
+    said = {key: value for key, value in head.content.items() if key not in ("chip", "name")}
+    tables: dict[str, Any] = {key: table.content.get(key) for key in ("thermal", "sample")}
+    return Study(chip, table.content["vary"], name=head.text("name", path.stem), **said, **tables,
+                 registry=replace(user_registry(materials), assumed_losses=True), source=table.source)
 
 
 def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:
@@ -165,7 +208,7 @@ def _band(head: FileTable, chip: Chip) -> tuple[float, float]:
 
 
 def _frequency(head: FileTable, band: tuple[float, float]) -> float | None:
-    if head.text("frequency", "f0") == "f0":
+    if head.content["frequency"] == FOLLOWED:
         return None
     frequency = head.quantity("frequency", "frequency")
     if not band[0] <= frequency <= band[1]:
@@ -173,10 +216,10 @@ def _frequency(head: FileTable, band: tuple[float, float]) -> float | None:
     return frequency
 
 
-def _share(head: FileTable, key: str, default: float) -> float:
-    value = head.quantity(key, "share", default)
+def _relative_error(head: FileTable) -> float:
+    value = head.quantity("relative_error", "share", RELATIVE_ERROR)
     if not 0.0 < value < 1.0:
-        raise head.error(key, 'a relative error between 0 and 1, such as "0.1 %"')
+        raise head.error("relative_error", 'a relative error between 0 and 1, such as "0.1 %"')
     return value
 
 

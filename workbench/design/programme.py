@@ -19,7 +19,7 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.goal import TOLERANCE, DesignObjective
 from workbench.design.model import Evaluator
 from workbench.design.spread import Spread
-from workbench.design.variables import LengthVariable
+from workbench.design.variables import VariedNumber
 
 Real = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class Programme:
     """
 
     evaluator: Evaluator
-    variables: tuple[LengthVariable, ...]
+    variables: tuple[VariedNumber, ...]
     objective: DesignObjective
     bounds: tuple[Bound, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)

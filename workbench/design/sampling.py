@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.axes import Axis, NumberAxis
+from workbench.design.variables import Variable, VariedNumber
 from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
 
@@ -48,7 +48,7 @@ def read_sampling(table: FileTable) -> Sampling:
     return Sampling(method, table.whole("points", low=1, high=MOST), seed)
 
 
-def sample_points(axes: Sequence[Axis], sampling: Sampling, *, source: str) -> Real:
+def sample_points(axes: Sequence[Variable], sampling: Sampling, *, source: str) -> Real:
     """The points (n, len(axes)): numbers in SI, materials by their place in the list of alternatives.
 
     On a grid the last axis changes fastest. The first points of a Sobol sequence are the same however many there are.
@@ -67,7 +67,7 @@ def sample_points(axes: Sequence[Axis], sampling: Sampling, *, source: str) -> R
         levels = [axis.levels() for axis in axes]
         for axis, each in zip(axes, levels, strict=True):
             if len(each) != len(levels[0]):
-                what = "values" if isinstance(axis, NumberAxis) else "materials"
+                what = "values" if isinstance(axis, VariedNumber) else "materials"
                 raise InputError(source, f"vary.{axis.name}.{what}", f"{len(each)} of them",
                                  f"{len(levels[0])}, as many as {axes[0].name} has: a list is taken row by row")
         return np.stack(levels, axis=1)

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from workbench.design.evaluation import Evaluation
 from workbench.design.model import Evaluator
 from workbench.design.outcomes import evaluate
-from workbench.design.uncertainty import Input, Uncertainty
+from workbench.design.uncertainty import Uncertainty
 from workbench.files.errors import InputError
 from workbench.jobs.workers import Workers
+from workbench.model.numbers import Number
 
 Real = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -166,14 +167,14 @@ def sobol(
     return SobolIndices(asked, uncertainty.names, first, ends[0], ends[1], total, ends[2], ends[3], len(values))
 
 
-def _distribution(each: Input) -> Any:
+def _distribution(each: Number) -> Any:
     """The law of an input as scipy has it, cut where it is cut."""
     from scipy.stats import truncnorm, uniform
 
     if each.law == "uniform":
         return uniform(loc=each.low, scale=each.high - each.low)
-    low, high = ((end - each.mean) / each.deviation for end in (each.low, each.high))
-    return truncnorm(low, high, loc=each.mean, scale=each.deviation)
+    low, high = ((end - each.value) / each.deviation for end in (each.low, each.high))
+    return truncnorm(low, high, loc=each.value, scale=each.deviation)
 
 
 def names_to_ask(uncertainty: Uncertainty, known: Sequence[str], *, every: bool) -> tuple[str, ...]:

@@ -16,28 +16,25 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from geometry.assumed import assumed_uncertainty, is_film
+from geometry.assumed import is_film
 from geometry.chip import Chip
 from geometry.stretch import admissible_range, canonical_names
-from materials.entry import KINDS
 from materials.fit import Correlation
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
-from workbench.design.uncertainty import Input, Law, Uncertainty, from_limits, from_standard
+from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.numbers import BENCH, LOSS, ParameterKind, ParameterName
+from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers, full_names
+from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits
 from workbench.model.problem import FilledChip, fill
-
-#: The amount that stands for what is assumed of a length by the role of its layer.
-ASSUMED = "assumed"
 
 #: Of a fluid, what the model holds as a number of its own; its losses follow from others.
 FLUID_NUMBERS = ("density", "sound_speed")
@@ -118,18 +115,18 @@ def stated_uncertainty(
     """
     device = fill(chip, state, registry)
     given = [parse_statement(each) if isinstance(each, str) else each for each in statements]
-    found = _of_files(device, law)
+    known = device_numbers(chip, device.materials.values())
+    found = _of_files(device, known, law)
+    known = {name: each for name, each in known.items() if _is_felt(each, device)}
     for path in posteriors:
-        _posterior(Path(path), device, found)
-    known = numbers_of(device)
+        _posterior(Path(path), device, known, found)
     for each in given:
         _say(each, device, known, law, found)
     said = {_meant(each, device, known) for each in given}
-    for name, length in chip.dimensions().items():
-        if length.tolerance is None and is_film(name) and name not in {*found.inputs, *said}:
+    for name, number in known.items():
+        if number.stated is None and number.is_dimension and is_film(name) and name not in {*found.inputs, *said}:
             found.notes.append(f"{name} is taken as exact, since the chip file states no tolerance, but "
-                               f"{assumed_uncertainty(name, length.value).assumed}: \"{name} = {ASSUMED}\" counts "
-                               "with that")
+                               f"{number.known.assumed}: \"{name} = {ASSUMED}\" counts with that")
     return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
 
 
@@ -139,15 +136,17 @@ def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertaint
     Raises:
         InputError: a tolerance or an uncertainty that cannot be used.
     """
-    return _of_files(device, law).uncertainty({m.name: m for m in device.materials.values()
-                                               if not isinstance(m, Fluid)})
+    found = _of_files(device, device_numbers(device.chip, device.materials.values()), law)
+    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
 
 
-def _of_files(device: FilledChip, law: Law) -> _Collected:
+def _of_files(device: FilledChip, numbers: Mapping[str, Number], law: Law) -> _Collected:
     found = _Collected({}, [], [])
-    _lengths(device.chip, law, found)
+    for each in numbers.values():
+        if each.is_dimension and each.tolerance:
+            _length(each, device.chip, law, found)
     for material in {each.name: each for each in device.materials.values()}.values():
-        _coefficients(material, found)
+        _coefficients(material, device, numbers, found)
     return found
 
 
@@ -156,28 +155,28 @@ def numbers_of(device: FilledChip) -> dict[str, float]:
 
     A loss that is zero is there, but those of densities and of fluids are not.
     """
-    first = canonical_names(device.chip)
-    found = {name: each.value for name, each in device.chip.dimensions().items()
-             if first.get(name, name) == name and not name.startswith("ports.")}
-    for material in device.materials.values():
-        for name, number in material.parameters().items():
-            if isinstance(material, Fluid) and name not in FLUID_NUMBERS:
-                continue
-            found[f"{material.name}.{name}"] = number.real
-            if not isinstance(material, Fluid) and name != "density":
-                found[f"{material.name}.{name}{LOSS}"] = number.imag
-    return found
+    return {name: each.value for name, each in device_numbers(device.chip, device.materials.values()).items()
+            if _is_felt(each, device)}
+
+
+def _is_felt(number: Number, device: FilledChip) -> bool:
+    """Whether figures depend on a number."""
+    if number.is_dimension:
+        return not number.name.startswith("ports.")
+    if any(isinstance(each, Fluid) and each.name == number.parsed.owner for each in device.materials.values()):
+        return number.parsed.local in FLUID_NUMBERS
+    return number.parsed.local != f"density{LOSS}"
 
 
 @dataclass
 class _Collected:
     """Inputs by name, the correlations between some of them, and what was left out."""
 
-    inputs: dict[str, Input]
+    inputs: dict[str, Number]
     correlations: list[Correlation]
     notes: list[str]
 
-    def put(self, new: Input) -> None:
+    def put(self, new: Number) -> None:
         """Take an input in the place of what was known of it, correlations included."""
         self.drop(new.name)
         self.inputs[new.name] = new
@@ -205,41 +204,27 @@ def _without(correlation: Correlation, name: str) -> Correlation:
                        tuple(tuple(correlation.rows[i][j] for j in kept) for i in kept))
 
 
-def _lengths(chip: Chip, law: Law, found: _Collected) -> None:
-    """Lengths with a tolerance; radii that coincide are one, and must state the same."""
-    first, known = canonical_names(chip), chip.dimensions()
-    for name, length in known.items():
-        if not length.tolerance:
-            continue
-        if name.startswith("ports."):
-            found.notes.append(f"{name}: no figure depends on it")
-            continue
-        mine = first.get(name, name)
-        stated = {other: known[other].tolerance for other in known
-                  if first.get(other, other) == mine and known[other].tolerance}
-        if len(set(stated.values())) > 1:
-            raise InputError(chip.file, f"{name}.tolerance", ", ".join(f"{k}: {v:g} m" for k, v in stated.items()),
-                             "one tolerance of radii that coincide, which are one length")
-        found.put(from_limits(mine, length.value, length.tolerance, law, origin=chip.file,
-                              ends=admissible_range(chip, mine), tied=_tied(chip, mine)))
+def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
+    """A length with a tolerance, which a normal `law` reads as three standard deviations."""
+    if number.name.startswith("ports."):
+        found.notes.append(f"{number.name}: no figure depends on it")
+    else:
+        found.put(known_as(number, Stated.within(number.half_width, law, origin=number.origin),
+                           admissible_range(chip, number.name)))
 
 
-def _tied(chip: Chip, name: str) -> tuple[str, ...]:
-    return tuple(other for other, mine in canonical_names(chip).items() if mine == name and other != name)
-
-
-def _coefficients(material: Material, found: _Collected) -> None:
+def _coefficients(
+    material: Material, device: FilledChip, numbers: Mapping[str, Number], found: _Collected
+) -> None:
     """What a registry entry states of its numbers, with the correlation that a fit left among them."""
-    numbers, left_out = material.parameters(), []
+    left_out = []
     for field, value in material.values.items():
         for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
-            if not spread:
-                continue
-            if field not in numbers or (isinstance(material, Fluid) and field not in FLUID_NUMBERS):
+            number = numbers.get(f"{material.name}.{key}")
+            if number is not None and number.stated is not None and _is_felt(number, device):
+                found.put(known_as(number, number.stated))
+            elif spread:
                 left_out.append(key)
-                continue
-            mean = numbers[field].imag if key.endswith(LOSS) else numbers[field].real
-            found.put(from_standard(f"{material.name}.{key}", mean, spread, origin=material.name))
     if left_out:
         found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number of the "
                            "model")
@@ -253,11 +238,10 @@ def _coefficients(material: Material, found: _Collected) -> None:
         found.correlations.append(known)
 
 
-def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
+def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], found: _Collected) -> None:
     """The numbers, standard uncertainties and correlations of a fit; what belongs to its bench is averaged over."""
     table = _read_fit(path)
     names, rows = _correlation(table)
-    known = numbers_of(device)
     own = table.text("material", ""), table.content.get("saved_as")
     kept: list[tuple[int, str]] = []
     for each in table.tables("parameters", expected="the parameters of a fit"):
@@ -273,9 +257,8 @@ def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
         if stated not in names:
             raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
         choose(name, known, source=table.source, field=each.field)
-        is_length = ParameterName.parse(name).kind is ParameterKind.DIMENSION
-        ends = admissible_range(device.chip, name) if is_length else None
-        found.put(from_standard(name, mean, spread, origin=str(path), ends=ends, tied=_tied(device.chip, name)))
+        ends = admissible_range(device.chip, name) if known[name].is_dimension else None
+        found.put(known_as(_at(known[name], mean), Stated(spread, origin=str(path)), ends))
         kept.append((names.index(stated), name))
     if not kept:
         raise InputError(table.source, "parameters", own[0], "a fit of a material of the chip: "
@@ -315,7 +298,7 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
     """What a number of a fit is called on this chip: the fitted material may be there as it was saved. Empty where the
     chip has no such number."""
     parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
-    if parsed.kind is ParameterKind.DIMENSION:
+    if parsed.is_dimension:
         first = canonical_names(device.chip)
         if stated in device.chip.dimensions():
             return first.get(stated, stated)
@@ -327,66 +310,56 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
     return ""
 
 
-def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: Law, found: _Collected) -> None:
+def _at(number: Number, value: float) -> Number:
+    """A number with another value."""
+    low, high = limits(number.name, value)
+    return replace(number, value=value, low=low, high=high)
+
+
+def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: Law, found: _Collected) -> None:
     name = _meant(each, device, known)
-    mean = found.inputs[name].mean if name in found.inputs else known[name]
-    is_length = ParameterName.parse(name).kind is ParameterKind.DIMENSION
+    number = _at(known[name], found.inputs[name].value if name in found.inputs else known[name].value)
     match = _AMOUNT.fullmatch(each.amount)
     assert match is not None
-    amount, word = match["amount"], match["word"] or (law if is_length else "standard")
+    amount, word = match["amount"], match["word"] or (law if number.is_dimension else "standard")
     if any(name in known_to.names and len(known_to.names) > 1 for known_to in found.correlations):
         found.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
     if each.amount == "exact":
         found.drop(name)
         return
     if each.amount == ASSUMED:
-        if not is_length:
+        if not number.is_dimension:
             raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have one "
                              "that is assumed by the role of their layer")
-        length = assumed_uncertainty(name, device.chip.dimensions()[name].value)
-        found.put(from_standard(name, mean, length.deviation, origin=f"assumed: {length.assumed}",
-                                ends=admissible_range(device.chip, name, length.low, length.high),
-                                tied=_tied(device.chip, name)))
+        length = replace(known[name], stated=None).known
+        found.put(known_as(number, assumed_by_role(name, known[name].value),
+                           admissible_range(device.chip, name, length.low, length.high)))
         return
     choose(word, _WORDS, source=each.source, field=each.field)
     if amount.endswith("%"):
-        spread = parse_quantity(amount, "dimensionless", source=each.source, field=each.field) * abs(mean)
+        spread = parse_quantity(amount, "dimensionless", source=each.source, field=each.field) * abs(number.value)
     else:
-        spread = parse_quantity(amount, _dimension(name, device), source=each.source, field=each.field)
+        spread = parse_quantity(amount, number.parsed.quantity, source=each.source, field=each.field)
     if not spread > 0.0:
         raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
-                         + (": the number is 0, give an amount with its unit" if mean == 0.0 else ""))
-    ends = admissible_range(device.chip, name) if is_length else None
-    make = from_standard(name, mean, spread, origin=each.source, ends=ends, tied=_tied(device.chip, name)) \
-        if word == "standard" else from_limits(name, mean, spread, "normal" if word == "normal" else "uniform",
-                                               origin=each.source, ends=ends, tied=_tied(device.chip, name))
-    found.put(make)
+                         + (": the number is 0, give an amount with its unit" if number.value == 0.0 else ""))
+    stated = Stated(spread, origin=each.source) if word == "standard" else Stated.within(
+        spread, "normal" if word == "normal" else "uniform", origin=each.source)
+    found.put(known_as(number, stated, admissible_range(device.chip, name) if number.is_dimension else None))
 
 
-def _meant(each: Statement, device: FilledChip, known: Mapping[str, float]) -> str:
+def _meant(each: Statement, device: FilledChip, known: Mapping[str, Number]) -> str:
     """The number that a statement is about: a material may be named without its source where it is the only one."""
     first = canonical_names(device.chip)
     name = first.get(each.name, each.name)
     if name in known:
         return name
-    owner, _, rest = name.partition(".")
-    full = sorted({m.name for m in device.materials.values() if m.name.partition("/")[0] == owner})
-    if len(full) == 1 and f"{full[0]}.{rest}" in known:
-        return f"{full[0]}.{rest}"
+    full = full_names(name, (m.name for m in device.materials.values()))
+    if len(full) == 1 and full[0] in known:
+        return full[0]
     if len(full) > 1:
-        raise InputError(each.source, each.field, each.name, "one of " + ", ".join(f"{one}.{rest}" for one in full))
+        raise InputError(each.source, each.field, each.name, f"one of {', '.join(full)}")
     short = {one.partition("/")[0] + "." + one.partition(".")[2]: one for one in known if "/" in one}
     near = nearest_names(each.name, [*known, *short])
     raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),
                      tuple(dict.fromkeys(short.get(one, one) for one in near)))
-
-
-def _dimension(name: str, device: FilledChip) -> str:
-    """What kind of quantity a number is, see `workbench.files.quantities.UNITS`."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        return parsed.quantity
-    material = next(each for each in device.materials.values() if each.name == parsed.owner)
-    kind = next(each for each in KINDS.values() if each.build is type(material))
-    dimensions = {**kind.required, **kind.optional, **{k: v for form in kind.forms for k, v in form.dimensions.items()}}
-    return dimensions[parsed.key.rpartition(".")[2]]

@@ -8,7 +8,7 @@ from itertools import product
 
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.programme import Programme
-from workbench.design.variables import LengthVariable
+from workbench.design.variables import VariedNumber
 
 #: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
 #: objective are rounded to the nearest step at first.
@@ -51,7 +51,7 @@ def settle(programme: Programme, found: DesignDescent, *, evaluations: int) -> t
             return tried[after]
 
 
-def _around(variable: LengthVariable, value: float) -> tuple[float, ...]:
+def _around(variable: VariedNumber, value: float) -> tuple[float, ...]:
     """The nearest step, then the other one of the two that `value` (m) lies between."""
     nearest = variable.round(value)
     return (nearest, *(each for each in variable.beside(value) if each != nearest

@@ -31,13 +31,11 @@ from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError
 from workbench.jobs.process import WorkerEnded
+from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
 from workbench.jobs.workers import Task, Workers, begin_workers
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-#: Called with a part of the study, what is being done for it, and the fraction of it that is done.
-Progress = Callable[[str, str, float], None]
 
 #: Points that a worker does at a time, about a second's work: what a kill loses at most, for each worker. Half as many
 #: would double the share of the time that goes into sending models, some 2 %.
@@ -55,7 +53,7 @@ def study(
     executor: Executor | None = None,
     overwrite: bool = False,
     models: Models | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> StudyResult:
     """Run a study; `folder` then holds its table as ``study.parquet``, ``study.nc`` and ``study.json``.
 
@@ -66,7 +64,7 @@ def study(
         executor: works the points out; processes of this machine if None, or this one where `jobs` is one.
         overwrite: begin anew in a folder that holds another study.
         models: where models come from; `workbench.design.parts.ReducedModels` if None.
-        progress: called with a part of the study, what is done for it, and the fraction that is done.
+        progress: called with a part of the study and what is done for it ("filled: points"), and the share that is.
 
     Raises:
         InputError: the folder holds another study, or something in the chip, its materials or the ranges.
@@ -76,7 +74,7 @@ def study(
     jobs = os.cpu_count() or 1 if jobs is None else jobs
     if jobs < 1:
         raise InputError("study", "jobs", jobs, "one or more")
-    models, show = models or ReducedModels(), progress or _unseen
+    models, show = models or ReducedModels(), by_part(progress)
     parts = parts_of(plan)
     with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:
         try:
@@ -94,10 +92,6 @@ def study(
     return found
 
 
-def _unseen(_part: str, _activity: str, _fraction: float) -> None:
-    pass
-
-
 #: A piece of work, and what is done here with its result.
 Then = tuple[Callable[[Any], None], Task[Any]]
 
@@ -109,7 +103,7 @@ class _Run:
     plan: Study
     kept: StudyFolder
     workers: Workers
-    show: Progress
+    show: PartProgress
 
     def points_of(self, part: StudyPart, models: Models) -> None:
         """All points of a part that are not finished yet."""

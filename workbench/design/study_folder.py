@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.axes import NumberAxis
 from workbench.design.evaluation import Evaluation
 from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
+from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
 from workbench.files.writing import write_atomic, write_json
 from workbench.model.problem import fill
@@ -169,12 +169,13 @@ def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
         "study.states": ", ".join(study.states), "study.figures": ", ".join(study.figures),
         "study.drive": str(operation.drive),
         "study.frequency": "f0" if operation.frequency is None else f"{operation.frequency:.15g} Hz",
-        "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz", "study.tolerance": repr(study.tolerance),
+        "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz",
+        "study.relative_error": repr(study.relative_error),
         "study.accuracy": repr(study.accuracy), "study.limit": str(study.limit), "sample.method": sampling.method,
         "sample.points": str(sampling.points), "sample.seed": str(sampling.seed),
         **{f"thermal.{region or 'all'}": f"{value:.15g} K/W" for region, value in
            operation.thermal_resistance.items()},
-        **{f"vary.{axis.name}": _described(axis) if isinstance(axis, NumberAxis) else ", ".join(axis.materials)
+        **{f"vary.{axis.name}": _described(axis) if isinstance(axis, VariedNumber) else ", ".join(axis.materials)
            for axis in study.axes}}
     for part in parts:
         held = dict(fill(part.chip, part.state, study.registry).materials)
@@ -186,7 +187,7 @@ def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
     return found
 
 
-def _described(axis: NumberAxis) -> str:
+def _described(axis: VariedNumber) -> str:
     if axis.values:
         return f"{', '.join(f'{value:.15g}' for value in axis.values)} {axis.unit}"
     points = f", {axis.points} points" if axis.points else ""

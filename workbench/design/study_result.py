@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.axes import Axis, NumberAxis
 from workbench.design.figures import figure_named
 from workbench.design.plan import Study
 from workbench.design.sampling import GRID
 from workbench.design.study_folder import FinishedPoints
+from workbench.design.variables import Variable, VariedNumber
 from workbench.files.writing import replacing, write_json
 from workbench.results.notebook import Shown, Summary
 
@@ -136,10 +136,10 @@ class StudyResult(Shown):
         shape = tuple(len(axis.levels()) for axis in plan.axes) if grid else (len(plan.sample),)
         coordinates: dict[str, Any] = {STATE: (STATE, list(plan.states))}
         for axis, column in zip(plan.axes, plan.sample.T, strict=True):
-            attributes = {"long_name": axis.name} | ({"units": axis.unit} if isinstance(axis, NumberAxis) else {})
+            attributes = {"long_name": axis.name} | ({"units": axis.unit} if isinstance(axis, VariedNumber) else {})
             told = _told(axis, axis.levels() if grid else column)
             coordinates[names[axis.name]] = (names[axis.name] if grid else "point",
-                                             told if isinstance(axis, NumberAxis) else list(told), attributes)
+                                             told if isinstance(axis, VariedNumber) else list(told), attributes)
         data: dict[str, Any] = {}
         for name in (*plan.figures, FREQUENCY, ERROR):
             attributes = {"units": self.units[name], "long_name": _words(name)}
@@ -178,10 +178,11 @@ class StudyResult(Shown):
             "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
             "chip": plan.chip.name, "states": list(plan.states), "figures": list(plan.figures),
             "drive": str(plan.operation.drive), "frequency": plan.operation.frequency or "f0",
-            "band": list(plan.band), "tolerance": plan.tolerance, "accuracy": plan.accuracy,
+            "band": list(plan.band), "relative_error": plan.relative_error, "accuracy": plan.accuracy,
             "sample": {"method": plan.sampling.method, "points": len(plan.sample), "seed": plan.sampling.seed},
-            "varies": {axis.name: {"unit": axis.unit, "from": axis.low, "to": axis.high}
-                       if isinstance(axis, NumberAxis) else {"materials": list(axis.materials)} for axis in plan.axes},
+            "varies": {each.name: {"unit": each.unit, "from": each.low, "to": each.high}
+                       if isinstance(each, VariedNumber) else {"materials": list(each.materials)}
+                       for each in plan.axes},
             "units": dict(self.units),
             "statistics": [_without_nan(vars(each)) for each in self.statistics],
             "confirmed": [_without_nan({**vars(each), "difference": each.difference})
@@ -189,9 +190,9 @@ class StudyResult(Shown):
         }
 
 
-def _told(axis: Axis, column: Real) -> NDArray[Any]:
+def _told(axis: Variable, column: Real) -> NDArray[Any]:
     """A column of the sample as it is told: numbers, or names of materials."""
-    return column if isinstance(axis, NumberAxis) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
+    return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
 
 
 def _words(name: str) -> str:

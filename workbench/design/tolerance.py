@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ from workbench.design.stated import Statement, numbers_of, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress
 from workbench.jobs.workers import begin_workers
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
@@ -45,9 +46,6 @@ from workbench.model.problem import fill
 from workbench.results.notebook import Shown, Summary
 
 Real = NDArray[np.float64]
-
-#: Called with what is being done and the share of it that is done.
-Progress = Callable[[str, float], None]
 
 #: Samples unless told otherwise: the interval of a yield is then at most 2.2 % to either side.
 SAMPLES = 2000
@@ -149,7 +147,7 @@ def tolerance(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     accuracy: float | Discretisation = ACCURACY,
-    model_tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Tolerance:
@@ -166,7 +164,7 @@ def tolerance(
         sobol_points: a power of two, for Sobol indices by so many evaluations times the inputs plus two; 0 for none.
         every: ask for sensitivities to all numbers, also those whose uncertainty nobody states (by 1 % of them).
         seed: of all samples.
-        model_tolerance: relative error of the impedance of the model that samples are evaluated on.
+        relative_error: of the impedance of the model that samples are evaluated on.
         jobs: processes that evaluate the samples; this one if one.
 
     Raises:
@@ -197,7 +195,7 @@ def tolerance(
     found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
-        found = _sampled(found, full, samples if bounds else 0, sobol_points, model_tolerance, jobs, say,
+        found = _sampled(found, full, samples if bounds else 0, sobol_points, relative_error, jobs, say,
                          known.ranges(numbers_of(fill(there, state, with_means))))
     return replace(found, seconds=time.perf_counter() - started)
 
@@ -269,7 +267,7 @@ def _bound(each: Requirement, asked: Sequence[DrivenFigure], drive: Drive, nomin
 
 
 def _sampled(
-    found: Tolerance, full: _Full, samples: int, sobol_points: int, model_tolerance: float, jobs: int, say: Progress,
+    found: Tolerance, full: _Full, samples: int, sobol_points: int, relative_error: float, jobs: int, say: Progress,
     ranges: Mapping[str, tuple[float, float]],
 ) -> Tolerance:
     """`found` with samples and yields, and with Sobol indices if asked for."""
@@ -277,8 +275,8 @@ def _sampled(
     names = tuple(dict.fromkeys(each.figure.name for each in found.asked))
     started = time.perf_counter()
     made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
-                        band=full.band, tolerance=model_tolerance, accuracy=full.accuracy, seed=found.seed,
-                        progress=lambda done: say("range model", done))
+                        band=full.band, relative_error=relative_error, accuracy=full.accuracy, seed=found.seed,
+                        progress=lambda _text, share: say("range model", share))
     spent = time.perf_counter() - started
     model = Driven(made, found.asked, full.operation)
     there = model(known.nominal()).figures

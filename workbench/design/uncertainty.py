@@ -1,9 +1,9 @@
-"""What is uncertain of a chip, as one value: numbers with their laws and correlations, samples and ranges of them.
+"""The uncertain numbers of a chip as one value: their laws and correlations, samples and ranges of them.
 
 A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
 its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.
-What a registry or a fit calls an uncertainty is a standard uncertainty of a normal law. Normal laws are cut at
-:data:`CUT` standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
+What a registry or a fit calls an uncertainty is a standard uncertainty of a normal law. Normal laws are cut
+at three standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,60 +19,17 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
-from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.files.quantities import shown_factor, shown_unit
+from workbench.model.numbers import Number, ParameterName, Stated, placed
 
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Law = Literal["uniform", "normal"]
-
-#: Standard deviations at which a normal law is cut, and from which the limits of a tolerance are read as one. Doubled,
-#: range models would have to cover twice the width, for one sample in four hundred of each input.
-CUT = 3.0
 
 #: A draw of which fewer than this share lies where the chip can be is refused: its law is not what was meant.
 LEAST_ACCEPTED = 0.01
 
 #: Lossless rounding: what the smallest eigenvalue of a dissipation matrix may lack, relative to the stiffness.
 ARITHMETIC = 1e-12
-
-
-@dataclass(frozen=True)
-class Input:
-    """One uncertain number (SI), called as in `workbench.model.numbers`.
-
-    ``deviation`` is its standard uncertainty, before the law is cut to ``low`` to ``high``; ``origin`` says where that
-    comes from; ``tied`` are other names of the same length.
-    """
-
-    name: str
-    mean: float
-    deviation: float
-    law: Law
-    low: float
-    high: float
-    origin: str
-    tied: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not (self.deviation > 0.0 and self.low <= self.mean <= self.high and self.low < self.high):
-            raise ValueError(f"{self.name}: {self.mean:g} +- {self.deviation:g} within {self.low:g} to {self.high:g}")
-
-    @property
-    def half_width(self) -> float:
-        """Half the width of the law before it is cut: its limits, or :data:`CUT` standard deviations."""
-        return (math.sqrt(3.0) if self.law == "uniform" else CUT) * self.deviation
-
-    def halved_weights(self, values: Real) -> Real:
-        """Weights (n,) of samples `values` (n,), mean 1 over the law, that make them samples of half its uncertainty.
-
-        Of a uniform law the inner half of the limits is left. A normal one is weighed as if the number were measured
-        once more, so well that half of its uncertainty is left: what is correlated with it becomes narrower too.
-        """
-        off = (values - self.mean) / self.deviation
-        if self.law == "uniform":
-            return np.where(np.abs(off) <= 0.5 * math.sqrt(3.0), 2.0, 0.0)
-        return 2.0 * np.exp(-1.5 * off**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +48,7 @@ class Uncertainty:
     losses, by name, which no sample makes more active than they are; ``notes`` what was left out, in words.
     """
 
-    inputs: tuple[Input, ...]
+    inputs: tuple[Number, ...]
     correlation: Real
     materials: Mapping[str, Piezoelectric | IsotropicSolid] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -100,6 +57,9 @@ class Uncertainty:
         size = len(self.inputs)
         if self.correlation.shape != (size, size):
             raise ValueError(f"a correlation of {self.correlation.shape} for {size} inputs")
+        exact = [each.name for each in self.inputs if not each.deviation > 0.0]
+        if exact:
+            raise ValueError(f"{', '.join(exact)}: an uncertain number has a standard uncertainty above zero")
         mixed = [each.name for each in self.correlated if each.law != "normal"]
         if mixed:
             raise ValueError(f"{', '.join(mixed)}: only normal laws can be correlated")
@@ -111,7 +71,7 @@ class Uncertainty:
     @property
     def means(self) -> Real:
         """(k,) SI."""
-        return np.array([each.mean for each in self.inputs])
+        return np.array([each.value for each in self.inputs])
 
     @property
     def deviations(self) -> Real:
@@ -124,14 +84,14 @@ class Uncertainty:
         return self.deviations[:, None] * self.correlation * self.deviations
 
     @property
-    def correlated(self) -> tuple[Input, ...]:
+    def correlated(self) -> tuple[Number, ...]:
         """The inputs that are correlated with another one."""
         others = np.any(np.abs(self.correlation - np.eye(len(self.inputs))) > 0.0, axis=1)
         return tuple(each for each, is_one in zip(self.inputs, others, strict=True) if is_one)
 
     def nominal(self) -> dict[str, float]:
         """The mean (SI) of every input."""
-        return {each.name: each.mean for each in self.inputs}
+        return {each.name: each.value for each in self.inputs}
 
     def values(self, point: Real) -> dict[str, float]:
         """One sample (k,) as numbers by name."""
@@ -177,14 +137,14 @@ class Uncertainty:
         points = self.means + self.deviations * scores
         for k, each in enumerate(self.inputs):
             if each.law == "uniform":
-                points[:, k] = each.mean + each.half_width * generator.uniform(-1.0, 1.0, len(points))
+                points[:, k] = each.value + each.half_width * generator.uniform(-1.0, 1.0, len(points))
         return points
 
     def _admissible(self, points: Real) -> Bools:
         low, high = (np.array([getattr(each, end) for each in self.inputs]) for end in ("low", "high"))
         inside = np.all((points >= low) & (points <= high), axis=1)
         for name, material in self.materials.items():
-            own = {each.name: k for k, each in enumerate(self.inputs) if ParameterName.parse(each.name).owner == name}
+            own = {each.name: k for k, each in enumerate(self.inputs) if each.parsed.owner == name}
             known = {f"{name}.{key}": value for key, value in material.parameters().items()}
             floor = min(0.0, smallest_dissipation(material)) - ARITHMETIC * max(abs(v) for v in known.values())
             for row in np.flatnonzero(inside):
@@ -201,59 +161,35 @@ def _root(correlation: Real) -> Real:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def limits(name: str, mean: float) -> tuple[float, float]:
-    """Lowest and highest number (SI) that a coefficient may have in matter that exists: a modulus is above zero, a loss
-    takes energy up. Coefficients that couple two motions may have either sign."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        return -math.inf if parsed.is_shape else 0.0, math.inf
-    coefficient = parsed.key.rpartition(".")[2]
-    if coefficient in ("c12", "c13", "e31", "e33", "e15"):
-        return -math.inf, math.inf
-    if not parsed.is_loss:
-        return 0.0, math.inf
-    return (min(0.0, mean), math.inf) if coefficient.startswith("eps") else (-math.inf, max(0.0, mean))
-
-
-def from_limits(
-    name: str, mean: float, half_width: float, law: Law, *, origin: str, ends: tuple[float, float] | None = None,
-    tied: tuple[str, ...] = (),
-) -> Input:
-    """A number within `half_width` of its `mean`, uniformly or as of :data:`CUT` standard deviations of a normal law.
-
-    Args:
-        ends: how far the number may be moved at all, beyond what :func:`limits` says.
+def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> Number:
+    """A `number` that is known as `stated`, its range cut to the law, to what it can be, and to `ends`.
 
     Raises:
         InputError: a number that may be zero, or of the other sign, and must not.
     """
-    deviation = half_width / (math.sqrt(3.0) if law == "uniform" else CUT)
-    least, most = limits(name, mean)
-    low, high = mean - half_width, mean + half_width
-    if least == 0.0 < mean and low <= 0.0 and not ParameterName.parse(name).is_loss:
-        raise InputError(origin, name, f"{mean:g} within {half_width:g}", "limits of the number, or three standard "
-                         "deviations, that leave it above zero")
-    further = (least, most) if ends is None else (max(least, ends[0]), min(most, ends[1]))
-    return Input(name, mean, deviation, law, max(low, further[0]), min(high, further[1]), origin, tied)
+    low, high = number.value - stated.half_width, number.value + stated.half_width
+    if number.low == 0.0 < number.value and low <= 0.0 and not number.is_loss:
+        raise InputError(stated.origin, number.name, f"{number.value:g} within {stated.half_width:g}",
+                         "limits of the number, or three standard deviations, that leave it above zero")
+    least, most = (number.low, number.high) if ends is None else (max(number.low, ends[0]), min(number.high, ends[1]))
+    return replace(number, low=max(low, least), high=min(high, most), stated=stated)
 
 
-def from_standard(name: str, mean: float, deviation: float, *, origin: str, ends: tuple[float, float] | None = None,
-                  tied: tuple[str, ...] = ()) -> Input:
-    """A number of normal law with a standard uncertainty; see :func:`from_limits`."""
-    return from_limits(name, mean, CUT * deviation, "normal", origin=origin, ends=ends, tied=tied)
+def halved_weights(number: Number, values: Real) -> Real:
+    """Weights (n,) of samples `values` (n,), mean 1 over the law, that make them samples of half the uncertainty.
 
-
-def unit_of_number(name: str) -> str:
-    """SI unit of a number by its name."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        return parsed.dimension_unit
-    return UNITS.get(parsed.key.rpartition(".")[2], "")
+    Of a uniform law the inner half of the limits is left. A normal one is weighed as if the number were measured once
+    more, so well that half of its uncertainty is left: what is correlated with it becomes narrower too.
+    """
+    off = (values - number.value) / number.deviation
+    if number.law == "uniform":
+        return np.where(np.abs(off) <= 0.5 * math.sqrt(3.0), 2.0, 0.0)
+    return 2.0 * np.exp(-1.5 * off**2)
 
 
 def amount(name: str, value: float) -> str:
     """A change of a number (SI) with its unit: of lengths in micrometres."""
-    unit = unit_of_number(name)
+    unit = ParameterName.parse(name).unit
     if unit == "m":
         return f"{value * 1e6:.3g} um"
     return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()

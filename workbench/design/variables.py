@@ -1,4 +1,4 @@
-"""What of a chip may change: lengths within bounds, lengths of a stock list, materials of a list."""
+"""The variables of a study or a design: numbers within ranges or of a list, materials of a list."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geometry.chip import Chip
 from geometry.stretch import canonical_names, moving_together
+from workbench.model.numbers import ParameterName
 
-#: How the name of the material of a region ends.
+Real = NDArray[np.float64]
+
+#: How the name of what fills a region ends, as something that varies.
 MATERIAL = ".material"
 
 #: To what lengths are rounded at the end (m): finer than any process, coarser than the noise of arithmetic.
@@ -18,27 +24,55 @@ GRAIN = 1e-9
 
 
 @dataclass(frozen=True)
-class LengthVariable:
-    """A length from ``low`` to ``high`` (m); with a ``step`` (m) a multiple of it, counted from zero, as layers of a
-    print are."""
+class VariedNumber:
+    """A number that varies (SI), by its parameter ``name``: from ``low`` to ``high``, or over ``values`` if it has any.
+
+    With a ``step`` it is a multiple of it, counted from zero, as layers of a print are; ``points`` of the range are on
+    a grid.
+    """
 
     name: str
     low: float
     high: float
     step: float | None = None
+    values: tuple[float, ...] = ()
+    points: int | None = None
+
+    @classmethod
+    def listed(cls, name: str, values: Sequence[float]) -> VariedNumber:
+        """A number that is one of `values`, such as a length that comes in certain sizes."""
+        return cls(name, min(values), max(values), values=tuple(values))
+
+    @property
+    def parsed(self) -> ParameterName:
+        return ParameterName.parse(self.name)
+
+    @property
+    def unit(self) -> str:
+        """Its SI unit."""
+        return self.parsed.unit
+
+    def levels(self) -> Real:
+        """The numbers (n,) of a grid or a list."""
+        return np.array(self.values) if self.values else np.linspace(self.low, self.high, self.points or 2)
+
+    def at(self, share: Real) -> Real:
+        """The numbers (n,) at shares (n,) from 0 to 1 of the way; of a list each has an equal part of the way."""
+        return self.low + (self.high - self.low) * share if not self.values else np.array(self.values)[
+            _index(share, len(self.values))]
 
     def round(self, value: float) -> float:
-        """The nearest length there is within the bounds."""
+        """The nearest number on a step, or to a :data:`GRAIN`, within the range."""
         grain = self.step or GRAIN
         lowest, highest = math.ceil(self.low / grain - 1e-6), math.floor(self.high / grain + 1e-6)
         # Through decimal digits, so that 41 layers of 0.02 mm are 0.82 mm and not 0.8200000000000001 mm.
         return float(f"{min(max(round(value / grain), lowest), highest) * grain:.12g}")
 
     def beside(self, value: float) -> tuple[float, ...]:
-        """The lengths one step below and above that are within the bounds, and `value` between steps rounded both ways.
+        """The numbers one step below and above within the range, and a `value` between steps rounded both ways.
 
         Raises:
-            ValueError: the length has no step.
+            ValueError: the number has no step.
         """
         if self.step is None:
             raise ValueError(f"{self.name} has no step")
@@ -50,26 +84,30 @@ class LengthVariable:
 
 
 @dataclass(frozen=True)
-class Stock:
-    """A length that comes in certain ``values`` (m), rising."""
-
-    name: str
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True)
 class MaterialChoice:
-    """A region whose material is one of ``materials``."""
+    """The material of a ``region``: one of ``materials``, by their names. Its numbers are places in that list."""
 
     region: str
     materials: tuple[str, ...]
 
     @property
     def name(self) -> str:
-        return self.region + MATERIAL
+        return f"{self.region}{MATERIAL}"
+
+    def levels(self) -> Real:
+        """The places (n,) in the list."""
+        return np.arange(float(len(self.materials)))
+
+    def at(self, share: Real) -> Real:
+        """The places (n,) in the list at shares (n,) from 0 to 1 of it."""
+        return _index(share, len(self.materials)).astype(float)
 
 
-Variable = LengthVariable | Stock | MaterialChoice
+Variable = VariedNumber | MaterialChoice
+
+
+def _index(share: Real, count: int) -> NDArray[np.int64]:
+    return np.minimum((share * count).astype(np.int64), count - 1)
 
 
 @dataclass(frozen=True)
@@ -86,7 +124,7 @@ class Selection:
 
 def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Iterator[Selection]:
     """Every choice of the stock lengths (unless they are left open) and of the materials."""
-    stock = [each for each in variables if isinstance(each, Stock)] if with_stock else []
+    stock = [each for each in variables if isinstance(each, VariedNumber) and each.values] if with_stock else []
     materials = [each for each in variables if isinstance(each, MaterialChoice)]
     for values in product(*(each.values for each in stock)):
         for names in product(*(each.materials for each in materials)):

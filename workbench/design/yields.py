@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.requirement import Requirement
-from workbench.design.uncertainty import Uncertainty
+from workbench.design.uncertainty import Uncertainty, halved_weights
 
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -188,11 +188,11 @@ def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: 
     The linear estimate of the gain comes of many samples, and the few of the model correct it where they differ.
     """
     each = uncertainty.inputs[k]
-    weights = each.halved_weights(many[:, k])
+    weights = halved_weights(each, many[:, k])
     # What is cut off from the law is missing from the mean of the weights.
     size = float(weights.mean())
     # Less the yield itself, which changes no mean and is known where all samples pass.
     gains = (weights / size - 1.0) * (met.many - met.many.mean())
-    off = (each.halved_weights(points[:, k]) / size - 1.0) * met.off
+    off = (halved_weights(each, points[:, k]) / size - 1.0) * met.off
     error = math.sqrt(float(gains.var()) / gains.size + float(off.var()) / off.size)
     return Tightening(each.name, float(gains.mean() + off.mean()), error, float(gains.mean()))

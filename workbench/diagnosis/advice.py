@@ -12,7 +12,7 @@ from geometry.names import TRANSDUCER, role_of
 from materials.kinds import Fluid, Piezoelectric
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.state import DeviceState
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName, plain_words
 
 #: Parameters that advice is given on, at most.
 ADVISED = 3
@@ -36,15 +36,15 @@ def _of(name: str, states: Sequence[DeviceState]) -> Iterator[str]:
     materials = {m.name: m for s in states for m in s.materials.values()}
     material = materials.get(parsed.owner)
     short = parsed.owner.split("/")[0]
-    said = short.replace("_", " ")
+    said = plain_words(parsed.owner)
     if parsed.coefficient == "temperature_offset":
         own = next(s for s in states if s.fluid is not None and s.fluid.name == parsed.owner)
         yield (f"Measure the temperature of the {said} to 0.5 K while it is recorded, and state it in the chip's file "
                f'({own.chip.file}): temperature = "... degC" in [states.{own.device.state.name}].')
-    elif parsed.kind is ParameterKind.BENCH and parsed.coefficient in BENCH_LINES:
+    elif parsed.is_bench and parsed.coefficient in BENCH_LINES:
         yield ("Measure open, short and load at the clips, correct the recordings by them, and state what is left: "
                f'"{name}" = "{BENCH_LINES[parsed.coefficient]}" in [known].')
-    elif parsed.kind is ParameterKind.DIMENSION and parsed.coefficient in ("thickness", "radius"):
+    elif parsed.is_dimension and parsed.coefficient in ("thickness", "radius"):
         film = role_of(parsed.owner) in ("couplant", "bond") and parsed.is_thickness
         yield (f"Measure the {parsed.coefficient} of the {parsed.owner}"
                + (" (a microscope on a section, or what the parts' heights leave)" if film else " with a caliper")

@@ -35,7 +35,7 @@
     names = ["transducer.density"]  # what no hypothesis may move, and what is exact
 
     [model]
-    accuracy = "0.2 %"              # of the smooth relative changes of stiffness, mass and loss within parts that no
+    inhomogeneity = "0.2 %"         # of the smooth relative changes of stiffness, mass and loss within parts that no
                                     # model gets right; "0" for none, left out for what the recordings say of it
 
 One device: a name stands for one number in all states. Numbers that are not named are exact. Percentages are of the
@@ -49,32 +49,32 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from geometry.names import TRANSDUCER
 from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
-from workbench.diagnosis.knowledge import Taken, read_knowledge
-from workbench.diagnosis.numbers import stated_number as stated_number
-from workbench.diagnosis.numbers import unit_of as unit_of
+from workbench.diagnosis.knowledge import read_knowledge
 from workbench.diagnosis.state import DeviceState as DeviceState
 from workbench.diagnosis.state import read_state
 from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
-from workbench.model.numbers import ParameterName
+from workbench.model.numbers import Number, ParameterName
 from workbench.results.brief import Brief
 
 #: Knowledge beside the numbers that the campaign names: that of the files of chip and materials, or none.
 STATED, NAMED = "stated", "named"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Campaign(Brief):
     """A device, its states, and what is known of it.
 
-    ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
-    chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
-    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
+    ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
+    states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
+    that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
+    the names of two shared numbers, each pair once. ``inhomogeneity`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
     None if the data are to say it.
     """
@@ -82,13 +82,58 @@ class Campaign(Brief):
     name: str
     file: str
     states: tuple[DeviceState, ...]
-    known: Mapping[str, float]
-    offsets: Mapping[str, float]
+    taken: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
-    taken: tuple[Taken, ...]
     registry: Registry
-    model_accuracy: float | None = None
+    inhomogeneity: float | None
+
+    def __init__(
+        self,
+        states: Mapping[str, Mapping[str, Any]],
+        *,
+        known: Mapping[str, Any] | None = None,
+        between: Mapping[str, Any] | None = None,
+        fixed: Sequence[str] = (),
+        inhomogeneity: float | str | None = None,
+        from_files: bool = True,
+        name: str = "device",
+        registry: Registry | None = None,
+        source: str = ProgramSource("Campaign"),
+    ) -> None:
+        """A campaign from values as a campaign's file has them, where numbers may stand in SI without units.
+
+        `states`, `known` and `between` are the tables of the file (:mod:`workbench.diagnosis.campaign`); the ``chip``
+        of a state may be a chip, its ``recording`` a spectrum or a reading. `fixed` names what no hypothesis may move;
+        `from_files` takes what chips and materials state too. Materials come from the user's registry unless another
+        is given.
+
+        Raises:
+            InputError: the values do not describe a campaign.
+        """
+        table = FileTable.made(source, {
+            "states": states, "known": known, "between": between, "fixed": {"names": fixed},
+            "model": {"inhomogeneity": inhomogeneity}})
+        registry = user_registry() if registry is None else registry
+        read = tuple(_states(table, Path(source).parent, registry))
+        if not any(not state.held_out for state in read):
+            raise InputError(source, "states", ", ".join(s.name for s in read) or "none",
+                             "at least one state with a recording that is not held out")
+        _check_one_device(read, source)
+        found = read_knowledge(table, read, from_files=from_files)
+        self.__dict__.update(
+            name=name, file=source, states=read, taken=found.numbers, fixed=found.fixed,
+            correlations=found.correlations, registry=registry, inhomogeneity=_inhomogeneity(table))
+
+    @cached_property
+    def known(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of the numbers that all states share, by name."""
+        return {each.name: each.deviation for each in self.taken if not each.parsed.state}
+
+    @cached_property
+    def offsets(self) -> Mapping[str, float]:
+        """Standard uncertainties (SI) of what one state adds, by name."""
+        return {each.name: each.deviation for each in self.taken if each.parsed.state}
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
@@ -118,17 +163,15 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
     """
     path = Path(path)
     table = FileTable.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
-    source = table.source
     head = table.table("campaign", expected="a table [campaign]").only(("name", "materials", "known"))
-    registry = user_registry([*materials, *_own_materials(head, path.parent)])
-    states = tuple(_states(table, path.parent, registry))
-    if not any(not state.held_out for state in states):
-        raise InputError(source, "states", ", ".join(s.name for s in states) or "none",
-                         "at least one state with a recording that is not held out")
-    _check_one_device(states, source)
-    found = read_knowledge(table, states, from_files=head.choice("known", (STATED, NAMED), STATED) == STATED)
-    return Campaign(str(head.content.get("name", path.stem)), source, states, found.known, found.offsets, found.fixed,
-                    found.correlations, found.taken, registry, _accuracy(table))
+    fixed = table.table("fixed", expected="a table [fixed]").only(("names",))
+    model = table.table("model", expected="a table [model]").only(("inhomogeneity",))
+    return Campaign(
+        table.content.get("states", {}), known=table.content.get("known"), between=table.content.get("between"),
+        fixed=fixed.content.get("names", ()), inhomogeneity=model.content.get("inhomogeneity"),
+        from_files=head.choice("known", (STATED, NAMED), STATED) == STATED,
+        name=str(head.content.get("name", path.stem)),
+        registry=user_registry([*materials, *_own_materials(head, path.parent)]), source=table.source)
 
 
 def _own_materials(head: FileTable, folder: Path) -> Iterator[Path]:
@@ -153,12 +196,12 @@ def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[Devi
         yield read_state(name, each, folder, registry)
 
 
-def _accuracy(table: FileTable) -> float | None:
-    """The accuracy of the model, relative; None where nobody says."""
-    model = table.table("model", expected="a table [model]").only(("accuracy",))
-    found = model.optional_quantity("accuracy", "share")
+def _inhomogeneity(table: FileTable) -> float | None:
+    """The relative inhomogeneity within parts; None where nobody says."""
+    model = table.table("model")
+    found = model.optional_quantity("inhomogeneity", "share")
     if found is not None and not 0.0 <= found < 1.0:
-        raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
+        raise model.error("inhomogeneity", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found
 
 

@@ -30,15 +30,14 @@ from workbench.diagnosis.hypothesis import (
     filled_with,
     is_liquid,
     is_polymer,
-    mistaken_range,
+    mistaken,
     neighbours,
     other_than_stated,
     with_terms,
 )
 from workbench.diagnosis.transducer import transducer
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import BENCH_ELEMENTS
-from workbench.model.numbers import BENCH, LOSS, ParameterName
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterName
 from workbench.physics import (
     absorption,
     anisotropy,
@@ -83,9 +82,6 @@ SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
 #: Share of the thinnest layer beside a bent face that the bend takes up at most; half would leave nothing where its
 #: thickness is mistaken too.
 TAKEN_UP = 0.4
-
-#: SI units by the kind of quantity.
-SHAPE_UNITS: Mapping[str, str] = {"angle": "rad", "length": "m"}
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
@@ -368,14 +364,14 @@ def solid_hypotheses(device: Device) -> Iterator[Effect]:
         name, region = material.name, regions[0]
         for coefficient in ("bulk_modulus", "shear_modulus"):
             size = getattr(material, coefficient).real
-            loss = Admissible(-0.3 * size, 0.0, "Pa", POLYMER)
+            loss = Admissible(-0.3 * size, 0.0, ParameterName.parse(f"{name}.{coefficient}").unit, POLYMER)
             yield other_than_stated(device, f"{coefficient} loss of {name}", region, "loss", "the solid loses more, or "
                                     "less", {f"{name}.{coefficient}{LOSS}": loss})
             yield other_than_stated(device, f"{coefficient} of {name}", region, "stiffness", "the solid is stiffer or "
                                     "softer than stated",
-                                    {f"{name}.{coefficient}": mistaken_range(size, MISTAKEN_STIFFNESS, "Pa")})
+                                    mistaken(f"{name}.{coefficient}", size, MISTAKEN_STIFFNESS))
         yield other_than_stated(device, f"density of {name}", region, "mass", "a wrong density",
-                                {f"{name}.density": mistaken_range(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+                                mistaken(f"{name}.density", material.density, MISTAKEN_DENSITY))
         if is_polymer(material):
             yield from _polymer(device, name, regions)
 
@@ -419,7 +415,7 @@ def mistaken_shape(chip: Chip, name: str) -> Admissible:
     most = min(most, TAKEN_UP * thinnest)
     stated = chip.layer(region).shapes.get(shape)
     value = 0.0 if stated is None else stated.value
-    return Admissible(value - most, value + most, SHAPE_UNITS[SHAPES[shape]], source)
+    return Admissible(value - most, value + most, ParameterName.parse(name).unit, source)
 
 
 def lengths(device: Device) -> Iterator[Effect]:
@@ -443,8 +439,8 @@ def mistaken_length(name: str, value: float) -> Admissible:
     low, high = MISTAKEN_THICKNESS if parsed.is_shape else MISTAKEN_RADIUS
     if parsed.is_thickness:
         low, high = SPREAD.get(role_of(parsed.owner), MISTAKEN_THICKNESS)
-    return Admissible(low * value, high * value, "m", f"{low:g} to {high:g} times what is stated: a mistake that goes "
-                      "unnoticed")
+    return Admissible(low * value, high * value, parsed.unit,
+                      f"{low:g} to {high:g} times what is stated: a mistake that goes unnoticed")
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -15,14 +15,12 @@ from geometry.dimension import SHAPES
 from geometry.names import CAVITY
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
-from workbench.design.uncertainty import limits
 from workbench.diagnosis.campaign import Campaign, DeviceState
 from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
-from workbench.diagnosis.numbers import DeviceNumbers, stated_number, unit_of
+from workbench.diagnosis.numbers import DeviceNumbers
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
-    BENCH_ELEMENTS,
     Parameter,
     bench_parameter,
     material_parameter,
@@ -32,7 +30,7 @@ from workbench.fitting.parameter import (
 from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term
@@ -157,11 +155,10 @@ def device_model(
                       if name not in problem.values}
             problem = problem.with_terms(effect.terms.get(state.name, ()), values)
         problems.append(problem)
-    shared = {name: _known(name, error, campaign, problems) for name, error in campaign.known.items()}
+    shared = {each.name: _known(each, campaign, problems) for each in campaign.taken if not each.parsed.state}
     by_state = dict(zip((state.name for state in campaign.states), problems, strict=True))
-    known = (*shared.values(), *(_offset(name, error, campaign, by_state, shared)
-                                 for name, error in campaign.offsets.items()
-                                 if ParameterName.parse(name).state in by_state))
+    known = (*shared.values(), *(_offset(each, campaign, by_state, shared)
+                                 for each in campaign.taken if each.parsed.state in by_state))
     more: dict[str, Parameter] = {}
     for effect in hypotheses:
         for parameter in effect.parameters:
@@ -208,25 +205,24 @@ def _radius(chip: Chip, region: str) -> float:
     return chip.layer(region).radius.value
 
 
-def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
+def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
     """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
-    value, unit = stated_number(name, campaign.states), unit_of(name, campaign.states)
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.BENCH:
+    name, parsed, value, error, stated = number.name, number.parsed, number.value, number.deviation, number.stated
+    if number.is_bench:
         found = bench_parameter(name)
-        return Parameter(found.name, 0.0, found.low, found.high, error, unit)
-    if parsed.kind is ParameterKind.DIMENSION:
+        return replace(found, stated=stated)
+    if number.is_dimension:
         limit = (mistaken_length(name, value) if parsed.coefficient not in SHAPES else
                  mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
         low, high = min(limit.lowest, value - REACH * error), max(limit.highest, value + REACH * error)
-        others = campaign.tied.get(name, ())
-        for each in (name, *others):
+        for each in number.names:
             low, high = stretchable([s.chip for s in campaign.states], each, low, high)
-        return Parameter(name, value, low, high, error, unit, tied=others)
+        return Parameter(name, value, low, high, stated, number.unit, number.tied)
     problem = next(p for p in problems if parsed.key in p.values)
     if _is_fluid(problem, parsed.owner):
         reach = max(0.1, REACH * error / value)
-        return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
+        return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, Stated(error / value, origin=number.origin), "1",
+                         relative=True)
     found = material_parameter(problem, parsed.owner, parsed.local)
     low, high = found.low, found.high
     if found.is_loss:
@@ -234,7 +230,7 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         low, high = min(low, value), max(high, value)
     else:
         low, high = min(low, value - REACH * error), max(high, value + REACH * error)
-    return Parameter(name, value, low, high, error, unit)
+    return Parameter(name, value, low, high, stated, number.unit)
 
 
 def _is_fluid(problem: Problem, material: str) -> bool:
@@ -242,26 +238,24 @@ def _is_fluid(problem: Problem, material: str) -> bool:
 
 
 def _offset(
-    name: str, error: float, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
+    number: Number, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
 ) -> Parameter:
-    """The offset of one state from a shared number: with the uncertainty stated for it, within the range of the number.
-    """
-    parsed, numbers = ParameterName.parse(name), DeviceNumbers(campaign.states)
+    """The offset of one state from a shared number: with its own uncertainty, within the range of the number."""
+    parsed, unit, error = number.parsed, number.unit, number.deviation
     (state,) = (each for each in campaign.states if each.name == parsed.state)
-    unit, others = unit_of(parsed.shared, campaign.states), campaign.tied.get(parsed.shared, ())
-    value = numbers.value(parsed.shared, state)
+    value = DeviceNumbers(campaign.states).number(parsed.shared, state).value
     start = shared[parsed.shared].start if parsed.shared in shared else value
     relative = _is_fluid(problems[state.name], parsed.owner)
     if relative:
         unit, error, value, start = "1", error / value, 1.0, 1.0
     lowest, highest = start - REACH * error, start + REACH * error
-    if parsed.kind is ParameterKind.BENCH:
+    if number.is_bench:
         element = BENCH_ELEMENTS[parsed.coefficient]
         lowest, highest = max(lowest, element.low), min(highest, element.high)
     else:
         least, most = limits(parsed.shared, start)
         lowest, highest = max(lowest, LEAST * start if least == 0.0 < start else least), min(highest, most)
-    for each in (parsed.shared, *others) if parsed.kind is ParameterKind.DIMENSION else ():
+    for each in number.names if number.is_dimension else ():
         lowest, highest = stretchable([state.chip], each, lowest, highest)
-    return Parameter(name, 0.0, lowest - start, highest - start, error, unit, (state.name,), relative=relative,
-                     tied=others, offset=True)
+    return Parameter(number.name, 0.0, lowest - start, highest - start, Stated(error, origin=number.origin), unit,
+                     number.tied, recordings=(state.name,), relative=relative, offset=True)

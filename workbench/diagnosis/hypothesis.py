@@ -8,9 +8,10 @@ from typing import Any
 
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
-from workbench.diagnosis.campaign import DeviceState, stated_number
+from workbench.diagnosis.numbers import stated_number
+from workbench.diagnosis.state import DeviceState
 from workbench.fitting.parameter import Parameter
-from workbench.model.numbers import LOSS
+from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, FreeParameter, Term
@@ -150,10 +151,10 @@ def as_parameter(free: FreeParameter) -> Parameter:
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
 
-def mistaken_range(value: float, share: float, unit: str) -> Admissible:
-    """The range of a number that is stated as `value` with an error of up to a `share` of it."""
-    return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
-                      f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
+def mistaken(name: str, value: float, share: float) -> dict[str, Admissible]:
+    """The admissible range of the number called `name`, its stated `value` (SI) being wrong by up to a `share`."""
+    return {name: Admissible((1.0 - share) * value, (1.0 + share) * value, ParameterName.parse(name).unit,
+                             f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")}
 
 
 def other_than_stated(

@@ -281,7 +281,7 @@ class DiagnosisSearch:
         return further
 
     def refit_best(self, null: Candidate, found: Sequence[Candidate], refits: dict[Candidate, Refitted]) -> None:
-        """Refit the leading candidates and the null hypothesis at full weight, each on its own models, into `refits`."""
+        """Refit the leading candidates and the null hypothesis at full weight, each on own models, into `refits`."""
         # A hypothesis outside the catalogue follows the recordings at once; one of the catalogue needs a refit first.
         inside = [null, *(each for each in found if not each.hypothesis.is_outside)]
         leading = leading_of(inside, CONTINUED[1], candidate_evidence)

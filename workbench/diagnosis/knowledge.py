@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from geometry.assumed import assumed_uncertainty
-from workbench.design.stated import ASSUMED, uncertainty_of_files
-from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, names, unit_of
+from workbench.design.stated import uncertainty_of_files
+from workbench.diagnosis.numbers import SAME_NUMBER, DeviceNumbers, names, stated_number
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.numbers import BENCH, STATE, STATE_END, ParameterKind, ParameterName
+from workbench.model.device_numbers import ASSUMED, assumed_by_role
+from workbench.model.numbers import BENCH, STATE, STATE_END, Number, ParameterName, Stated
 
 #: What any bench does between two recordings: how much, as a standard uncertainty in SI, and why. An instrument repeats
 #: a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact resistance, by
@@ -39,43 +39,29 @@ Groups = Callable[[str], Sequence[tuple[str, Sequence[DeviceState]]]]
 
 
 @dataclass(frozen=True)
-class Taken:
-    """What is taken to be known of a parameter: its standard ``uncertainty`` in the SI ``unit``, and the ``source``,
-    which is the file, table or entry that says so."""
-
-    name: str
-    uncertainty: float
-    unit: str
-    source: str
-
-
-@dataclass(frozen=True)
 class Knowledge:
-    """Standard uncertainties (SI) of what is not exact, and what may not move.
+    """The uncertain numbers of a device, and the names of those that may not move.
 
-    ``known`` by the names of numbers that all states share; ``offsets`` by those of what one state adds to them
-    (``bench.gain[filled]``); ``fixed`` names of the former. ``correlations`` are coefficients between two of ``known``,
-    each pair once. ``taken`` has an entry for each of ``known`` and ``offsets``, in that order.
+    ``numbers`` are those that all states share, then what one state adds to them (``bench.gain[filled]``), each with
+    its standard uncertainty and who states it; ``fixed`` are names of the former. ``correlations`` are coefficients
+    between the names of two shared numbers, each pair once.
     """
 
-    known: Mapping[str, float]
-    offsets: Mapping[str, float]
+    numbers: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
-    taken: tuple[Taken, ...]
 
 
 @dataclass(frozen=True)
 class _Statement:
-    """One standard uncertainty (SI) of a number, of one ``state`` alone or ("") of all, and who says so.
+    """One standard uncertainty of a number, of one ``state`` alone or ("") of all.
 
     ``field`` is the place in the campaign's file, empty for what is said elsewhere.
     """
 
     name: str
     state: str
-    uncertainty: float
-    origin: str
+    stated: Stated
     field: str = ""
 
 
@@ -100,10 +86,10 @@ def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from
     for each in (*shared, *own, *varying):
         if each.name in fixed:
             raise InputError(campaign.source, "fixed.names", each.name, f"a name that {each.field} does not free with "
-                             f"an uncertainty of {each.uncertainty:g}: it either may move or may not")
+                             f"an uncertainty of {each.stated.deviation:g}: it either may move or may not")
     closed = {*fixed, *(each.name for each in varying)}
     if between.flag(DEFAULTS, default=True):
-        varying += [_Statement(BENCH + element, state.name, size, f"[between] by default: {reason}")
+        varying += [_Statement(BENCH + element, state.name, Stated(size, origin=f"[between] by default: {reason}"))
                     for element, (size, reason) in BETWEEN_RECORDINGS.items() if BENCH + element not in closed
                     for state in states]
     found, correlations = _harvested(numbers, {*fixed, *(each.name for each in shared)}) if from_files else ([], {})
@@ -135,9 +121,10 @@ def _stated(
                              f"chip or a bench element that {'this' if of else 'a'} state has",
                              nearest_names(written, names(known)))
         _check_inexact(table, written, name, numbers)
-        found = [_Statement(name, state, _uncertainty(table, written, name, numbers, states),
-                            f"{table.source}: [{table.field}]", field) for state, states in groups(name)]
-        before, size = written_as.get(name), found[0].uncertainty
+        found = [_Statement(name, state, Stated(_uncertainty(table, written, name, numbers, states),
+                                                origin=f"{table.source}: [{table.field}]"), field)
+                 for state, states in groups(name)]
+        before, size = written_as.get(name), found[0].stated.deviation
         if before is not None and name not in numbers.first:
             raise InputError(table.source, field, written, f"each parameter once ({name})")
         if before is not None and abs(size - before[1]) > SAME_NUMBER * size:
@@ -152,21 +139,21 @@ def _uncertainty(
     table: FileTable, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
 ) -> float:
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
-    entry, unit = table.content[written], unit_of(name, numbers.states)
-    if entry == ASSUMED and ParameterName.parse(name).kind is ParameterKind.DIMENSION:
-        chip = next(state.chip for state in states if name in state.chip.dimensions())
-        return assumed_uncertainty(name, chip.dimensions()[name].value).deviation
+    entry, parsed = table.content[written], ParameterName.parse(name)
+    if entry == ASSUMED and parsed.is_dimension:
+        return assumed_by_role(name, stated_number(name, states)).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
-    own = "share" if unit == "1" and ParameterName.parse(name).kind is ParameterKind.BENCH else DIMENSIONS[unit]
-    found = parse_quantity(entry, "dimensionless" if share else own, source=table.source, field=table.at(written))
+    found = parse_quantity(entry, "dimensionless" if share else parsed.quantity, source=table.source,
+                           field=table.at(written))
     if share:
         having = numbers.having(name)
-        size = abs(numbers.value(name, next(state for state in states if state in having)))
-        if ParameterName.parse(name).kind is ParameterKind.BENCH and unit in ("1", "rad"):
+        size = abs(numbers.number(name, next(state for state in states if state in having)).value)
+        if parsed.is_bench and parsed.quantity in ("share", "angle"):
             size = 1.0
         if size == 0.0:
-            raise table.error(written, f"an uncertainty in {unit}: {name} is zero, so a percentage of it says nothing")
+            raise table.error(written, f"an uncertainty in {parsed.unit}: {name} is zero, so a percentage of it says "
+                              "nothing")
         found *= size
     if not found > 0.0:
         raise table.error(written, "a standard uncertainty above zero; what is exact is left out")
@@ -175,9 +162,8 @@ def _uncertainty(
 
 def _check_inexact(table: FileTable, written: str, name: str, numbers: DeviceNumbers) -> None:
     for state in numbers.states:
-        lengths = state.chip.dimensions()
         for each in numbers.together(name):
-            if each in lengths and lengths[each].tolerance == 0.0:
+            if each in state.numbers and state.numbers[each].tolerance == 0.0:
                 raise table.error(written, f"nothing: {state.chip.file} states {each} as exact (a tolerance of 0)")
 
 
@@ -214,13 +200,13 @@ def _harvested(
             if name in closed:
                 continue
             key = (name, "" if numbers.is_one(name) else state.name)
-            size = each.deviation
-            kind = "tolerance" if ParameterName.parse(name).kind is ParameterKind.DIMENSION else "uncertainty"
-            new = _Statement(*key, size, f"{each.origin}: {kind}")
-            before = found.setdefault(key, new)
-            if abs(before.uncertainty - size) > SAME_NUMBER * size and before.origin != new.origin:
-                raise InputError(state.chip.file, f"{each.name}.tolerance", f"{each.half_width:g} m",
-                                 f"the {math.sqrt(3.0) * before.uncertainty:g} m that {before.origin} is: one length")
+            kind = "tolerance" if each.is_dimension else "uncertainty"
+            assert each.stated is not None
+            new = replace(each.stated, origin=f"{each.origin}: {kind}")
+            before = found.setdefault(key, _Statement(*key, new)).stated
+            if abs(before.amount - new.amount) > SAME_NUMBER * new.amount and before.origin != new.origin:
+                raise InputError(state.chip.file, f"{each.name}.tolerance", f"{new.amount:g} m",
+                                 f"the {before.amount:g} m that {before.origin} is: one length")
             kept += [(k, name)] if not key[1] else []
         correlations |= {(one, other): float(stated.correlation[i, j])
                          for i, one in kept for j, other in kept if i < j and stated.correlation[i, j] != 0.0}
@@ -239,18 +225,15 @@ def _together(
     for each in statements:
         alone = len(numbers.having(each.name)) == 1
         said.setdefault((each.name, "" if alone else each.state), []).append(each)
-    sizes = {key: math.hypot(*(each.uncertainty for each in found)) for key, found in said.items()}
-    known = {name: size for (name, state), size in sizes.items() if not state}
-    offsets = {(name, state): size for (name, state), size in sizes.items() if state}
-    texts = {key: "; ".join(dict.fromkeys(each.origin for each in found)) for key, found in said.items()}
-    taken = [Taken(_full(*key), size, unit_of(key[0], numbers.states), texts[key])
-             for key, size in (*(((name, ""), size) for name, size in known.items()), *offsets.items())]
+    found: dict[tuple[str, str], Number] = {}
+    for (name, state), own in sorted(said.items(), key=lambda item: bool(item[0][1])):
+        stated = Stated(math.hypot(*(each.stated.deviation for each in own)),
+                        origin="; ".join(dict.fromkeys(each.stated.origin for each in own)))
+        number = numbers.number(name)
+        found[name, state] = replace(number, stated=stated) if not state else Number(
+            str(number.parsed.of_state(state)), 0.0, stated=stated, unit=number.unit, tied=number.tied)
     # What a state adds is independent of the rest, and takes its share of the correlation away.
-    shares = {name: said[name, ""][0].uncertainty / size for name, size in known.items()}
-    return Knowledge(known, {_full(*key): size for key, size in offsets.items()}, fixed,
-                     {(one, other): value * shares[one] * shares[other]
-                      for (one, other), value in correlations.items()}, tuple(taken))
-
-
-def _full(name: str, state: str) -> str:
-    return str(ParameterName.parse(name).of_state(state))
+    shares = {name: said[name, ""][0].stated.deviation / number.deviation
+              for (name, state), number in found.items() if not state}
+    return Knowledge(tuple(found.values()), fixed, {
+        (one, other): value * shares[one] * shares[other] for (one, other), value in correlations.items()})

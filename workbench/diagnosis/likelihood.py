@@ -323,7 +323,7 @@ class Likelihood:
                              for i, p in zip(free, parameters, strict=True)]),
             below=np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
             above=np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
-        stated = self.model.campaign.model_accuracy
+        stated = self.model.campaign.inhomogeneity
         counts = tuple(each.shape[1] for each in deviations)
         settings = itertools.product(
             ACCURACIES if stated is None else (stated,), REGION_SIZES if hypothesis.is_outside else (0.0,),
@@ -430,7 +430,7 @@ class Likelihood:
         worth, best, average = local.over_scales()
         errors = np.zeros(x.size)
         errors[search.free] = np.sqrt(np.maximum(np.diag(average.covariance), 0.0))
-        if self.model.campaign.model_accuracy is None and best.accuracy > INACCURATE:
+        if self.model.campaign.inhomogeneity is None and best.accuracy > INACCURATE:
             average = local.averaged(best._replace(accuracy=INACCURATE))
         expected = float(np.sum(self.noise**2 / (self.noise**2 + level**2)))
         return LaplaceApproximation(x, worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,

@@ -1,65 +1,31 @@
-"""The numbers of a device by the names that parameters have: their units, their stated values, the states with them."""
+"""The numbers of a device in all its states, by name: their stated values, and the states that have them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from geometry.dimension import SAME_LENGTH
 from geometry.stretch import canonical_names
 from materials.kinds import Fluid
-from materials.versions import split_version
 from workbench.diagnosis.state import DeviceState
-from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
-from workbench.model.numbers import BENCH, ParameterKind, ParameterName
-
-#: Which units an uncertainty may be written in, by the SI unit of what it is of.
-DIMENSIONS: Mapping[str, str] = {
-    "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless", "kg/m^3": "density", "m/s": "speed",
-    "m": "length", "ohm": "resistance", "H": "inductance", "F": "capacitance", "s": "time", "rad": "angle",
-    "m^2/s": "diffusivity",
-}
+from workbench.model.device_numbers import full_names
+from workbench.model.numbers import LOSS, Number, ParameterName
 
 #: Relative difference from which on two stated values are two numbers: far above rounding.
 SAME_NUMBER = 1e-9
 
 
-def unit_of(name: str, states: Sequence[DeviceState]) -> str:
-    """SI unit of a parameter; empty if there is no such parameter."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.BENCH:
-        element = BENCH_ELEMENTS.get(parsed.coefficient)
-        return "" if element is None else element.unit
-    if parsed.kind is ParameterKind.DIMENSION:
-        return parsed.dimension_unit if any(parsed.shared in s.chip.dimensions() for s in states) else ""
-    materials = [m for s in states for m in s.materials.values()]
-    if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
-        return UNITS.get(parsed.coefficient, "1")
-    return ""
-
-
 def stated_number(name: str, states: Sequence[DeviceState]) -> float:
     """The value that the chip files and materials give a parameter, SI; zero for a bench element."""
-    parsed = ParameterName.parse(name)
-    for state in states:
-        known = state.chip.dimensions()
-        if parsed.shared in known:
-            return known[parsed.shared].value
-        for found in state.materials.values():
-            if found.name == parsed.owner:
-                return parsed.part_of(found.parameters()[parsed.coefficient])
-    return 0.0
+    shared = ParameterName.parse(name).shared
+    return next((state.numbers[shared].value for state in states if shared in state.numbers), 0.0)
 
 
 def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
-    """Every name that a parameter of the device may have."""
-    found = [*(BENCH + key for key in BENCH_ELEMENTS)]
-    for state in states:
-        found += state.chip.dimensions()
-        for material in state.materials.values():
-            found += [f"{material.name}.{key}" for key in material.parameters()]
-    return tuple(dict.fromkeys(found))
+    """Every name that a parameter of the device may have, losses aside."""
+    return tuple(dict.fromkeys(name for state in states for name in state.numbers if not name.endswith(LOSS)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +42,8 @@ class DeviceNumbers:
     def named(self, written: str) -> str:
         """The name of the number that was `written` perhaps without its material's source, without the version of a
         saved material, or of one of tied radii."""
-        parsed = ParameterName.parse(written)
-        full = {m.name for s in self.states for m in s.materials.values()
-                if parsed.owner in (m.name.split("/")[0], (split_version(m.name) or ("",))[0])}
-        name = f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
+        full = full_names(written, (m.name for s in self.states for m in s.materials.values()))
+        name = full[0] if len(full) == 1 else written
         return self.first.get(name, name)
 
     def together(self, name: str) -> tuple[str, ...]:
@@ -88,11 +52,13 @@ class DeviceNumbers:
 
     def having(self, name: str) -> tuple[DeviceState, ...]:
         """The states that have the number."""
-        return tuple(s for s in self.states if any(unit_of(each, [s]) for each in self.together(name)))
+        return tuple(s for s in self.states if any(each in s.numbers for each in self.together(name)))
 
-    def value(self, name: str, state: DeviceState) -> float:
-        """What the files of a `state` that has it state of the number, SI; zero for a bench element."""
-        return stated_number(next(each for each in self.together(name) if unit_of(each, [state])), [state])
+    def number(self, name: str, state: DeviceState | None = None) -> Number:
+        """The number of that `name` as the files of a `state` that has it state it: by default, of the first one."""
+        together, there = self.together(name), state or self.having(name)[0]
+        found = next(there.numbers[each] for each in together if each in there.numbers)
+        return replace(found, name=name, tied=together[1:])
 
     def is_one(self, name: str) -> bool:
         """Whether it is the same number in all states that have it: a fluid at two temperatures differs by a factor,
@@ -101,6 +67,6 @@ class DeviceNumbers:
         owner = ParameterName.parse(name).owner
         if any(isinstance(m, Fluid) and m.name == owner for s in having for m in s.materials.values()):
             return True
-        values = [self.value(name, state) for state in having]
-        rounding = SAME_LENGTH if ParameterName.parse(name).kind is ParameterKind.DIMENSION else 0.0
+        found = [self.number(name, state) for state in having]
+        values, rounding = [each.value for each in found], SAME_LENGTH if found[0].is_dimension else 0.0
         return max(values) - min(values) <= rounding + SAME_NUMBER * max(map(abs, values))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,9 +23,9 @@ from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.posterior import Posterior, posterior_of
 from workbench.diagnosis.ranking import Score
 from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.fitting.joint import refused_steps
-from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName, plain_words
 from workbench.results.brief import Brief
 from workbench.results.notebook import Shown, Summary
 
@@ -216,17 +215,17 @@ class Diagnosis(Shown):
                 text = (f"{'; '.join(_in_words(each) for each in self.established)}; this explains "
                         f"{100.0 * self.share:.3g} % of the mismatch")
                 if decision.rivals:
-                    text += f", but {' or '.join(in_plain_words(each.name) for each in decision.rivals)} would too"
+                    text += f", but {' or '.join(plain_words(each.name) for each in decision.rivals)} would too"
             case "no_mismatch":
                 text = f"the model as stated explains the recordings: {_remainder_in_words(left)}"
             case "parameters_explain":
                 most = max(self.known, key=lambda each: abs(each.sigmas or 0.0))
                 text = (f"the known parameters, within what is known of them, explain the recordings: "
-                        f"{_remainder_in_words(left)}; the {_of_what(most.name)} moves most, by "
+                        f"{_remainder_in_words(left)}; the {ParameterName.parse(most.name).in_words} moves most, by "
                         f"{most.sigmas:+.1f} standard uncertainties")
             case "below_detection":
                 name, odds = self._likeliest()
-                text = (f"something may be missing, {in_plain_words(name)} most likely, at odds of {odds:.2g}: not "
+                text = (f"something may be missing, {plain_words(name)} most likely, at odds of {odds:.2g}: not "
                         "enough to name a cause")
             case "not_finished":
                 text = f"not finished: {self._not_looked_at()}"
@@ -242,7 +241,7 @@ class Diagnosis(Shown):
     def _not_looked_at(self) -> str:
         """The steps that a search that was cut short left out, in words."""
         undone = Counter(self.found.undone)
-        told = [in_plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
+        told = [plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
         listed = _listed([*told[:NAMED], *([f"{len(told) - NAMED} more"] if len(told) > NAMED else [])])
         if not self.tried:
             return f"none of the {len(self.model.effects)} hypotheses has been tried; still to be looked at: {listed}"
@@ -272,13 +271,13 @@ class Diagnosis(Shown):
             result.append(f"Beside that, {_remainder_in_words(self.remainder)}"
                           + (f"; it looks like something in the {self.remainder.region}."
                              if self.remainder.region else "."))
-        result += [f"{_capital(_listed([in_plain_words(each.effect.name) for each in group]))} "
+        result += [f"{_capital(_listed([plain_words(each.effect.name) for each in group]))} "
                    f"{'takes' if len(group) == 1 else 'together take'} {100.0 * share:.3g} % of the mismatch."
                    for group, share in self.shares if len(self.shares) > 1]
-        result += [f"A parameter of {in_plain_words(each.effect.name)} lies outside what is admissible: the sign of "
+        result += [f"A parameter of {plain_words(each.effect.name)} lies outside what is admissible: the sign of "
                    "another cause."
                    for each in self.established if not each.admissible]
-        result += [f"The recordings cannot rule out {in_plain_words(each.name)}: odds of "
+        result += [f"The recordings cannot rule out {plain_words(each.name)}: odds of "
                    f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
                    for each in decision.rivals]
         if self.at_odds:
@@ -291,21 +290,21 @@ class Diagnosis(Shown):
         result += [f"{name} stands for {' and '.join(others)} too, which are as long."
                    for name, others in self.campaign.tied.items() if name in self.campaign.known]
         result += [f"Not looked at: {text}." for text in self.model.others]
-        result += [f"Not tried: {in_plain_words(each.name)}, because {each.reason}." for each in self.found.not_tried]
+        result += [f"Not tried: {plain_words(each.name)}, because {each.reason}." for each in self.found.not_tried]
         return (*result, *refused_steps(self.model.fitted.refusals))
 
     def _so_far(self, found: Diagnosis) -> Iterator[str]:
         """Results of a search that was cut short, which the rest of it may overturn."""
         yield (f"Provisional: with the known parameters alone, {100.0 * self.remainder.rms:.2g} % of Z is left so far "
                f"(rms of both parts; {_noise_in_words(self.remainder)}).")
-        tried = ", ".join(map(in_plain_words, self.tried))
+        tried = ", ".join(map(plain_words, self.tried))
         if found.established:
             told = "; ".join(_in_words(each) for each in found.established)
             yield (f"Provisional: of what was tried ({tried}), best so far is {told}. What was not "
                    "looked at may explain as much, or more.")
         elif self.tried:
             yield f"Provisional: of what was tried ({tried}), nothing explains it so far."
-        every = dict.fromkeys(map(in_plain_words, self.found.undone))
+        every = dict.fromkeys(map(plain_words, self.found.undone))
         if len(every) > NAMED:
             yield f"Not looked at: {', '.join(every)}."
         yield f"This took {self.seconds:.0f} s; run it again with more time for a verdict."
@@ -318,7 +317,7 @@ class Diagnosis(Shown):
             return ""
         alive = {each.explanation.hypothesis.name: each.explanation.hypothesis.effects for each in self.found.final}
         told = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
-        compared = next_measurement_text(self.next_options, [in_plain_words(name) for name in self.alive],
+        compared = next_measurement_text(self.next_options, [plain_words(name) for name in self.alive],
                                          self.criteria.rival)
         return " ".join(filter(None, (*told, compared)))
 
@@ -360,22 +359,7 @@ def _in_words(found: Established) -> str:
     told = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
             f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
             + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
-    return f"{in_plain_words(found.effect.name)}: {_listed(told)}"
-
-
-def in_plain_words(name: str) -> str:
-    """The name of a hypothesis as it is read: without the sources of materials, and without joined words."""
-    return re.sub(r"(\w)/[\w@-]+", r"\1", name).replace("_", " ")
-
-
-def _of_what(name: str) -> str:
-    """A parameter in words: the quantity, the thing it belongs to, and the state."""
-    parsed = ParameterName.parse(name)
-    owner = in_plain_words(parsed.owner)
-    if parsed.kind in (ParameterKind.DIMENSION, ParameterKind.BENCH):
-        owner = f"the {owner}"
-    return " of ".join(filter(None, [in_plain_words(parsed.local.replace(".", " ")), owner])) + (
-        f" in the state {parsed.state}" if parsed.state else "")
+    return f"{plain_words(found.effect.name)}: {_listed(told)}"
 
 
 def _capital(text: str) -> str:
@@ -384,7 +368,7 @@ def _capital(text: str) -> str:
 
 def _short(name: str) -> str:
     """The quantity of a parameter in words, without the thing it belongs to."""
-    return name.partition(".")[2].replace(".", " ").replace("_", " ") or name
+    return plain_words(name.partition(".")[2]).replace(".", " ") or name
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
 from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
+from workbench.model.device_numbers import bench_number, device_numbers
+from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
-from workbench.results.spectrum import Origin, Spectrum
+from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -52,6 +55,12 @@ class DeviceState:
     drive: float | None = None
     temperature: float | None = None
     held_out: bool = False
+
+    @cached_property
+    def numbers(self) -> Mapping[str, Number]:
+        """The numbers of the device in this state and of the bench, by each of their names."""
+        found = (*device_numbers(self.chip, self.materials.values()).values(), *map(bench_number, BENCH_ELEMENTS))
+        return {name: each for each in found for name in each.names}
 
     @property
     def chip(self) -> Chip:
@@ -96,11 +105,15 @@ def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
 def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:
     """The state of that name from its table; paths are relative to `folder`.
 
+    A program may give the chip itself, and in place of a recording's path a spectrum or what has one.
+
     Raises:
         InputError: a mistake in the table or in a file it names, or a recording that cannot be of this device.
     """
     table.only(STATE_KEYS)
-    chip = read_chip(_path(table, "chip", folder))
+    chip = table.content.get("chip")
+    if not isinstance(chip, Chip):
+        chip = read_chip(_path(table, "chip", folder))
     if "state" in table:
         state = chip.state(table.text("state", expected="a state, as text"))
     elif len(chip.states) == 1:
@@ -117,11 +130,9 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     device = fill(chip, state.name, registry)
-    recording = _path(table, "recording", folder)
+    whole, recording = _recording(table, folder)
     band = _band(table) if "band" in table else None
-    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
-    whole = read_recording(recording, columns=columns).spectrum
-    measured = in_band(whole, chip, band, name=str(recording))
+    measured = in_band(whole, chip, band, name=recording)
     noise, stated = _noise(measured, table)
     drive = table.optional_quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
@@ -130,8 +141,21 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
                         None if drive is None else 0.5 * drive, temperature, held_out)
     if set(device.materials) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
-        check_device(in_band(whole, chip, None, name=str(recording)), chip, device.materials, name=str(recording))
+        check_device(in_band(whole, chip, None, name=recording), chip, device.materials, name=recording)
     return found
+
+
+def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str]:
+    """The spectrum of the state, and the name that mistakes in it are reported under."""
+    given = table.content.get("recording")
+    if given is not None and not isinstance(given, str):
+        try:
+            return spectrum_of(given), table.at("recording")
+        except TypeError:
+            raise table.error("recording", "the path of a recording, a spectrum, or what has one") from None
+    path = _path(table, "recording", folder)
+    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
+    return read_recording(path, columns=columns).spectrum, str(path)
 
 
 def _path(table: FileTable, key: str, folder: Path) -> Path:
@@ -160,15 +184,3 @@ def _noise(measured: Spectrum, table: FileTable) -> tuple[np.ndarray[Any, np.dty
     if stated is not None:
         return np.full(measured.frequency.size, stated), True
     return np.full(measured.frequency.size, scatter(measured)), False
-
-
-def scatter(measured: Spectrum) -> float:
-    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
-
-    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
-    median keeps out sharp resonances.
-    """
-    third = np.diff(np.log(measured.impedance), 3)
-    # The median of |x| of normal x is 0.6745 sigma.
-    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745
-    return float(max(size / np.sqrt(20.0), 1e-6))

@@ -12,12 +12,12 @@ from workbench.diagnosis.hypothesis import (
     MISTAKEN_STIFFNESS,
     Device,
     Effect,
-    mistaken_range,
+    mistaken,
     other_than_stated,
     with_terms,
 )
-from workbench.fitting.parameter import UNITS, Parameter
-from workbench.model.numbers import LOSS
+from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics import depoled, electrode_mass, partial_electrode, softening, surface_load
 from workbench.physics.rim import Rim
 from workbench.physics.term import Admissible
@@ -68,7 +68,8 @@ def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, A
     """The range of a loss: up to 5 % of the real part, of one sign, or (0) of either."""
     size = 0.05 * abs(complex(getattr(material, coefficient)).real)
     low, high = sorted((0.0, sign * size)) if sign else (-size, size)
-    return {f"{material.name}.{coefficient}{LOSS}": Admissible(low, high, UNITS[coefficient], CERAMIC)}
+    name = f"{material.name}.{coefficient}{LOSS}"
+    return {name: Admissible(low, high, ParameterName.parse(name).unit, CERAMIC)}
 
 
 def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
@@ -80,11 +81,12 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
     for coefficient in ("c11", "c33", "c44"):
         yield other_than_stated(device, f"loss of {coefficient} of the transducer", TRANSDUCER, "loss",
                                 "a further stiffness loss", _loss(material, coefficient, -1.0))
-        stiffness = mistaken_range(complex(getattr(material, coefficient)).real, MISTAKEN_STIFFNESS, "Pa")
+        stiffness = mistaken(f"{material.name}.{coefficient}", complex(getattr(material, coefficient)).real,
+                             MISTAKEN_STIFFNESS)
         yield other_than_stated(device, f"{coefficient} of the transducer", TRANSDUCER, "stiffness",
-                                "a wrong stiffness", {f"{material.name}.{coefficient}": stiffness})
+                                "a wrong stiffness", stiffness)
     yield other_than_stated(device, "density of the transducer", TRANSDUCER, "mass", "a wrong density",
-                            {f"{material.name}.density": mistaken_range(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+                            mistaken(f"{material.name}.density", material.density, MISTAKEN_DENSITY))
 
 
 def _gauge(material: str) -> Effect:

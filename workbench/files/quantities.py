@@ -60,14 +60,46 @@ _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 #: The unit of a dimension in messages, if it is not the first one: nobody states a chip in metres.
 EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
 
+#: Dimensions whose numbers may stand without a unit.
+BARE = ("dimensionless", "permittivity")
+
+#: Units in which numbers are shown, and their factor from SI, by the SI unit; others are shown in SI.
+SHOWN: Mapping[str, tuple[str, float]] = {
+    "Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
+    "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
+
+
+class ProgramSource(str):
+    """The name of a value that a program makes, as the source that mistakes in it are reported under.
+
+    Numbers from such a source are in SI and need no unit; in a file a length without its unit is refused.
+    """
+
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+
+
+def si_unit(dimension: str) -> str:
+    """The SI unit of a dimension, a key of :data:`UNITS`; empty for none."""
+    return next((unit for unit, factor in UNITS.get(dimension, {}).items() if factor == 1.0), "")
+
+
+def shown_unit(unit: str) -> str:
+    """The unit in which numbers of an SI `unit` are shown."""
+    return SHOWN.get(unit, (unit, 1.0))[0]
+
+
+def shown_factor(unit: str) -> float:
+    """The factor from an SI `unit` to the one that its numbers are shown in."""
+    return SHOWN.get(unit, (unit, 1.0))[1]
 
 
 def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> float:
     """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
 
-    A bare number is refused unless the dimension is dimensionless: a length without its unit is the commonest mistake
-    in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin.
+    A bare number is refused unless the dimension needs no unit (:data:`BARE`): a length without its unit is the
+    commonest mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin. From a
+    program (`source` is a :class:`ProgramSource`) a number is in SI.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
@@ -75,7 +107,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     units = UNITS[dimension]
     example = EXAMPLES.get(dimension, next(iter(units)))
     named = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
-    if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
+    free = dimension in BARE or isinstance(source, ProgramSource)
+    if free and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)
@@ -91,7 +124,7 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
     if dimension == "share" and not match.group(2):
         return _bare_share(text, float(match.group(1)), source, field)
-    number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
+    number, unit = float(match.group(1)), match.group(2) or ("1" if dimension in BARE else "")
     if unit not in units:
         expected = f"{named} in one of {', '.join(units)}"
         raise InputError(source, field, text, expected, nearest_names(unit, units) if unit else ())

@@ -6,7 +6,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from workbench.files.errors import InputError, choose, nearest_names
@@ -63,6 +63,11 @@ class FileTable:
             InputError: as in :func:`read_toml`.
         """
         return cls(str(path), "", read_toml(path))
+
+    @classmethod
+    def made(cls, source: str, content: Mapping[str, Any]) -> FileTable:
+        """The table of what a program gives: tuples and arrays are lists, paths are texts, what is None is left out."""
+        return cls(source, "", _plain(content))
 
     @classmethod
     def of(cls, content: object, *, source: str, field: str, expected: str = "a table") -> FileTable:
@@ -129,6 +134,13 @@ class FileTable:
             raise self.error(key, expected)
         return tuple(value)
 
+    def entries(self, key: str, *, expected: str) -> tuple[Any, ...]:
+        """A list of anything."""
+        value = self.content.get(key)
+        if not isinstance(value, list):
+            raise self.error(key, expected)
+        return tuple(value)
+
     def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
         """A quantity with its unit, in SI; `dimension` is a key of `workbench.files.quantities.UNITS`."""
         if key not in self and default is not None:
@@ -186,3 +198,16 @@ class FileTable:
         if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
             raise self.error(key, expected)
         return tuple(FileTable(self.source, f"{self.at(key)}[{index}]", row) for index, row in enumerate(rows))
+
+
+def _plain(value: Any) -> Any:
+    """A value as a TOML file would have it, as far as it is one."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items() if each is not None}
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, list | tuple) or (hasattr(value, "tolist") and hasattr(value, "dtype")):
+        # An array of no dimensions is a number.
+        listed = value.tolist() if hasattr(value, "tolist") else value
+        return [_plain(each) for each in listed] if isinstance(listed, list | tuple) else listed
+    return value

@@ -45,7 +45,7 @@ from workbench.files.tables import FileTable
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
 
@@ -277,7 +277,7 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[BatchColumn, ..
 def _short(name: str) -> str:
     """The name of a parameter without its material: c33 of one disc beside c33 of another."""
     parsed = ParameterName.parse(name)
-    return parsed.local if parsed.kind is ParameterKind.MATERIAL else name
+    return parsed.local if parsed.is_material else name
 
 
 def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> BatchColumn:

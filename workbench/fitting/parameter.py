@@ -5,19 +5,18 @@ Their names are those of `workbench.model.numbers`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
-from geometry.assumed import SHAPE_UNCERTAINTY, is_film, length_uncertainty
+from geometry.assumed import SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
 from geometry.dimension import Dimension
-from geometry.stretch import admissible_range, canonical_names
+from geometry.stretch import admissible_range
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
-from workbench.model.numbers import BENCH, LOSS, ParameterKind, ParameterName
+from workbench.model.device_numbers import assumed_by_role, bench_number, coefficient_number, length_number
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated
 from workbench.model.problem import Problem
 
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
@@ -40,113 +39,50 @@ NEARBY = 0.005
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
 
 
-@dataclass(frozen=True)
-class Element:
-    """A bench element: what it is in words, its unit, its standard uncertainty before the measurement, its bounds."""
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Number):
+    """A number that a fit may move, from its value and within its range; what is stated of it is the prior.
 
-    text: str
-    unit: str
-    prior: float
-    low: float
-    high: float
-
-
-#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
-#: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
-#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
-#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
-BENCH_ELEMENTS: Mapping[str, Element] = {
-    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -0.3, 5.0),
-    "series_inductance": Element("inductance of the leads", "H", 2e-7, -1e-7, 2e-6),
-    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -2e-11, 2e-10),
-    "gain": Element("logarithm of the gain", "1", 0.05, -0.5, 0.5),
-    "phase": Element("phase of the gain", "rad", 0.02, -0.5, 0.5),
-    "delay": Element("delay between the channels", "s", 2e-9, -5e-8, 5e-8),
-    "clock": Element("relative error of the generator's clock", "1", 1e-5, -1e-4, 1e-4),
-}
-
-#: Units of material properties, SI.
-UNITS: Mapping[str, str] = {
-    **dict.fromkeys(("c11", "c12", "c13", "c33", "c44", "bulk_modulus", "shear_modulus"), "Pa"),
-    **dict.fromkeys(("e31", "e33", "e15"), "C/m^2"),
-    **dict.fromkeys(("eps11", "eps33"), "1"),
-    "density": "kg/m^3", "sound_speed": "m/s", "diffusivity_of_sound": "m^2/s",
-}
-
-
-#: Units in which numbers are shown, and their factor from SI.
-SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
-         "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A real number a fit may move.
-
-    ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
-    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
-    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. An ``offset``
-    is added to what the other parameters of the value, or its problem, give: to the factor where both are relative.
-    ``beyond`` tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with
-    this one since they are as long. ``assumed`` says in words what was taken to be known where nobody states it.
-    ``nuisance`` is whether it is no answer, and is there for what it leaves uncertain of the others. ``powers`` are
-    values, by their keys, that the number x scales together: each by (1 + x)**power, after all others have been set.
+    ``recordings`` are the names of those it acts in, empty for all. Where ``relative``, the number multiplies the
+    coefficient that each recording's problem has: a fluid at two temperatures. An ``offset`` is added to what the other
+    parameters of the value, or its problem, give: to the factor where both are relative. ``beyond`` tells what to do
+    about a bound that does not come from what is known. ``nuisance`` is whether it is no answer, and is there for what
+    it leaves uncertain of the others. ``powers`` are values, by their keys, that the number x scales together: each by
+    (1 + x)**power, after all others have been set.
     """
 
-    name: str
-    start: float
-    low: float
-    high: float
-    prior: float | None
-    unit: str
     recordings: tuple[str, ...] = ()
     relative: bool = False
     beyond: str = ""
-    tied: tuple[str, ...] = ()
     offset: bool = False
-    assumed: str = ""
     nuisance: bool = False
     powers: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.low <= self.start <= self.high or not self.low < self.high:
-            raise ValueError(f"{self.name}: start {self.start:g} must lie between {self.low:g} and {self.high:g}")
+        super().__post_init__()
+        if not self.low < self.high:
+            raise ValueError(f"{self.name}: a start must lie between {self.low:g} and {self.high:g}, which differ")
         if self.prior is not None and not self.prior > 0.0:
             raise ValueError(f"{self.name}: prior {self.prior!r} must be a positive standard uncertainty")
 
-    @cached_property
-    def parsed(self) -> ParameterName:
-        return ParameterName.parse(self.name)
+    @property
+    def start(self) -> float:
+        """The value that a fit starts from."""
+        return self.value
 
     @property
-    def is_bench(self) -> bool:
-        return self.parsed.kind is ParameterKind.BENCH
-
-    @property
-    def is_material(self) -> bool:
-        return self.parsed.kind is ParameterKind.MATERIAL
-
-    @property
-    def is_dimension(self) -> bool:
-        return self.parsed.kind is ParameterKind.DIMENSION
+    def prior(self) -> float | None:
+        """The standard uncertainty of :attr:`start` known beforehand, None if nothing was."""
+        return self.stated.deviation if self.stated else None
 
     @property
     def is_film(self) -> bool:
         """Whether it is the thickness of a film of gel or glue, which spectra may show at several values."""
         return self.is_dimension and is_film(self.name) and not self.offset
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The name of the number that it is or adds to, and those of the lengths tied to it."""
-        return (self.parsed.shared, *self.tied)
-
     def acts_in(self, recording: str) -> bool:
         """Whether it acts in the recording of that name."""
         return not self.recordings or recording in self.recordings
-
-    @property
-    def is_loss(self) -> bool:
-        return self.parsed.is_loss
 
     @property
     def scale(self) -> float:
@@ -178,20 +114,17 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
                          f"{LOSS!r}", nearest_names(coefficient, known))
     found = next(m for m in problem.materials.values() if m.name == material)
     value = complex(problem.values[f"{material}.{coefficient}"])
-    full = f"{material}.{name}"
-    unit = UNITS.get(coefficient, "")
+    full = ParameterName.parse(f"{material}.{name}")
     if parsed.is_loss:
-        return _loss(full, coefficient, value, found, unit)
-    known_value = found.values.get(coefficient)
-    prior = known_value.uncertainty if known_value is not None else None
-    if prior is None:
-        prior = _data_sheet(coefficient) * abs(value.real)
-    reach = max(0.5 * abs(value.real), 5.0 * prior)
+        return _loss(full, value, found)
+    stated = coefficient_number(found, coefficient).stated or Stated(_data_sheet(coefficient) * abs(value.real),
+                                                                     origin="data sheets of its kind")
+    reach = max(0.5 * abs(value.real), 5.0 * stated.deviation)
     low, high = value.real - reach, value.real + reach
     if coefficient in ("c11", "c33", "c44", "eps11", "eps33", "density", "sound_speed", "bulk_modulus",
                        "shear_modulus"):
         low = max(low, 0.05 * value.real)
-    return Parameter(full, value.real, low, high, prior, unit)
+    return Parameter(str(full), value.real, low, high, stated, full.unit)
 
 
 def coefficients_of(problem: Problem, material: str) -> list[str]:
@@ -206,9 +139,10 @@ def _data_sheet(coefficient: str) -> float:
     return HANDBOOK
 
 
-def _loss(name: str, coefficient: str, value: complex, material: Material, unit: str) -> Parameter:
+def _loss(name: ParameterName, value: complex, material: Material) -> Parameter:
+    coefficient = name.coefficient
     if coefficient == "density" or not isinstance(material, Piezoelectric | IsotropicSolid):
-        raise InputError("fit", "free", name, "a coefficient that can have a loss: a stiffness, a modulus, a "
+        raise InputError("fit", "free", str(name), "a coefficient that can have a loss: a stiffness, a modulus, a "
                          "piezoelectric constant or a permittivity")
     size = abs(value.real)
     ceramic = isinstance(material, Piezoelectric)
@@ -221,7 +155,8 @@ def _loss(name: str, coefficient: str, value: complex, material: Material, unit:
         start = sign * (CERAMIC_LOSS if ceramic else 0.02) * size
     reach = max(reach, 3.0 * abs(start))
     low, high = (-reach, reach) if not diagonal else ((0.0, reach) if gains else (-reach, 0.0))
-    return Parameter(name, start, low, high, max(0.5 * reach, abs(start)), unit)
+    return Parameter(str(name), start, low, high, Stated(max(0.5 * reach, abs(start)), origin="losses of its kind"),
+                     name.unit)
 
 
 def dimension_parameter(chip: Chip, name: str) -> Parameter:
@@ -238,23 +173,15 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     if name not in known:
         raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
                          nearest_names(name, known))
-    first = canonical_names(chip).get(name, name)
-    others = tuple(other for other, each in canonical_names(chip).items() if each == first and other != first)
-    stated = {each: known[each].tolerance for each in (first, *others) if known[each].tolerance is not None}
-    if len(set(stated.values())) > 1:
-        raise InputError(chip.file, name, ", ".join(f"{each}: {value:g} m" for each, value in stated.items()),
-                         "one tolerance of radii that coincide, which are one parameter")
-    found, tolerance = known[first], next(iter(stated.values()), None)
-    if tolerance == 0.0:
+    found = length_number(chip, name)
+    if found.tolerance == 0.0:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
-    parsed = ParameterName.parse(first)
-    known_to = length_uncertainty(first, replace(found, tolerance=tolerance))
-    wanted = known_to.lowest, known_to.highest
-    low, high = stretchable([chip], first, *wanted)
-    beyond = BEYOND if parsed.is_radius and (low, high) != wanted else ""
-    return Parameter(first, found.value, low, high, known_to.deviation, parsed.dimension_unit, beyond=beyond,
-                     tied=others, assumed=known_to.assumed)
+    wanted = found.known.lowest, found.known.highest
+    low, high = stretchable([chip], found.name, *wanted)
+    beyond = BEYOND if found.parsed.is_radius and (low, high) != wanted else ""
+    stated = found.stated or assumed_by_role(found.name, found.value)
+    return Parameter(found.name, found.value, low, high, stated, found.unit, found.tied, beyond=beyond)
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
@@ -295,7 +222,7 @@ def ranges_of_dimensions(
 def shared_gain(uncertainty: float) -> Parameter:
     """The gain that all points of a recording share, known to a standard `uncertainty` (relative): of a standard's
     tolerance, say. It moves no more than what it leaves uncertain of permittivities and stiffnesses."""
-    return replace(bench_parameter("gain"), prior=uncertainty, nuisance=True)
+    return replace(bench_parameter("gain"), stated=Stated(uncertainty, origin="the recording"), nuisance=True)
 
 
 def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
@@ -305,12 +232,13 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
         InputError: no such element.
     """
     parsed = ParameterName.parse(name)
-    element = parsed.coefficient if parsed.kind is ParameterKind.BENCH else name
+    element = parsed.coefficient if parsed.is_bench else name
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
-    known = BENCH_ELEMENTS[element]
-    return Parameter(BENCH + element, 0.0, known.low, known.high, known.prior, known.unit, tuple(recordings))
+    found = bench_number(element)
+    return Parameter(found.name, found.value, found.low, found.high, found.stated, found.unit,
+                     recordings=tuple(recordings))
 
 
 def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequence[str]) -> tuple[Parameter, ...]:
@@ -324,9 +252,9 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
     result: list[Parameter] = []
     for name in names:
         parsed = ParameterName.parse(name)
-        if parsed.kind is ParameterKind.BENCH:
+        if parsed.is_bench:
             found = bench_parameter(name)
-        elif parsed.kind is ParameterKind.MATERIAL:
+        elif parsed.is_material:
             if parsed.owner not in {m.name for m in problem.materials.values()}:
                 raise InputError("fit", "free", name, "a coefficient of one of "
                                  + ", ".join(sorted({m.name for m in problem.materials.values()})))
@@ -350,13 +278,3 @@ def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) 
              *(BENCH + key for key in BENCH_ELEMENTS)]
     raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
                      f"{', '.join(known)}", nearest_names(name, known))
-
-
-def shown_unit(unit: str) -> str:
-    """The unit in which numbers of an SI unit are shown."""
-    return SHOWN.get(unit, (unit, 1.0))[0]
-
-
-def shown_factor(unit: str) -> float:
-    """What brings numbers of an SI unit into the one they are shown in."""
-    return SHOWN.get(unit, (unit, 1.0))[1]

@@ -32,10 +32,11 @@ from workbench.fitting.parameter import (
     shared_gain,
 )
 from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.results.brief import Brief
-from workbench.results.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
+from workbench.results.circuit import fit_circuit
+from workbench.results.merit import Antiresonance, Figures, NoResonance, figures
 from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -226,7 +227,7 @@ def prepare_together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> P
     found: dict[tuple[str, tuple[str, ...]], Parameter] = {}
     for prepared in group:
         label = (prepared.recordings[0].name,)
-        extra = [bench_parameter(name) if ParameterName.parse(name).kind is ParameterKind.BENCH
+        extra = [bench_parameter(name) if ParameterName.parse(name).is_bench
                  else dimension_parameter(prepared.chip, name) for name in own]
         for parameter in (*prepared.parameters, *extra):
             separate = parameter.is_bench or parameter.name in own
@@ -314,7 +315,7 @@ def _static_capacitances(measured: Spectrum, merit: Figures | None) -> list[floa
         found.append(anti.circuit_capacitance)
     elif merit is not None:
         with suppress(ValueError, RuntimeError):
-            found.append(fit_resonance(measured, "bvd").parameters["C0"].value)
+            found.append(fit_circuit(measured).parameters["C0"].value)
     return [value for value in found if value > 0.0]
 
 

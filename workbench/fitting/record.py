@@ -22,11 +22,10 @@ from materials.kinds import IsotropicSolid, Material
 from materials.saving import fitted
 from materials.value import Value
 from workbench.fem.operators import assemble
-from workbench.files.quantities import finite
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.derived import Derived, derived_moduli, moduli_of
 from workbench.fitting.joint import FitResult, Match
 from workbench.fitting.multistart import NOISY, Start
-from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.model.numbers import LOSS, ParameterName, placed
@@ -240,7 +239,7 @@ def _status(estimate: ParameterEstimate | None) -> str:
 def _sample(chip: Chip, result: FitResult) -> dict[str, str]:
     found = {"chip": chip.name}
     found |= {name: f"{d.value * shown_factor(unit):.6g} {shown_unit(unit)}" for name, d in chip.dimensions().items()
-              for unit in [ParameterName.parse(name).dimension_unit]}
+              for unit in [ParameterName.parse(name).unit]}
     for layer in chip.layers:
         if layer.density is not None:
             found[f"{layer.region}.density"] = f"{layer.density:g} kg/m^3"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +25,7 @@ from workbench.fitting import joint
 from workbench.fitting.joint import FitResult
 from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, prepare
 from workbench.fitting.record import Source, file_digest, refusals, registry_entry
+from workbench.jobs.progress import Progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.readers import Reading
 from workbench.results.notebook import Shown, Summary
@@ -32,10 +33,6 @@ from workbench.results.spectrum import Spectrum
 
 if TYPE_CHECKING:
     import xarray
-
-#: Called with what is being done and the share of it that is done.
-Progress = Callable[[str, float], None]
-
 
 class NotAccepted(RuntimeError):
     """A fit that is not to be believed is not saved unless that is forced; ``reasons`` say why."""

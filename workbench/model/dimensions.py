@@ -17,7 +17,7 @@ from workbench.files.errors import InputError, choose
 from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation
 from workbench.model.moved_parts import LayerShape, ShapedLayers, shapes_of
 from workbench.model.moved_sections import flexible_free
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem
 from workbench.model.shaped_mesh import coordinates_of
 from workbench.physics.shaped import MovableLength, Moves, Ratio
@@ -119,7 +119,7 @@ def flexible_within(
     move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
     if chip.is_profiled:
         sizes = {name: each for name,
-                 each in ranges.items() if ParameterName.parse(name).kind is ParameterKind.DIMENSION}
+                 each in ranges.items() if ParameterName.parse(name).is_dimension}
         return flexible_free(problem, chip, sizes, interpolation=interpolation, asides=asides)
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (

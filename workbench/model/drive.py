@@ -10,15 +10,17 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.tables import FileTable
 
 
+@runtime_checkable
 class Drive(Protocol):
     """Interface of a drive: the voltage at a device of a given impedance."""
 
@@ -103,3 +105,17 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
     if text.rstrip().endswith("Vpp"):
         return VoltageDrive(positive(text, "peak-to-peak voltage"))
     raise InputError(source, field, text, '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"')
+
+
+def read_drive(table: FileTable) -> Drive:
+    """The drive under the key ``drive`` of a table: a text as of :func:`parse_drive`, "10 Vpp" unless stated.
+
+    A program may give a drive itself.
+
+    Raises:
+        InputError: as of :func:`parse_drive`.
+    """
+    given = table.content.get("drive")
+    if isinstance(given, Drive):
+        return given
+    return parse_drive(table.text("drive", "10 Vpp"), source=table.source, field=table.at("drive"))

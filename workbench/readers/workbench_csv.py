@@ -1,4 +1,6 @@
-"""The workbench's own file, written by :func:`workbench.results.spectrum.write_csv`; the origin's lines may be missing.
+"""The workbench's own file, written by :func:`workbench.results.spectrum.write_spectrum`.
+
+The origin's lines may be missing.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ def parse_workbench_csv(text: RecordingText) -> Recorded:
     """Read the file.
 
     Raises:
-        InputError: a metadata key, column name or row that :func:`~workbench.results.spectrum.write_csv` would not
+        InputError: a metadata key, column name or row that :func:`~workbench.results.spectrum.write_spectrum` would not
         write.
     """
     numbered = [(index + 1, line) for index, line in enumerate(text.lines) if line.strip()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,9 @@ import numpy as np
 from workbench.render.plots import draw_residuals, draw_spectra
 from workbench.report.figures import origin_table
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.resonances import resonance_notes, resonances_table
 from workbench.report.simulation import model_table
+from workbench.results.circuit import CircuitFit
 from workbench.results.comparison import Comparison
 from workbench.results.spectrum import Spectrum
 from workbench.simulation.run import Simulation
@@ -68,9 +70,10 @@ def comparison_record(comparison: Comparison) -> dict[str, Any]:
 
 def write_comparison_report(
     measured: Spectrum, run: Simulation, comparison: Comparison, folder: Path, *, findings: Sequence[str],
-    next_step: str,
+    next_step: str, resonances: Mapping[str, CircuitFit | None],
 ) -> Path:
-    """``report.html``: how far apart, where in frequency, and of what; `findings` are those of the recording's reader.
+    """``report.html``: how far apart, where in frequency, and of what; `findings` are those of the recording's reader,
+    `resonances` those of both spectra.
     """
     title, residual = run.chip.name, comparison.log_residual
     spectra = draw_spectra({"measured": measured, "simulated": run.spectrum}, folder / "impedance.png",
@@ -88,7 +91,8 @@ def write_comparison_report(
                            f"Nothing was fitted. Materials as filed: {materials_used}.", next_step]),
         ("Where in frequency", [
             Picture(spectra, "impedance, measured and simulated"),
-            Picture(residuals, "residual: relative error of |Z| in per cent and error of phase in degrees")]),
+            Picture(residuals, "residual: relative error of |Z| in per cent and error of phase in degrees"),
+            resonances_table(resonances), *resonance_notes(resonances)]),
         ("The recording", [origin_table(measured.origin)]),
         ("The model", [model_table([run])]),
     ])

@@ -13,6 +13,10 @@ DEFINITIONS = {
     "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2.",
     "kt": "thickness coupling factor from f0 and the frequency of the largest |Z| above it (IEEE Std 176); empty where "
           "that lies outside the band.",
+    "fitted f": "series resonance of a branch of the circuit that is fitted to all resonances of the band together, "
+                "with its standard error. The smallest |Z| lies elsewhere where neighbours move it.",
+    "fitted Q": "quality factor of that branch, w L1 / R1.",
+    "k_eff": "effective coupling factor of that branch with the static capacitance alone, k^2 = C1 / (C0 + C1).",
     "C0": "clamped capacitance of the electrodes: what they hold while nothing moves. It belongs to the transducer and "
           "is the same in every state. A recording about one resonance does not show it, so recordings have none.",
     "C at 1 kHz": "capacitance far below every mode, as an LCR meter shows it: C0 and what all modes add.",

@@ -14,10 +14,11 @@ from workbench.acoustics.fields import section_nodes
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.decision import NOT_FINISHED
 from workbench.diagnosis.known_physics import Contribution
-from workbench.diagnosis.outcome import Diagnosis, FoundNumber, in_plain_words
+from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import write_json
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.model.numbers import plain_words
 from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
 from workbench.render.sections import draw_marked
 from workbench.report.figures import origin_table
@@ -42,7 +43,7 @@ def established_table(found: Diagnosis) -> TextTable:
         told = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
         for each in group:
             for k, e in enumerate(each.estimates):
-                rows.append((in_plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
+                rows.append((plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
                              f"{number_text(e.shown[1])} to {number_text(e.shown[2])}",
                              "of what is stated" if e.relative else shown_unit(e.unit)))
                 told = ""
@@ -127,7 +128,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
                                      "Every state as recorded, before and after, and below what is left of it")]
     if found.established:
-        shares = {" and ".join(in_plain_words(each.effect.name) for each in group): share
+        shares = {" and ".join(plain_words(each.effect.name) for each in group): share
                   for group, share in found.shares}
         pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="What explains the mismatch"),
                                 "Of the mismatch that the known parameters leave, beyond noise"))
@@ -145,7 +146,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
 
 def _taken(campaign: Campaign) -> TextTable:
     return TextTable(("parameter", "standard uncertainty", "unit", "from"), tuple(
-        (each.name, number_text(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
+        (each.name, number_text(each.deviation * shown_factor(each.unit), 3), shown_unit(each.unit), each.origin)
         for each in campaign.taken))
 
 
@@ -266,7 +267,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
                     "log_odds": decision.log_odds[e.hypothesis.name], "accuracy": e.accuracy,
                     "reduced_chi_square": float(np.mean(e.residual.vector**2))}
                    for settled in found.found.final for e in [settled.explanation]],
-        "taken": [vars(taken) for taken in found.campaign.taken], "undone": list(found.found.undone),
+        "taken": _taken_record(found.campaign), "undone": list(found.found.undone),
         "not_tried": [vars(each) for each in found.found.not_tried],
         # Of a search that was cut short: what explains best of what it looked at.
         "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
@@ -293,7 +294,7 @@ def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
         "read": {state.name: {"recording": state.measured.origin.source,
                               "points": int(state.measured.frequency.size), "held_out": state.held_out}
                  for state in campaign.states},
-        "taken": [vars(taken) for taken in campaign.taken], "seconds": seconds,
+        "taken": _taken_record(campaign), "seconds": seconds,
     }
 
 
@@ -304,3 +305,9 @@ def _effects(found: Diagnosis) -> list[dict[str, Any]]:
 
 def _estimate(found: FoundNumber) -> dict[str, Any]:
     return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}
+
+
+def _taken_record(campaign: Campaign) -> list[dict[str, object]]:
+    """The numbers that were taken as known: how exactly, and who says so."""
+    return [{"name": each.name, "uncertainty": each.deviation, "unit": each.unit, "source": each.origin}
+            for each in campaign.taken]

@@ -6,8 +6,8 @@ from typing import Any
 
 from workbench.fem.capacitance import Capacitance
 from workbench.report.page import TextTable, number_text
-from workbench.results.merit import Figures, FittedNumber, NoResonance, ResonanceFit, fit_resonance
-from workbench.results.spectrum import Origin, Spectrum
+from workbench.results.merit import Figures
+from workbench.results.spectrum import Origin
 
 FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
 #: Of a model, which has a capacitance besides.
@@ -40,26 +40,6 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
         record |= {"antiresonance_hz": anti.frequency, "z_max_ohm": anti.z_max, "kt": anti.kt,
                    "k_effective": anti.k_effective}
     return record
-
-
-def resonance_fits(spectrum: Spectrum) -> dict[str, ResonanceFit]:
-    """The fits of the resonance that succeed, by method."""
-    fits = {}
-    for method in ("pole", "bvd"):
-        try:
-            fits[method] = fit_resonance(spectrum, method)
-        except (NoResonance, ValueError, RuntimeError):
-            continue
-    return fits
-
-
-def resonance_record(fit: ResonanceFit) -> dict[str, Any]:
-    """A resonance fit for a JSON file: every value with its standard error."""
-    def pair(estimate: FittedNumber) -> list[float]:
-        return [estimate.value, estimate.standard_error]
-
-    return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,
-            **{name: pair(value) for name, value in fit.parameters.items()}}
 
 
 def origin_table(origin: Origin) -> TextTable:

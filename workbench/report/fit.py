@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from workbench.files.quantities import finite
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.gel import PUBLISHED, GelCase
 from workbench.fitting.joint import FitResult, Match
-from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.record import Source, derived_quantities, reference_frequency, refusals, software
 from workbench.fitting.uncertainty import CONFIDENCE, ParameterEstimate

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from workbench.files.quantities import finite
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.batch import OUTLIER, BatchColumn
-from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.render.fits import draw_batch
 from workbench.report.fit import number_in_unit
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report

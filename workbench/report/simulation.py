@@ -19,10 +19,14 @@ from workbench.report.figures import (
     capacitance_cells,
     figures_record,
     figures_row,
-    resonance_fits,
-    resonance_record,
 )
 from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.resonances import (
+    resonance_notes,
+    resonances_record,
+    resonances_table,
+    single_fits_record,
+)
 from workbench.simulation.gathering import Gathering
 from workbench.simulation.run import Simulation
 
@@ -112,13 +116,15 @@ def write_simulation_report(
     dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
         (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
+    found = {run.state: run.resonances for run in runs}
     sections: list[tuple[str, list[Block]]] = []
     if answers:
         # That of the last state first: it is the one the device works in.
         sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
     sections.append(("Figures of merit", [
         chip.description, f"Source: {chip.source}" if chip.source else "", simulated_figures_table(chip, runs),
-        *map(Note, without_resonance(runs)), *_findings(runs), Picture(spectra, _resolution(runs))]))
+        *map(Note, without_resonance(runs)), *_findings(runs), Picture(spectra, _resolution(runs)),
+        resonances_table(found), *resonance_notes(found)]))
     for run in runs:
         blocks: list[Block] = []
         if run.traps is not None:
@@ -155,7 +161,8 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
     record = figures_record(run.figures, run.no_resonance)
     record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
                                       "at_1_khz": run.capacitance.low_frequency}
-    record["resonance_fits"] = {name: resonance_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
+    record["resonance_fits"] = single_fits_record(run.spectrum)
+    record["circuit"] = resonances_record(run.resonances)
     record["model"] = {
         "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
         "order": run.problem.mesh.order, "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None,

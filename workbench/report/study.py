@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure_named
 from workbench.design.study_result import MISSING, STATE, StudyResult
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.design.variables import VariedNumber
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.render.studies import (
     MOST_IN_PAIRS,
     MOST_LINES,
@@ -61,7 +61,7 @@ def _place(result: StudyResult, row: int) -> str:
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
         told.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
-                    if isinstance(axis, NumberAxis) else f"{axis.name} {value}")
+                    if isinstance(axis, VariedNumber) else f"{axis.name} {value}")
     return ", ".join(told)
 
 
@@ -136,7 +136,7 @@ def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], li
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
-        if isinstance(axis, NumberAxis) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
+        if isinstance(axis, VariedNumber) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
         for at, axis in enumerate(plan.axes)]
     figures = [StudyColumn(with_unit(name, figure_named(name).shown),
                            found.columns[name][there] / figure_named(name).factor)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from workbench.design.figures import Figure, change_unit
 from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
-from workbench.design.uncertainty import CUT, Input, amount, unit_of_number
+from workbench.design.uncertainty import amount
 from workbench.design.yields import CONFIDENCE, RequirementYield, Share
-from workbench.files.quantities import finite
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.files.writing import replacing
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
 from workbench.report.page import Block, Note, TextTable, number_text, with_unit, write_report
 
@@ -26,7 +26,7 @@ def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
     return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip()
 
 
-def law_in_words(each: Input) -> str:
+def law_in_words(each: Number) -> str:
     """The uncertainty of a number in words: limits of a uniform law, or a standard uncertainty."""
     if each.law == "uniform":
         return f"within {amount(each.name, each.half_width)}"
@@ -111,9 +111,8 @@ def inputs_table(found: Tolerance) -> TextTable:
     """Every uncertain number, its law, and who states it."""
     rows = []
     for each in found.uncertainty.inputs:
-        unit = unit_of_number(each.name)
-        rows.append((each.name, f"{each.mean * shown_factor(unit):.6g} {shown_unit(unit)}".strip(), law_in_words(each),
-                     each.law, each.origin))
+        mean = f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip()
+        rows.append((each.name, mean, law_in_words(each), each.law, each.origin))
     return TextTable(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
 
 
@@ -193,7 +192,7 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
         "frequency_hz": found.frequency, "tracking": found.frequency is None, "seed": found.seed,
         "uncertainty": {
             "normal_laws_cut_at_standard_deviations": CUT,
-            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.mean,
+            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.value,
                         "standard_uncertainty": each.deviation, "law": each.law, "low": each.low, "high": each.high,
                         "origin": each.origin} for each in found.uncertainty.inputs],
             "correlation": found.uncertainty.correlation.tolist(), "notes": list(found.uncertainty.notes)},
@@ -258,7 +257,7 @@ def write_samples(found: Tolerance, path: Path) -> Path:
                                         for k, each in enumerate(found.uncertainty.inputs)}
     columns |= {each.label: found.outcomes.column(each.label) for each in found.asked}
     columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
-    units = {each.name: unit_of_number(each.name) for each in found.uncertainty.inputs}
+    units = {each.name: each.unit for each in found.uncertainty.inputs}
     units |= {each.label: each.figure.unit for each in found.asked}
     table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
     table = table.cast(pyarrow.schema([

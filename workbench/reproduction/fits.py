@@ -42,6 +42,7 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import CERAMIC_LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters
+from workbench.jobs.progress import Progress
 from workbench.model.numbers import LOSS, ParameterName, placed
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
@@ -50,9 +51,6 @@ from workbench.results.brief import Brief
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-#: Called with what is being done and the best cost so far.
-Progress = Callable[[str, float], None]
 
 #: The first constraint that values by full name break, in words; empty if they keep all.
 Broken = Callable[[Mapping[str, float]], str]
@@ -134,7 +132,7 @@ def fit_transducer(
     recording: FitRecording,
     *,
     start: Mapping[str, float] | None = None,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     limit: int = 20,
     progress: Progress | None = None,
 ) -> PaperFit:
@@ -143,7 +141,7 @@ def fit_transducer(
     Args:
         start: real numbers by name (``c33``, ``c33.loss``) in place of those of the problem's material. A loss that is
             not known, that is zero, starts at a thousandth of the real part (section 4.2).
-        tolerance: of the reduced model, relative error of the impedance.
+        relative_error: of the reduced model's impedance.
         limit: iterations; the paper sets none.
         progress: may raise KeyboardInterrupt.
 
@@ -153,7 +151,7 @@ def fit_transducer(
     Raises:
         InputError: the problem has no transducer, the recording shows no resonance or too few points about it, or the
             start has an unknown name or makes energy.
-        NotEnriched: the reduced model did not reach the tolerance at the start.
+        NotEnriched: the reduced model did not reach its error at the start.
     """
     problem = recording.problem
     found = problem.materials.get(TRANSDUCER)
@@ -169,7 +167,7 @@ def fit_transducer(
         # `parameter` knows no sign for it.
         begin[coupling + LOSS] = CERAMIC_LOSS * begin[coupling]
     losses = [p for p in free if p.is_loss]
-    search = _Search(recording, lossless, begin, _passive(lossless, losses), tolerance, progress)
+    search = _Search(recording, lossless, begin, _passive(lossless, losses), relative_error, progress)
     costs: list[float] = []
     changes: list[float] = []
     reason, converged = f"the limit of {limit} iterations was reached", False
@@ -202,7 +200,7 @@ def fit_polymer(
     *,
     start: Mapping[str, float] | None = None,
     poisson: tuple[float, float] = POISSON_RATIO,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     progress: Progress | None = None,
 ) -> PaperFit:
     """Section 3.5: bulk and shear modulus of a sample and their losses, all at once, with a transducer that is known.
@@ -211,12 +209,12 @@ def fit_polymer(
         material: full name of the sample's material.
         start: real numbers by name (``bulk_modulus``, ``shear_modulus.loss``) in place of those of the problem.
         poisson: bounds of the real part of Poisson's ratio.
-        tolerance, progress: see :func:`fit_transducer`, also for Ctrl-C.
+        relative_error, progress: see :func:`fit_transducer`, also for Ctrl-C.
 
     Raises:
         InputError: no such material or one that is no isotropic solid, a start outside the constraints, and see
             :func:`fit_transducer`.
-        NotEnriched: the reduced model did not reach the tolerance at the start.
+        NotEnriched: the reduced model did not reach its error at the start.
     """
     problem = recording.problem
     solids = [m.name for m in problem.materials.values() if isinstance(m, IsotropicSolid)]
@@ -228,7 +226,7 @@ def fit_polymer(
         raise InputError("fit", "Poisson's ratio", f"{poisson[0]:g} to {poisson[1]:g}", "a range between -1 and 0.5")
     free = parameters(problem, None, material, POLYMER_FOUR)
     begin = _started(free, material, start or {})
-    search = _Search(recording, problem, begin, _realistic(material, poisson), tolerance, progress)
+    search = _Search(recording, problem, begin, _realistic(material, poisson), relative_error, progress)
     costs: list[float] = []
     reason, converged = "", False
     try:
@@ -290,11 +288,11 @@ class _Search:
 
     def __init__(
         self, recording: FitRecording, problem: Problem, start: Mapping[str, float], broken: Broken,
-        tolerance: float, progress: Progress | None,
+        relative_error: float, progress: Progress | None,
     ) -> None:
         self.began = time.perf_counter()
         self.problem, self.measured = problem, recording.measured
-        self.start, self.broken, self.tolerance, self.progress = dict(start), broken, tolerance, progress
+        self.start, self.broken, self.relative_error, self.progress = dict(start), broken, relative_error, progress
         if why := broken(start):
             raise InputError("fit", "start", ", ".join(f"{k} = {v:.4g}" for k, v in start.items()),
                              f"admissible values: {why}")
@@ -325,7 +323,7 @@ class _Search:
                 raise InputError("fit", "recording", f"{frequency.size} points within {100.0 * window:g} % of "
                                  f"{self.resonance:.6g} Hz", f"at least as many as parameters, {len(self.start)}")
             moved = tuple(dict.fromkeys(ParameterName.parse(name).key for name in self.start))
-            self._models[window] = Predictor(self.problem, frequency, tangents=moved, tolerance=self.tolerance)
+            self._models[window] = Predictor(self.problem, frequency, tangents=moved, tolerance=self.relative_error)
 
     @property
     def _points(self) -> NDArray[np.bool_]:

@@ -142,7 +142,7 @@ def sensitivity(
     scalings: int = 50,
     low: float = 0.7,
     high: float = 1.3,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     progress: Callable[[str, float], None] | None = None,
 ) -> Sensitivity:
     """Algorithm 1 for the transducer of a problem at `frequencies` (n,) Hz.
@@ -151,13 +151,13 @@ def sensitivity(
         names: coefficients of the transducer's material, ``.loss`` for imaginary parts.
         baseline: complex values by full name, e^{-i w t}, in place of the problem's own.
         scalings: N_s, equally spaced from `low` to `high`.
-        tolerance: bound on the estimated relative error of every impedance.
+        relative_error: bound on the estimated relative error of every impedance.
         progress: called with the part's name and the share done.
 
     Raises:
         InputError: a name that is no coefficient of the transducer, or one given twice; fewer than two scalings; a
             range that does not hold 1.
-        NotEnriched: the reduced model did not reach the tolerance.
+        NotEnriched: the reduced model did not reach its error.
     """
     started = time.perf_counter()
     full_names = _full_names(problem, names)
@@ -165,14 +165,14 @@ def sensitivity(
         raise InputError("sensitivity", "scalings", scalings, "two or more")
     if not low < 1.0 < high:
         raise InputError("sensitivity", "range", f"{low:g} to {high:g}", "a range with 1 inside")
-    if not 0.0 < tolerance < 1.0:
-        raise InputError("sensitivity", "tolerance", tolerance, "a relative error between 0 and 1")
+    if not 0.0 < relative_error < 1.0:
+        raise InputError("sensitivity", "relative_error", relative_error, "a relative error between 0 and 1")
     values = problem.with_values(baseline or {}).values
     frequencies = np.asarray(frequencies, dtype=float)
     scaling = np.linspace(low, high, scalings)
-    nominal = Predictor(problem, frequencies, tolerance=tolerance)
-    # Well within the tolerance, so that what hardly moves the spectrum needs no solve of its own.
-    reference = nominal.at(frequencies, 0.2 * tolerance)
+    nominal = Predictor(problem, frequencies, tolerance=relative_error)
+    # Well within that error, so that what hardly moves the spectrum needs no solve of its own.
+    reference = nominal.at(frequencies, 0.2 * relative_error)
     baseline_spectrum = reference(values)
     solves, error = reference.solves, float(baseline_spectrum.error.max())
     coefficients = tuple(dict.fromkeys(ParameterName.parse(name).key for name in full_names))
@@ -188,7 +188,7 @@ def sensitivity(
         slope = gradient[:, coefficients.index(parsed.key)]
         # By the imaginary part d ln Z is i times that by the coefficient, and ln|Z| is the real part of ln Z.
         local[i] = float(np.linalg.norm(parts[i] * (1j * slope if parsed.is_loss else slope).real))
-        spectra = reference.at(frequencies, tolerance)
+        spectra = reference.at(frequencies, relative_error)
         # From the ends inwards: what a model holds at both it mostly holds in between.
         for j in sorted(range(scalings), key=lambda j: -abs(scaling[j] - 1.0)):
             spectrum = spectra(_scaled(values, name, float(scaling[j])))

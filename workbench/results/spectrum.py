@@ -283,12 +283,29 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
-def write_csv(spectrum: Spectrum, path: Path | str) -> None:
-    """Write the workbench's own file: ``# key: value`` lines of the origin, the column names, the rows.
+def scatter(spectrum: Spectrum) -> float:
+    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
+
+    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
+    median keeps out sharp resonances. At least 1e-6, and that of fewer than four points.
+    """
+    third = np.diff(np.log(spectrum.impedance), 3)
+    if not third.size:
+        return 1e-6
+    # The median of |x| of normal x is 0.6745 sigma.
+    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745
+    return float(max(size / np.sqrt(20.0), 1e-6))
+
+
+def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
+    """Write a spectrum, or that of a result, as the workbench's own file, and return its path.
+
+    The file has ``# key: value`` lines of the origin, the column names, the rows.
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
     by :func:`workbench.readers.read_recording`.
     """
+    spectrum, path = spectrum_of(spectrum), Path(path)
     origin = spectrum.origin
     lines = [f"# kind: {origin.kind}"]
     for key, text in (("source", origin.source), ("sha256", origin.sha256), ("instrument", origin.instrument),
@@ -305,4 +322,5 @@ def write_csv(spectrum: Spectrum, path: Path | str) -> None:
         names.append(UNCERTAINTY_COLUMN)
     lines.append(",".join(names))
     lines += [",".join(repr(float(value)) for value in row) for row in zip(*columns, strict=True)]
-    write_atomic(Path(path), "\n".join(lines) + "\n")
+    write_atomic(path, "\n".join(lines) + "\n")
+    return path

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 End = TypeVar("End")
 
-#: Standard errors that ends of one optimum differ by at most. In the campaigns of the tests most of those taken as one
-#: are within 0.9, some are up to 3 apart. With twice as many, the optima of a film of gel, 8 % apart where an
-#: error is 1 %, are nearly one.
+#: Standard errors that ends of one optimum differ by at most. In the campaigns of the tests most ends that were taken
+#: as one optimum are within 0.9, some are up to 3 apart. With twice as many, the optima of a film of gel, 8 % apart
+#: where an error is 1 %, are nearly one.
 ERRORS = 3.0
 
 #: Share of its scale that a parameter differs by at most. It serves where nothing says how well the data determine it,

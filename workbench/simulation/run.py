@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,14 +31,17 @@ from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, Solution, solve_full, sweep
 from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
 from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.reduction import ReducedModel, reduced
 from workbench.results.brief import Brief
+from workbench.results.circuit import CircuitFit
 from workbench.results.merit import Figures, NoResonance, figures
 from workbench.results.notebook import Shown, Summary
+from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
@@ -47,10 +51,6 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-#: Called with the present activity and its finished fraction.
-Progress = Callable[[str, float], None]
-
 
 #: Least number of frequencies within the half-power width of a resonance that determine its figures. Doubled, grids
 #: that are right to 0.1 % would raise a finding.
@@ -71,10 +71,6 @@ ERROR_OVER_ESTIMATE = 3.0
 class MeshTooCoarse(UserWarning):
     """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
     larger error than requested."""
-
-
-def no_progress(_activity: str, _fraction: float) -> None:
-    """A :data:`Progress` that shows nothing."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,6 +119,11 @@ class Simulation(Snapshot, Shown):
     def unknowns(self) -> int:
         """Number of unknowns of the full model."""
         return self.operators.size
+
+    @cached_property
+    def resonances(self) -> CircuitFit | None:
+        """The resonances of the band, fitted together (`wb.fit_resonances`); None where none stands out."""
+        return resonances_of(self.spectrum)
 
     def summary(self) -> Summary:
         """Figures of merit, traps and the model's accuracy, for a notebook."""
@@ -198,12 +199,12 @@ def simulate(
     points: int = 481,
     at: float | None = None,
     full: bool = False,
-    tolerance: float = 1e-4,
+    relative_error: float = 1e-4,
     drive: Drive | None = None,
     accuracy: float | Discretisation = ACCURACY,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
-    on_spectrum: Callable[[Spectrum], None] = lambda _spectrum: None,
+    on_spectrum: Callable[[Spectrum], object] = lambda _spectrum: None,
     progress: Progress = no_progress,
     assumed_losses: bool = True,
 ) -> Simulation:
@@ -215,7 +216,7 @@ def simulate(
         at: frequency (Hz) of the fields; f0 if not given, the middle of the band if there is no resonance.
         full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
-        tolerance: relative error of the reduced model's impedance.
+        relative_error: of the reduced model's impedance.
         drive: drive of the device; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation.
         assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
@@ -228,7 +229,7 @@ def simulate(
     """
     lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses))
-    _check_tolerance(tolerance)
+    _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
@@ -242,7 +243,7 @@ def simulate(
             operators, frequencies, problem, known or {}, on_point, progress)
         lap("spectrum")
     else:
-        model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance, skip_singular=True,
+        model, solution = reduced(operators, frequencies, problem.values, tolerance=relative_error, skip_singular=True,
                                   progress=lambda fraction: progress("reduced model", fraction))
         solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
@@ -308,9 +309,9 @@ def _undamped(device: FilledChip) -> str:
     return f"A resonance without loss has no height: state a loss of {', '.join(lossless)}"
 
 
-def _check_tolerance(tolerance: float) -> None:
-    if not 0.0 < tolerance < 1.0:
-        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
+def _check_relative_error(relative_error: float) -> None:
+    if not 0.0 < relative_error < 1.0:
+        raise InputError("simulate", "relative_error", relative_error, "a relative error between 0 and 1")
 
 
 def _mesh_error(

@@ -10,7 +10,7 @@ from concealed.design import ABSOLUTE, RELATIVE, REMOUNTED_BY, Design
 from concealed.device import EPOXY, GEL, GLASS, PIEZO_CONSTANTS, PLA, PZT, State
 from numpy.typing import NDArray
 
-from workbench.results.spectrum import Origin, Spectrum, write_csv
+from workbench.results.spectrum import Origin, Spectrum, write_spectrum
 
 Complex = NDArray[np.complex128]
 
@@ -26,7 +26,7 @@ def write(folder: Path, design: Design, states: Sequence[State], spectra: Mappin
         clean = spectra[state.name]
         sigma = design.noise * np.abs(clean)
         noisy = clean + sigma * (rng.standard_normal(clean.size) + 1j * rng.standard_normal(clean.size))
-        write_csv(Spectrum(design.frequency, noisy, design.noise * np.abs(noisy), Origin("measured")),
+        write_spectrum(Spectrum(design.frequency, noisy, design.noise * np.abs(noisy), Origin("measured")),
                   folder / f"{state.name}.csv")
     nominal = design.nominal
     (folder / "materials" / "references.bib").write_text(

@@ -17,7 +17,7 @@ from concealed.device import GEL, PLA, PZT, REFERENCE_TEMPERATURE, WATER, water
 from concealed.mechanisms import DRAWS, NONE, OUTSIDE
 
 from workbench.files.writing import write_atomic
-from workbench.fitting.parameter import BENCH_ELEMENTS
+from workbench.model.numbers import BENCH_ELEMENTS
 
 #: An effect of more standard deviations than this is detectable; a held-out state is back to noise below that.
 DETECTABLE, HELD = 5.0, 1.3

@@ -3,7 +3,7 @@
 
 From recordings to a design that is best over what the bench left uncertain, and what a nominal design would have lost.
 
-    python examples/19_robust_by_measurement.py [-o out/robust_by_measurement]
+    python examples/17_robust_by_measurement.py [-o out/robust_by_measurement]
 
 The bench is the simulated one of ``11_whole_way.py``: leads, gains that are off, 8 bit and noise. A disc is measured
 and fitted, then the disc with a printed sample on it, and the moduli of the print are fitted; both are kept with their

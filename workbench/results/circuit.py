@@ -1,0 +1,418 @@
+"""Equivalent circuit of a piezoelectric device: resonant branches beside a static capacitance, fitted to a spectrum.
+
+    Y = j w C0 (1 - j t) + sum_k j w C_k e^{j p_k} / (1 - u^2 + j u / Q_k),  u = f / f_k,      Z = Rs + 1 / Y
+
+With p_k = 0 and t = 0 branch k is a resistor, an inductor and a capacitor in series (Butterworth and Van Dyke):
+C_k, L_k = 1 / (w_k^2 C_k), R_k = 1 / (w_k C_k Q_k). The phase p_k is that of a mode whose coupling has a loss, and t
+the loss tangent of the static capacitance. One branch is fitted by :func:`fit_circuit`, several together by
+:func:`workbench.results.resonances.fit_resonances`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, nnls
+
+from workbench.results.brief import Brief
+from workbench.results.merit import Figures, figures
+from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Numbers of a branch in a vector: ln f, ln Q, ln C, phase.
+OF_BRANCH = 4
+
+#: Part of |Z| by which Re Z may be below zero: what an instrument's zero is off. Doubled, a device that gives 4 % of
+#: its apparent power back is called passive.
+NEGATIVE = 0.02
+
+
+#: Logarithm of a frequency (Hz) or a Q beyond which nothing changes in numbers of sixteen digits.
+LARGEST = 80.0
+
+#: Steps of a fit that need not end at rounding. Doubled, a band with ten resonances takes seconds.
+STEPS = 100
+
+
+@dataclass(frozen=True)
+class FittedNumber:
+    """A fitted value and its standard error, in the same unit."""
+
+    value: float
+    standard_error: float
+
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % interval."""
+        return self.value - 1.96 * self.standard_error, self.value + 1.96 * self.standard_error
+
+
+@dataclass(frozen=True)
+class FittedResonance:
+    """One branch of a fitted circuit.
+
+    ``frequency`` (Hz) and ``q`` of its series resonance; ``k_eff`` its effective coupling factor with the static
+    capacitance alone, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (C0 + C1); ``resistance`` (ohm), ``inductance`` (H) and
+    ``capacitance`` (F) in series; ``phase`` (rad) that losses of the coupling give the branch, 0 in a plain circuit.
+    """
+
+    frequency: FittedNumber
+    q: FittedNumber
+    k_eff: FittedNumber
+    resistance: FittedNumber
+    inductance: FittedNumber
+    capacitance: FittedNumber
+    phase: FittedNumber
+
+    @property
+    def bandwidth(self) -> float:
+        """f / Q, Hz."""
+        return self.frequency.value / self.q.value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CircuitFit(Brief):
+    """A circuit fitted to a spectrum.
+
+    ``resonances`` by frequency; ``static_capacitance`` (F), ``loss_tangent`` and ``series_resistance`` (ohm), 0 where
+    they were not fitted; ``model`` the fitted spectrum on the points used; ``rms_residual`` the root mean square of
+    |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known; ``findings`` what cannot be
+    resolved. Standard errors hold for independent noise of the stated uncertainty or, without one, for noise of the
+    same relative size in Z at every point, judged from the residual: a model that does not fit gives errors that mean
+    little.
+    """
+
+    resonances: tuple[FittedResonance, ...]
+    static_capacitance: FittedNumber
+    loss_tangent: FittedNumber
+    series_resistance: FittedNumber
+    model: Spectrum
+    rms_residual: float
+    reduced_chi_square: float | None
+    findings: tuple[str, ...] = ()
+
+    @cached_property
+    def parameters(self) -> Mapping[str, FittedNumber]:
+        """R1, L1, C1, R2, ..., C0 in SI."""
+        found = {f"{name}{k}": value for k, each in enumerate(self.resonances, 1)
+                 for name, value in (("R", each.resistance), ("L", each.inductance), ("C", each.capacitance))}
+        return {**found, "C0": self.static_capacitance}
+
+
+def fit_circuit(
+    spectrum: Spectrum | WithSpectrum,
+    *,
+    near: float | None = None,
+    band: tuple[float, float] | None = None,
+    series_resistance: bool = False,
+) -> CircuitFit:
+    """Fit the circuit of one resonance: R1, L1 and C1 in series, C0 across them.
+
+    Everything in `band` (Hz) is fitted, which another resonance spoils: :func:`fit_resonances` takes several. `near`
+    (Hz) says which resonance the fit starts from, the deepest unless stated; `series_resistance` puts Rs, that of
+    leads, before the circuit.
+
+    Raises:
+        NoResonance: there is none to start from.
+        ValueError: too few points, a spectrum that is not passive, or a fit that does not converge.
+    """
+    whole = spectrum_of(spectrum)
+    seen = whole if band is None else whole.restricted(*band)
+    check_passive_spectrum(seen)
+    start = figures(seen, near=near)
+    capacitance = _static_capacitance(seen, start)
+    # R1 is the smallest |Z|: C1 = 1 / (w R1 Q).
+    motional = 1.0 / (2.0 * math.pi * start.f0 * start.z_min * start.q)
+    circuit = BranchCircuit(np.array([[math.log(start.f0), math.log(start.q), math.log(motional), 0.0]]),
+                      np.array([math.log(capacitance), 0.0, 0.0]))
+    return solved(seen, circuit, Freedom(series_resistance=series_resistance)).fit()
+
+
+def _static_capacitance(spectrum: Spectrum, start: Figures) -> float:
+    found = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
+    if found > 0.0:
+        return found
+    # No antiresonance in the band, or overtones spoil the estimate: take the far end's.
+    susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
+    return susceptance / (2.0 * math.pi * float(spectrum.frequency[-1]))
+
+
+def bvd_impedance(
+    frequency: Real,
+    *,
+    motional_resistance: float,
+    motional_inductance: float,
+    motional_capacitance: float,
+    static_capacitance: float,
+    series_resistance: float = 0.0,
+) -> Complex:
+    """Z (n,) ohm, e^{+j w t}, of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz; values in SI."""
+    omega = 2.0 * np.pi * frequency
+    motional = motional_resistance + 1j * (omega * motional_inductance - 1.0 / (omega * motional_capacitance))
+    return np.asarray(series_resistance + 1.0 / (1j * omega * static_capacitance + 1.0 / motional))
+
+
+def check_passive_spectrum(spectrum: Spectrum) -> None:
+    """Refuse a spectrum of which a tenth of the points has a resistance below zero, by more than an offset.
+
+    Raises:
+        ValueError: it is so; with the worst point.
+    """
+    margin = NEGATIVE if spectrum.uncertainty is None else NEGATIVE + 3.0 * spectrum.uncertainty / spectrum.magnitude
+    share = spectrum.impedance.real / spectrum.magnitude + margin
+    if np.mean(share < 0.0) > 0.1:
+        worst = int(np.argmin(share))
+        raise ValueError(
+            f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {spectrum.frequency[worst]:.9g} Hz: this is not the "
+            'spectrum of a passive device; if its sign was recorded wrongly, read it with correction="negate"')
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """The numbers of a circuit that a fit moves, besides f, Q and C of every branch and C0.
+
+    ``losses``: phases and the loss tangent; ``series_resistance``; ``held`` branches are confined to frequencies
+    (Hz) from the first to the second, by index.
+    """
+
+    losses: bool = False
+    series_resistance: bool = False
+    held: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class BranchCircuit:
+    """The numbers of a circuit: ``branches`` (k, 4) of ln f, ln Q, ln C and phase; ``rest`` (3,) of ln C0, t, Rs."""
+
+    branches: Real
+    rest: Real
+
+    @property
+    def frequencies(self) -> Real:
+        """Series resonances (k,) Hz."""
+        return np.exp(np.clip(self.branches[:, 0], -LARGEST, LARGEST))
+
+    @property
+    def bandwidths(self) -> Real:
+        """f / Q (k,) Hz."""
+        return np.exp(np.clip(self.branches[:, 0] - self.branches[:, 1], -LARGEST, LARGEST))
+
+    def with_branch(self, frequency: float, bandwidth: float) -> BranchCircuit:
+        """The circuit with one more branch, the last one (Hz), of hardly any capacitance."""
+        new = [math.log(frequency), math.log(frequency / bandwidth), float(self.rest[0]) - 20.0, 0.0]
+        return replace(self, branches=np.vstack([self.branches, new]))
+
+    def with_amplitudes(self, spectrum: Spectrum, *, losses: bool) -> BranchCircuit:
+        """The circuit with the capacitances, and the phases of `losses`, that leave the least relative error of Y.
+
+        They enter Y linearly. Without losses none is below zero, and one of zero stays as it was.
+        """
+        frequency = spectrum.frequency
+        columns = [np.ones(len(frequency), dtype=complex)]
+        for at, sharpness, _, _ in self.branches:
+            u = frequency * math.exp(-_within(at))
+            columns.append(1.0 / (1.0 - u**2 + 1j * u / math.exp(_within(sharpness))))
+        scaled = (2j * np.pi * frequency * spectrum.impedance)[:, None] * np.column_stack(columns)
+        size = np.linalg.norm(scaled, axis=0)
+        wanted = np.ones(len(frequency))
+        if losses:
+            found = np.linalg.lstsq(scaled / size, wanted.astype(complex), rcond=None)[0] / size
+        else:
+            found = nnls(np.vstack([scaled.real, scaled.imag]) / size,
+                         np.concatenate([wanted, np.zeros(len(frequency))]))[0].astype(complex) / size
+        branches, rest = self.branches.copy(), self.rest.copy()
+        moved = np.abs(found) > 0.0
+        branches[moved[1:], 2] = np.log(np.abs(found[1:][moved[1:]]))
+        branches[:, 3] = np.angle(found[1:])
+        if found[0].real > 0.0:
+            rest[:2] = math.log(abs(found[0])), -found[0].imag / found[0].real
+        return BranchCircuit(branches, rest)
+
+    def without(self, index: int) -> BranchCircuit:
+        return replace(self, branches=np.delete(self.branches, index, axis=0))
+
+    def vector(self) -> Real:
+        return np.concatenate([self.branches.ravel(), self.rest])
+
+    def moved(self, vector: Real) -> BranchCircuit:
+        """A circuit of as many branches with the numbers of a vector."""
+        return BranchCircuit(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
+
+    def impedance(self, frequency: Real) -> Complex:
+        """Z (n,) ohm."""
+        return self.with_slopes(frequency)[0]
+
+    def with_slopes(self, frequency: Real) -> tuple[Complex, Complex]:
+        """Z (n,) ohm and its derivatives (n, numbers) by those of :meth:`vector`."""
+        omega = 2.0 * np.pi * frequency
+        columns: list[NDArray[Any]] = []
+        static = 1j * omega * math.exp(_within(self.rest[0]))
+        admittance: Complex = static * (1.0 - 1j * self.rest[1])
+        for at, sharpness, capacitance, phase in self.branches:
+            u, q = frequency * math.exp(-_within(at)), math.exp(_within(sharpness))
+            bracket = 1.0 - u**2 + 1j * u / q
+            part: Complex = 1j * omega * np.exp(_within(capacitance) + 1j * phase) / bracket
+            admittance = admittance + part
+            columns += [part * (1j * u / q - 2.0 * u**2) / bracket, part * (1j * u / q) / bracket, part, 1j * part]
+        columns += [static * (1.0 - 1j * self.rest[1]), -1j * static]
+        slopes = -np.column_stack(columns) / admittance[:, None] ** 2
+        return self.rest[2] + 1.0 / admittance, np.column_stack([slopes, np.ones_like(omega)])
+
+
+def _within(logarithm: float) -> float:
+    """The logarithm of a branch that is on its way out, as a number."""
+    return float(min(max(logarithm, -LARGEST), LARGEST))
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCircuit:
+    """A circuit that fits a spectrum best: ``squares`` its sum of weighted squares, ``covariance`` of its vector."""
+
+    spectrum: Spectrum
+    circuit: BranchCircuit
+    freedom: Freedom
+    free: NDArray[np.int64]
+    squares: float
+    covariance: Real
+
+    @property
+    def left(self) -> float:
+        """Weighted squares by degrees of freedom: reduced chi-square, or the variance of ln Z."""
+        return self.squares / max(2 * len(self.spectrum.frequency) - len(self.free), 1)
+
+    def errors(self) -> Real:
+        """Standard errors of the numbers of the vector, 0 of what was not fitted."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def fit(self, listed: Sequence[int] | None = None, findings: tuple[str, ...] = ()) -> CircuitFit:
+        """The result, of the branches `listed` by index, of all unless given."""
+        branches = self.circuit.branches
+        chosen = sorted(range(len(branches)) if listed is None else listed, key=lambda k: float(branches[k, 0]))
+        impedance = self.circuit.impedance(self.spectrum.frequency)
+        last = OF_BRANCH * len(branches)
+        return CircuitFit(
+            tuple(self._resonance(k) for k in chosen), self._exponential({last: 1.0}),
+            self._number(last + 1), self._number(last + 2), Spectrum(self.spectrum.frequency, impedance),
+            *left_over(self.spectrum, impedance, len(self.free)), findings)
+
+    def _resonance(self, k: int) -> FittedResonance:
+        at, sharpness, capacitance, phase = range(OF_BRANCH * k, OF_BRANCH * (k + 1))
+        static = OF_BRANCH * len(self.circuit.branches)
+        vector, turn = self.circuit.vector(), math.log(2.0 * math.pi)
+        k2 = 1.0 / (1.0 + math.exp(vector[static] - vector[capacitance]))
+        # d ln k = (1 - k^2) (d ln C - d ln C0) / 2.
+        spread = self._exponential({capacitance: 1.0, static: -1.0})
+        coupling = math.sqrt(k2)
+        return FittedResonance(
+            self._exponential({at: 1.0}), self._exponential({sharpness: 1.0}),
+            FittedNumber(coupling, 0.5 * coupling * (1.0 - k2) * spread.standard_error / spread.value),
+            self._exponential({at: -1.0, capacitance: -1.0, sharpness: -1.0}, -turn),
+            self._exponential({at: -2.0, capacitance: -1.0}, -2.0 * turn), self._exponential({capacitance: 1.0}),
+            self._number(phase))
+
+    def _number(self, index: int) -> FittedNumber:
+        return FittedNumber(float(self.circuit.vector()[index]), math.sqrt(self.covariance[index, index]))
+
+    def _exponential(self, powers: Mapping[int, float], constant: float = 0.0) -> FittedNumber:
+        """e to a constant and a weighted sum of logarithms of the vector, with its standard error."""
+        places, weights = list(powers), np.array(list(powers.values()))
+        value = math.exp(constant + float(weights @ self.circuit.vector()[places]))
+        variance = float(weights @ self.covariance[np.ix_(places, places)] @ weights)
+        return FittedNumber(value, value * math.sqrt(max(variance, 0.0)))
+
+
+def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> SolvedCircuit:
+    """The circuit nearest to `start` that fits ln Z best; everything positive is so by construction.
+
+    With losses, whose numbers may hardly matter, a fit that has come close is taken for the end.
+
+    Raises:
+        ValueError: too few points, or no convergence.
+    """
+    first, count = start.vector(), len(start.branches)
+    free = _free(count, freedom)
+    if len(spectrum.frequency) < len(free):
+        raise ValueError(f"{len(spectrum.frequency)} points do not determine {len(free)} parameters of a circuit")
+    low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
+    for index, (lowest, highest) in freedom.held.items():
+        low[OF_BRANCH * index], high[OF_BRANCH * index] = math.log(lowest), math.log(highest)
+    weight = np.ones(len(spectrum.frequency))
+    if spectrum.uncertainty is not None:
+        weight = spectrum.magnitude / spectrum.uncertainty
+
+    def whole(part: Real) -> BranchCircuit:
+        vector = first.copy()
+        vector[free] = part
+        return start.moved(vector)
+
+    def residual(part: Real) -> Real:
+        # A step too far is no number, and is taken back by the search.
+        with np.errstate(all="ignore"):
+            logarithm = weight * np.log(whole(part).impedance(spectrum.frequency) / spectrum.impedance)
+        return np.concatenate([logarithm.real, logarithm.imag])
+
+    def jacobian(part: Real) -> Real:
+        impedance, slopes = whole(part).with_slopes(spectrum.frequency)
+        scaled = (weight / impedance)[:, None] * slopes[:, free]
+        return np.vstack([scaled.real, scaled.imag])
+
+    vector, slope, squares = least_squares_of(residual, jacobian, first[free], bounds=(low[free], high[free]),
+                                              near=freedom.losses)
+    covariance = np.zeros((len(first), len(first)))
+    covariance[np.ix_(free, free)] = covariance_of(slope, squares, known=spectrum.uncertainty is not None)
+    return SolvedCircuit(spectrum, whole(vector), freedom, free, squares, covariance)
+
+
+def _free(count: int, freedom: Freedom) -> NDArray[np.int64]:
+    """The places of what is fitted in the vector of a circuit of so many branches."""
+    last = OF_BRANCH * count
+    found = [k for k in range(last) if k % OF_BRANCH != OF_BRANCH - 1 or freedom.losses]
+    found += [last, *([last + 1] if freedom.losses else []), *([last + 2] if freedom.series_resistance else [])]
+    return np.array(found)
+
+
+def least_squares_of(
+    residual: Callable[[Real], Real], jacobian: Callable[[Real], Real], start: Real,
+    bounds: tuple[Real, Real] | None = None, *, near: bool = False,
+) -> tuple[Real, Real, float]:
+    """The vector (p,) at which the residuals (n,) are smallest, their Jacobian (n, p) there, the sum of squares.
+
+    To rounding, or `near` it: until a step gains 1e-8 of the sum, or after :data:`STEPS`.
+
+    Raises:
+        ValueError: not converged.
+    """
+    error = 1e-8 if near else 1e-12
+    found = least_squares(residual, start, jac=jacobian, x_scale="jac", xtol=error, ftol=error, gtol=error,
+                          bounds=(-np.inf, np.inf) if bounds is None else bounds, max_nfev=STEPS if near else None)
+    if found.status <= 0 and not near:
+        raise ValueError(f"the fit did not converge: {found.message} (sum of squares {2.0 * found.cost:.4g})")
+    return found.x, found.jac, 2.0 * float(found.cost)
+
+
+def left_over(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[float, float | None]:
+    """The rms of |Z_model / Z - 1|, and the reduced chi-square of a fit of so many parameters, None without noise."""
+    off = np.abs(impedance - spectrum.impedance)
+    rms = float(np.sqrt(np.mean((off / spectrum.magnitude) ** 2)))
+    if spectrum.uncertainty is None:
+        return rms, None
+    return rms, float(np.sum((off / spectrum.uncertainty) ** 2)) / (2 * len(off) - parameters)
+
+
+def covariance_of(jacobian: Real, squares: float, *, known: bool) -> Real:
+    """Covariance (p, p) of the fitted vector; scaled by the residual where the uncertainty is not `known`."""
+    # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
+    norm = np.linalg.norm(jacobian, axis=0)
+    norm = np.where(norm > 0.0, norm, 1.0)
+    inverse = np.linalg.pinv((jacobian / norm).T @ (jacobian / norm), hermitian=True) / np.outer(norm, norm)
+    return np.asarray(inverse * (1.0 if known else squares / (len(jacobian) - jacobian.shape[1])))
