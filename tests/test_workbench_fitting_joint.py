@@ -16,11 +16,11 @@ from materials.kinds import Material, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.fitting import multistart
 from workbench.fitting.joint import FINE, FitError, FitResult, fit_parameters
+from workbench.fitting.measurement_model import through_bench
 from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.search import SCHEDULE, SEARCHED_POINTS, FitSearch
-from workbench.fitting.seen import through_bench
 from workbench.model.dimensions import flexible
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.fitting.joint import FINE, reweighted_descent
+from workbench.fitting.measurement_model import log_ratio
 from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.search import FitSearch
-from workbench.fitting.seen import log_ratio
 from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,

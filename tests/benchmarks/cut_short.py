@@ -35,7 +35,7 @@ sys.path[:0] = [str(ROOT)]
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.commands.asked import asked_accuracy  # noqa: E402
+from workbench.commands.parsed_options import accuracy_option  # noqa: E402
 from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.descent import Candidate  # noqa: E402
@@ -147,7 +147,7 @@ class Replay:
     """All runs of one campaign."""
 
     def __init__(self, campaign: Path, options: argparse.Namespace) -> None:
-        self._given = campaign, asked_accuracy(options)
+        self._given = campaign, accuracy_option(options)
         self._kept: dict[tuple[str, str], Kept] = {}
         self._model: Model | None = None
         self._stated: tuple[StateFit, ...] = ()

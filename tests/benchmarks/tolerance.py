@@ -32,8 +32,8 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, parse_chip, read_chip  # noqa: E402
 from workbench.design.evaluation import Evaluation, Operation  # noqa: E402
+from workbench.design.input_uncertainty import numbers_of  # noqa: E402
 from workbench.design.model import _evaluated, full_evaluation  # noqa: E402
-from workbench.design.stated import numbers_of  # noqa: E402
 from workbench.design.tolerance import Tolerance, tolerance  # noqa: E402
 from workbench.design.yields import passed_share  # noqa: E402
 from workbench.model.dimensions import flexible  # noqa: E402

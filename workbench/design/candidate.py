@@ -14,9 +14,9 @@ from workbench.design.descent import Multipliers
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import figure_named
 from workbench.design.goal import SIGNED, Goal
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.grid_rounding import round_to_grid
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.design.search import Optimum
-from workbench.design.steps import settle
 from workbench.design.variables import Selection, VariedNumber, changed
 
 #: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
@@ -87,17 +87,17 @@ class Confirmed:
 
 
 def rounded_design(
-    goal: Goal, programme: Programme, optimum: Optimum, selection: Selection, evaluations: int
+    goal: Goal, programme: NonlinearProgramme, optimum: Optimum, selection: Selection, evaluations: int
 ) -> RoundedDesign:
     """The chip that an optimum becomes with its lengths on their steps."""
-    held, descent = settle(programme, optimum.descent, evaluations=evaluations)
+    held, descent = round_to_grid(programme, optimum.descent, evaluations=evaluations)
     rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
     lengths = {each.name: {**held.fixed, **rounded}[each.name] for each in goal.unknowns}
     return proposed(goal, programme, lengths, selection, optimum)
 
 
 def proposed(
-    goal: Goal, programme: Programme, lengths: Mapping[str, float], selection: Selection,
+    goal: Goal, programme: NonlinearProgramme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
 ) -> RoundedDesign:
     """The chip of these `lengths` (m), one for each of the goal's unknowns."""
@@ -112,12 +112,12 @@ def proposed(
                          goal.bounds)
 
 
-def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple[Active, ...]:
+def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers) -> tuple[Active, ...]:
     """What holds an optimum, that which gains most first."""
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
-            active.append(Active(_told(bound), *_step(bound, float(gain))))
+            active.append(Active(_bound_text(bound), *_step(bound, float(gain))))
     for each, low, high in zip(programme.variables, found.low, found.high, strict=True):
         for gain, end, word, value in ((low, each.low, "lowest", _own(goal, each).low),
                                        (high, each.high, "highest", _own(goal, each).high)):
@@ -133,7 +133,7 @@ def _own(goal: Goal, variable: VariedNumber) -> VariedNumber:
     return next(each for each in goal.unknowns if each.name == variable.name)
 
 
-def _told(bound: Bound) -> str:
+def _bound_text(bound: Bound) -> str:
     """The text of a bound, and which of its two ends is meant where it has two."""
     return bound.text if "within" not in bound.text else f"{bound.text} ({'lower' if bound.above else 'upper'} end)"
 

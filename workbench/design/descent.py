@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
-from workbench.design.programme import KEPT, Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import KEPT, NonlinearProgramme, ProgrammePoint
 
 Real = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ ACTIVE = 1e-4
 SHRINKING, SMALLEST = 0.25, 0.02
 
 #: Times that it goes on without finding anything better.
-IDLE = 2
+STALLED = 2
 
 #: What a point without figures is worse by than the worst point known, in units of the objective.
 PENALTY = 1.0
@@ -41,11 +41,11 @@ PENALTY = 1.0
 PATIENCE = 12
 
 
-class _Spent(Exception):
+class _OutOfEvaluations(Exception):
     """The evaluations of a descent are used up."""
 
 
-class _Idle(Exception):
+class _Stalled(Exception):
     """A round finds nothing better any more."""
 
 
@@ -83,7 +83,7 @@ class DesignDescent:
         return self.point.violation <= KEPT
 
 
-def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDescent:
+def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> DesignDescent:
     """The best point that is found from `start` (n,) by at most so many `evaluations`."""
     points: list[ProgrammePoint] = []
     begun = 0
@@ -93,25 +93,25 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDes
             if np.array_equal(each.x, x):
                 return each
         if len(points) >= evaluations:
-            raise _Spent
+            raise _OutOfEvaluations
         if len(points) - max(begun, _last_gain(points)) > PATIENCE:
-            raise _Idle
+            raise _Stalled
         points.append(programme(x))
         return points[-1]
 
     centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
     try:
         best = evaluate(centre)
-        while width >= SMALLEST and idle < IDLE and programme.variables:
+        while width >= SMALLEST and idle < STALLED and programme.variables:
             before, begun = best, len(points)
-            with suppress(_Idle):
+            with suppress(_Stalled):
                 _follow(programme, evaluate, points, centre, width)
             best = min(points, key=lambda each: each.rank)
             if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
                 break
             idle = 0 if _better(best, before) else idle + 1
             width, centre = SHRINKING * width, best.x
-    except _Spent:
+    except _OutOfEvaluations:
         pass
     best = min(points, key=lambda each: each.rank)
     return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
@@ -129,8 +129,8 @@ def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
 
 
 def _follow(
-    programme: Programme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint], centre: Real,
-    width: float
+    programme: NonlinearProgramme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint],
+    centre: Real, width: float,
 ) -> None:
     """SLSQP from `centre` (n,) within `width` to either side."""
     def clipped(x: Real) -> ProgrammePoint:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.goal import SearchOptions
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.design.variables import VariedNumber
 from workbench.jobs.workers import Workers, itself
 
@@ -39,7 +39,7 @@ class PopulationMember:
         return np.array([each.objective for each in self.points])
 
 
-def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> PopulationMember:
+def judge(programmes: Sequence[NonlinearProgramme], lengths: Mapping[str, float]) -> PopulationMember:
     """The member of these lengths (m): evaluated once, judged by every programme."""
     x = programmes[0].unknowns(lengths)
     evaluations = programmes[0].evaluations(x, gradient=False)
@@ -47,7 +47,7 @@ def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Popu
 
 
 def evolve(
-    programmes: Sequence[Programme], stock: Sequence[VariedNumber], search: SearchOptions,
+    programmes: Sequence[NonlinearProgramme], stock: Sequence[VariedNumber], search: SearchOptions,
     first: Sequence[Mapping[str, float]] = (), *, workers: Workers,
     say: Callable[[float], None] | None = None, better: Callable[[PopulationMember], None] | None = None,
 ) -> list[PopulationMember]:
@@ -142,7 +142,7 @@ def _gene(variable: VariedNumber, stock: Sequence[VariedNumber]) -> _Gene:
 
 
 def _problem(
-    genes: Sequence[_Gene], programmes: Sequence[Programme],
+    genes: Sequence[_Gene], programmes: Sequence[NonlinearProgramme],
     evaluate: Callable[[Sequence[Mapping[str, Any]]], list[PopulationMember]],
 ) -> Problem:
     """The problem as pymoo wants it."""

@@ -17,10 +17,10 @@ from materials.registry import Registry
 from workbench.design.boxes import Box, TrustRegion, middle, variables_in_box
 from workbench.design.evaluation import OF_FIELD, Evaluation
 from workbench.design.goal import TOLERANCE, Goal, Robust
+from workbench.design.input_uncertainty import stated_uncertainty
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
-from workbench.design.programme import Programme
-from workbench.design.spread import Spread
-from workbench.design.stated import stated_uncertainty
+from workbench.design.nonlinear_programme import NonlinearProgramme
+from workbench.design.scenarios import ScenarioSample
 from workbench.design.variables import Selection, changed, first_name
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
@@ -137,8 +137,8 @@ class Modelling:
 
     chip: Chip
     box: Box
-    reach: TrustRegion
-    programme: Programme
+    trust_region: TrustRegion
+    programme: NonlinearProgramme
     seconds: float
 
     @property
@@ -152,8 +152,8 @@ class Modelling:
 
 
 def modelled(
-    goal: Goal, selection: Selection, about: Mapping[str, float], reach: TrustRegion, solver: Solver, say: Say,
-    spread: Spread | None = None,
+    goal: Goal, selection: Selection, about: Mapping[str, float], trust_region: TrustRegion, solver: Solver, say: Say,
+    scenarios: ScenarioSample | None = None,
 ) -> Modelling:
     """The programme of a goal on a model about the lengths `about` (m), as wide as `reach` and the bounds let it.
 
@@ -165,31 +165,32 @@ def modelled(
     started = time.perf_counter()
     chosen = changed(goal.chip, selection.stock, selection.materials)
     for turn in range(HALVED + 1):
-        box = reach.about(about, goal.unknowns)
+        box = trust_region.about(about, goal.unknowns)
         chip = changed(chosen, middle(box))
-        ranges = _widened(box, chip, spread)
+        ranges = _with_scenarios(box, chip, scenarios)
         say("model", 0.0)
         try:
             model = solver.model(chip, ranges, partial(say, "model")) if ranges else Known(solver.full(chip))
         except NotCovered:
             if turn == HALVED:
                 raise
-            reach = reach.halved()
+            trust_region = trust_region.halved()
             continue
         lengths = {name: each.value for name, each in chip.dimensions().items()}
-        programme = Programme(model, variables_in_box(goal.unknowns, box), goal.objectives[0], goal.bounds, lengths)
-        return Modelling(chip, box, reach, programme, time.perf_counter() - started)
+        variables = variables_in_box(goal.unknowns, box)
+        programme = NonlinearProgramme(model, variables, goal.objectives[0], goal.bounds, lengths)
+        return Modelling(chip, box, trust_region, programme, time.perf_counter() - started)
     raise AssertionError("unreachable")
 
 
-def _widened(box: Box, chip: Chip, spread: Spread | None) -> Box:
+def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> Box:
     """The box with what samples move its lengths by, and with the numbers that only samples move."""
     found = dict(box)
-    if spread is None:
+    if scenarios is None:
         return found
     dimensions = chip.dimensions()
-    for name in spread.names:
-        values = [each[name] for each in spread.samples]
+    for name in scenarios.names:
+        values = [each[name] for each in scenarios.samples]
         present = dimensions[name].value if name in dimensions else 0.0
         low, high = box.get(name, (present, present))
         found[name] = (low + min(0.0, *values), high + max(0.0, *values)) if name in dimensions else (
@@ -197,7 +198,7 @@ def _widened(box: Box, chip: Chip, spread: Spread | None) -> Box:
     return found
 
 
-def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
+def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSample | None:
     """Samples of what is uncertain of a goal's chip; None where the goal is not a robust one.
 
     Raises:
@@ -214,11 +215,11 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
         raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}
     points = stated.draw(robust.samples, goal.search.seed).points
-    return Spread(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
+    return ScenarioSample(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
                         for point in points), robust.quantile, stated.covariance)
 
 
-def reach_of(goal: Goal) -> TrustRegion:
+def trust_region_of(goal: Goal) -> TrustRegion:
     """How far the models of a goal extend at first: a share of the present lengths, or of the nearest within bounds."""
     return TrustRegion.relative(present_of(goal), goal.search.reach)
 

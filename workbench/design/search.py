@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import SearchOptions
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.jobs.workers import Workers, itself
 from workbench.search.optimum import distinct, is_same_optimum
 
@@ -50,7 +50,7 @@ class Attempt:
         return self.descents[0]
 
 
-def attempt(programme: Programme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
+def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
     """The start of that number; with `present` (n,) that point is descended from too."""
     size = len(programme.variables)
     sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
@@ -66,7 +66,7 @@ def attempt(programme: Programme, search: SearchOptions, number: int, present: R
 
 
 def search_all(
-    programme: Programme, search: SearchOptions, present: Real, *, workers: Workers,
+    programme: NonlinearProgramme, search: SearchOptions, present: Real, *, workers: Workers,
     finished: Callable[[Attempt], None] | None = None,
 ) -> list[Attempt]:
     """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""

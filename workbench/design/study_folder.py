@@ -137,7 +137,7 @@ def opened(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
 
 
 def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool) -> None:
-    begun, asked = path / _BEGUN, asked_of(study, parts)
+    begun, asked = path / _BEGUN, study_description(study, parts)
     if begun.exists() and overwrite:
         # First: points without it are nobody's, and are cleared away below.
         begun.unlink()
@@ -153,14 +153,15 @@ def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
     write_json(begun, asked)
 
 
-def _check_same(begun: dict[str, str], asked: dict[str, str], path: Path, study: Study) -> None:
-    for key in {**asked, **begun}:
-        if begun.get(key) != asked.get(key):
-            raise InputError(study.file, key, asked.get(key, "nothing"), f"{begun.get(key, 'nothing')!r}, with which "
-                             f"the study in {path} was begun; choose another folder, or overwrite it (--overwrite)")
+def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
+    for key in {**requested, **stored}:
+        if stored.get(key) != requested.get(key):
+            raise InputError(study.file, key, requested.get(key, "nothing"),
+                             f"{stored.get(key, 'nothing')!r}, with which the study in {path} was begun; choose "
+                             "another folder, or overwrite it (--overwrite)")
 
 
-def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
+def study_description(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
     """All that decides the table of a study, as texts by the name of what they are of."""
     operation, sampling = study.operation, study.sampling
     found = {

@@ -84,7 +84,7 @@ class StudyResult(Shown):
         states, count = np.array(plan.states, dtype=np.str_), len(plan.sample)
         found: dict[str, NDArray[Any]] = {STATE: np.repeat(states, count)}
         for axis, column in zip(plan.axes, plan.sample.T, strict=True):
-            found[axis.name] = np.tile(_told(axis, column), len(plan.states))
+            found[axis.name] = np.tile(_formatted(axis, column), len(plan.states))
         found |= dict(zip(plan.figures, self.rows.figures.T, strict=True))
         return {**found, FREQUENCY: self.rows.frequency, ERROR: self.rows.error, MISSING: self.rows.missing}
 
@@ -137,7 +137,7 @@ class StudyResult(Shown):
         coordinates: dict[str, Any] = {STATE: (STATE, list(plan.states))}
         for axis, column in zip(plan.axes, plan.sample.T, strict=True):
             attributes = {"long_name": axis.name} | ({"units": axis.unit} if isinstance(axis, VariedNumber) else {})
-            told = _told(axis, axis.levels() if grid else column)
+            told = _formatted(axis, axis.levels() if grid else column)
             coordinates[names[axis.name]] = (names[axis.name] if grid else "point",
                                              told if isinstance(axis, VariedNumber) else list(told), attributes)
         data: dict[str, Any] = {}
@@ -190,7 +190,7 @@ class StudyResult(Shown):
         }
 
 
-def _told(axis: Variable, column: Real) -> NDArray[Any]:
+def _formatted(axis: Variable, column: Real) -> NDArray[Any]:
     """A column of the sample as it is told: numbers, or names of materials."""
     return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
 

@@ -23,6 +23,7 @@ from workbench.design.centre import centred_chip
 from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
+from workbench.design.input_uncertainty import Statement, numbers_of, stated_uncertainty
 from workbench.design.model import design_model, full_evaluation
 from workbench.design.outcomes import PARCEL, Outcomes, evaluate
 from workbench.design.requirement import Requirement, parse_requirements
@@ -34,7 +35,6 @@ from workbench.design.sensitivity import (
     sensitivities,
     sobol,
 )
-from workbench.design.stated import Statement, numbers_of, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError
@@ -78,7 +78,7 @@ class Tolerance(Shown):
     chip: Chip
     state: str
     uncertainty: Uncertainty
-    asked: tuple[DrivenFigure, ...]
+    requested: tuple[DrivenFigure, ...]
     drive: Drive
     frequency: float | None
     sensitivities: Sensitivities
@@ -155,7 +155,7 @@ def tolerance(
 
     Args:
         requirements: sentences as of `workbench.design.requirement`.
-        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.stated`).
+        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.input_uncertainty`).
         figures: further figures to look at.
         drive: of figures for which a requirement states none, 10 Vpp by default.
         thermal_resistance: K/W by region, for heating; "" for all regions not named.
@@ -230,7 +230,7 @@ class _Full:
 
     chip: Chip
     state: str
-    asked: tuple[DrivenFigure, ...]
+    requested: tuple[DrivenFigure, ...]
     operation: Operation
     registry: Registry | None
     band: tuple[float, float] | None
@@ -241,7 +241,7 @@ class _Full:
         return merged_evaluations([(mine, full_evaluation(
             self.chip, self.state, values, figures=[each.figure.name for each in mine],
             operation=replace(self.operation, drive=mine[0].drive), registry=self.registry, band=self.band,
-            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.asked)])
+            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.requested)])
 
     def resonance(self, values: Mapping[str, float]) -> float:
         """f0 (Hz).
@@ -257,9 +257,9 @@ class _Full:
         return found.figures["f0"]
 
 
-def _bound(each: Requirement, asked: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
+def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
            chip: Chip) -> RequiredRange:
-    label = label_of(each, asked, drive)
+    label = label_of(each, requested, drive)
     if label in nominal.missing or not math.isfinite(nominal.figures[label]):
         raise InputError(chip.file, f'requirement "{each.text}"', nominal.missing.get(label, "no such figure"),
                          f"a chip that as stated has the figure {each.figure.name}")
@@ -272,13 +272,13 @@ def _sampled(
 ) -> Tolerance:
     """`found` with samples and yields, and with Sobol indices if asked for."""
     known = found.uncertainty
-    names = tuple(dict.fromkeys(each.figure.name for each in found.asked))
+    names = tuple(dict.fromkeys(each.figure.name for each in found.requested))
     started = time.perf_counter()
     made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
                         band=full.band, relative_error=relative_error, accuracy=full.accuracy, seed=found.seed,
                         progress=lambda _text, share: say("range model", share))
     spent = time.perf_counter() - started
-    model = Driven(made, found.asked, full.operation)
+    model = Driven(made, found.requested, full.operation)
     there = model(known.nominal()).figures
     nominal = found.sensitivities.figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}

@@ -121,7 +121,7 @@ class Uncertainty:
         drawn = 0
         while len(found) < count:
             scores = generator.standard_normal((count, len(self.inputs))) @ root.T
-            points = self._placed(scores, generator)
+            points = self._from_scores(scores, generator)
             good = points[self._admissible(points)]
             # What is drawn beyond the last one that is needed was never looked at.
             needed = count - len(found)
@@ -132,7 +132,7 @@ class Uncertainty:
                                  "uncertainties that leave the chip a chip and its materials passive: smaller ones")
         return Samples(found, drawn - count)
 
-    def _placed(self, scores: Real, generator: np.random.Generator) -> Real:
+    def _from_scores(self, scores: Real, generator: np.random.Generator) -> Real:
         """Samples (n, k) of normal `scores` (n, k); uniform laws draw their own."""
         points = self.means + self.deviations * scores
         for k, each in enumerate(self.inputs):

@@ -26,7 +26,7 @@ from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Remainder, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
-from workbench.fitting.seen import log_ratio
+from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.workers import Processes, Workers
 from workbench.model.discretisation import ACCURACY, Discretisation

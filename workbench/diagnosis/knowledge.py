@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from workbench.design.stated import uncertainty_of_files
+from workbench.design.input_uncertainty import uncertainty_of_files
 from workbench.diagnosis.numbers import SAME_NUMBER, DeviceNumbers, names, stated_number
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names

@@ -284,14 +284,14 @@ class Likelihood:
         """The optimum of a stage from x (p,), on few of the points; `accuracy` is that of the model."""
         every = [own.step(SEARCHED) for own in search.objective.recordings]
         spreads = self.point_deviations(stage.deviation, every)
-        thin = search.on(search.objective.thinned(SEARCHED))
+        thin = search.with_objective(search.objective.thinned(SEARCHED))
         if accuracy > 0.0 and self.columns.size:
             rows = np.concatenate([np.concatenate([np.arange(place.start, middle, step),
                                                    np.arange(middle, place.stop, step)])
                                    for place, step in zip(self.places, every, strict=True)
                                    for middle in [(place.start + place.stop) // 2]])
             deviation = np.concatenate([np.tile(each, 2) for each in spreads])
-            thin = thin.under(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
+            thin = thin.with_covariance(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
         return thin.solve(stage, x, spreads)
 
     def stage_optimum(
@@ -385,8 +385,9 @@ class Likelihood:
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
             deviations = self.deviations(hypothesis, local.data, x)
-            under = search.under(self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy)))
-            return at(under.minimise(x, self.point_deviations(), limit=limit, tolerance=ENOUGH).x)
+            covariance = self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy))
+            whitened = search.with_covariance(covariance)
+            return at(whitened.minimise(x, self.point_deviations(), limit=limit, tolerance=ENOUGH).x)
 
         x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
         worth -= sum(mode.cost for mode in hypothesis.modes)

@@ -67,7 +67,8 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     hypothesis = Hypothesis((effect,))
     own = [model.index(name) for name in effect.names]
     search, every = likelihood.search(hypothesis), [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
-    thin, spreads = search.on(search.objective.thinned(LOOKED_AT)), likelihood.point_deviations(LEVELS[0], every)
+    thin = search.with_objective(search.objective.thinned(LOOKED_AT))
+    spreads = likelihood.point_deviations(LEVELS[0], every)
     free = np.setdiff1d(search.free, own)
     directions = list(search_directions(model, effect))
     refused: list[Exception] = []

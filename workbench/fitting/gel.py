@@ -14,8 +14,8 @@ from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
+from workbench.fitting.measurement_model import CLOCK, through_bench
 from workbench.fitting.prepare import Prepared
-from workbench.fitting.seen import CLOCK, through_bench
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import placed
 from workbench.model.problem import build, fill

@@ -37,7 +37,7 @@ from workbench.fitting.multistart import (
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
-from workbench.fitting.uncertainty import BandLeftOut, Direction, Noise, ParameterEstimate
+from workbench.fitting.uncertainty import Direction, HeldOutBand, Noise, ParameterEstimate
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
@@ -85,7 +85,7 @@ class FitResult(Brief):
     covariance: Real
     undetermined: tuple[Direction, ...]
     starts: tuple[Start, ...]
-    bands: tuple[BandLeftOut, ...]
+    bands: tuple[HeldOutBand, ...]
     check: tuple[float, float]
     converged: bool
     improved: bool
@@ -135,14 +135,14 @@ def fit_parameters(
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
-    scout = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
-    before = _start_spectra(scout, recordings)
-    begins = [StartPoint("start", scout.centre),
+    coarse_search = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    before = _start_spectra(coarse_search, recordings)
+    begins = [StartPoint("start", coarse_search.centre),
               *(StartPoint(label, np.asarray(x, dtype=float)) for label, x in (starts or {}).items())]
 
     def from_start(start: StartPoint) -> FitEnd:
         before = begins.index(start)
-        return FitEnd(scout.descend(
+        return FitEnd(coarse_search.descend(
             start.x, progress=lambda text, share: show(text, 0.6 * (before + share) / len(begins))))
 
     found = multistart(begins, from_start, refused=NO_END)
@@ -155,32 +155,32 @@ def fit_parameters(
         show("refining", 0.6)
         return Refined(*reweighted_descent(search, x))
 
-    further = FitMultistart(scout, refine, min(ends, key=lambda end: end.cost), tries,
+    further = FitMultistart(coarse_search, refine, min(ends, key=lambda end: end.cost), tries,
                             lambda label, _share: show(f"searching, {label}", 0.6))
-    further.run(prior_samples(scout, PRIOR_SAMPLES, seed))
+    further.run(prior_samples(coarse_search, PRIOR_SAMPLES, seed))
     minimum, noise = further.refined.minimum, further.refined.noise
     show("judging", 0.85)
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
-                                                 coarser=None if coarse is None else scout.objective)
+                                                 coarser=None if coarse is None else coarse_search.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
     check = uncertainty.reduced_model_error(search.objective, minimum.x)
     matches = _matches(recordings, before, minimum, noise)
-    listed = listed_starts([*found, *further.trials], further.reached, scout, search)
+    listed = listed_starts([*found, *further.trials], further.reached, coarse_search, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
-    solves = search.objective.solves + scout.objective.solves
+    solves = search.objective.solves + coarse_search.objective.solves
     show("done", 1.0)
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
         (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
-         *refused_steps([*scout.objective.refusals, *search.objective.refusals])),
+         *refused_steps([*coarse_search.objective.refusals, *search.objective.refusals])),
         time.perf_counter() - started, solves,
     )
 
 
-def _start_spectra(scout: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
+def _start_spectra(search: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
     """The impedance of every recording's start, as it would be recorded, on the mesh of the search."""
-    return [uncertainty.unrefined(scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
+    return [uncertainty.unrefined(search.objective, search.centre, index, recording.measured.frequency, COARSE)
             for index, recording in enumerate(recordings)]
 
 
@@ -235,7 +235,7 @@ def _matches(
 
 def _findings(
     minimum: Optimum, improved: bool, starts: Sequence[Start], matches: Sequence[Match],
-    bands: Sequence[BandLeftOut], check: tuple[float, float],
+    bands: Sequence[HeldOutBand], check: tuple[float, float],
 ) -> list[str]:
     result = []
     if not minimum.converged:

@@ -72,7 +72,7 @@ class Refined:
     noise: tuple[Noise, ...]
 
     @property
-    def explained(self) -> bool:
+    def is_explained(self) -> bool:
         """Whether what is left of every recording is noise: that which it states, or no more than instruments show."""
         found = []
         for log, noise in zip(self.minimum.residual.data.log_ratio, self.noise, strict=True):
@@ -84,7 +84,7 @@ class Refined:
         return all(found)
 
     @property
-    def left(self) -> float:
+    def log_deviation(self) -> float:
         """Mean logarithm of the deviations that recordings show: the smaller, the better explained together."""
         return float(np.mean([np.log(each.deviation) for each in self.noise]))
 
@@ -131,7 +131,7 @@ class FitMultistart:
     def __post_init__(self) -> None:
         self.refined = self.refine(self.best.x)
         self.reached = FitEnd(self.best, self.refined)
-        self._told_apart = [self.best]
+        self._distinct = [self.best]
 
     def run(self, samples: Sequence[StartPoint]) -> None:
         """Try offsets of the best end and `samples`, and offsets of films on the mesh asked for: the error of the mesh
@@ -143,9 +143,9 @@ class FitMultistart:
         end = self.search.descend(start.x, first=start.stage, rival=self.best)
         if not end.ended or end.cost > CLOSE * self.best.cost or any(
                 is_same_optimum(end.x, other.x, self.search.errors(other), self.search.scale)
-                for other in self._told_apart):
+                for other in self._distinct):
             return FitEnd(end)
-        self._told_apart.append(end)
+        self._distinct.append(end)
         return FitEnd(end, self.refine(end.x))
 
     def _on_mesh(self, start: StartPoint) -> FitEnd:
@@ -156,14 +156,15 @@ class FitMultistart:
     ) -> None:
         def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
             end = trial.end
-            if end is not None and end.refined is not None and end.refined.left < self.refined.left - BETTER:
+            if (end is not None and end.refined is not None
+                    and end.refined.log_deviation < self.refined.log_deviation - BETTER):
                 self.reached, self.refined, self.best = end, end.refined, end.descent or self.best
                 # What helped once may help again.
                 again = sorted(offsets_of(self.search, end.optimum.x), key=lambda each: each.label != trial.start.label)
                 waiting = [*again, *(each for each in waiting if each in samples)]
-            return () if self.refined.explained else waiting
+            return () if self.refined.is_explained else waiting
 
-        starts = () if self.refined.explained else (*offsets_of(self.search, x), *samples)
+        starts = () if self.refined.is_explained else (*offsets_of(self.search, x), *samples)
         self.trials += multistart(starts, attempt, refused=NO_END, tries=self.tries - len(self.trials),
                                   following=following, progress=self.progress)
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.stretch import canonical_names
+from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
-from workbench.fitting.seen import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.model.dimensions import flexible_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
 from workbench.model.problem import Problem

@@ -87,13 +87,13 @@ class FitSearch:
         #: What deviates beside the noise of the points, if anything.
         self.covariance: Covariance | None = None
 
-    def on(self, objective: Objective) -> FitSearch:
+    def with_objective(self, objective: Objective) -> FitSearch:
         """The same problem with its objective predicted in another way."""
         other = copy.copy(self)
         other.objective = objective
         return other
 
-    def under(self, covariance: Covariance | None) -> FitSearch:
+    def with_covariance(self, covariance: Covariance | None) -> FitSearch:
         """The same problem with deviations that go together."""
         other = copy.copy(self)
         other.covariance = covariance
@@ -101,7 +101,7 @@ class FitSearch:
 
     def thinned(self) -> FitSearch:
         """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
-        return self.on(self.objective.thinned(SEARCHED_POINTS))
+        return self.with_objective(self.objective.thinned(SEARCHED_POINTS))
 
     def _among_all(self, inequality: Inequality) -> Inequality:
         """An inequality of the free parameters as one of all."""

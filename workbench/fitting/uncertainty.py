@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
+from workbench.fitting.measurement_model import CLOCK, log_ratio, through_bench
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import REFUSED, FitSearch, Optimum, Weighted
-from workbench.fitting.seen import CLOCK, log_ratio, through_bench
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison
 from workbench.results.spectrum import Spectrum
@@ -90,7 +90,7 @@ class Direction:
 
 
 @dataclass(frozen=True)
-class BandLeftOut:
+class HeldOutBand:
     """A part of a recording's band (Hz): rms of |ln ratio| there when it was fitted and when it was left out."""
 
     recording: str
@@ -170,7 +170,7 @@ def estimate_uncertainty(
     here = search.evaluate(minimum.x, deviation)
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
-    near = search.on(search.objective.narrowed(_around(search, minimum.x, covariance)))
+    near = search.with_objective(search.objective.narrowed(_around(search, minimum.x, covariance)))
     settled = near.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
@@ -394,7 +394,7 @@ def _quantity(parameter: Parameter) -> str:
     return last
 
 
-def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
+def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[HeldOutBand, ...]:
     """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
     result = []
     base = deviations(search, noise)
@@ -410,7 +410,7 @@ def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise],
             without = [np.where(inside, np.inf, d) if i == index else d for i, d in enumerate(base)]
             found = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
             predicted = found.residual.data.log_ratio[index]
-            result.append(BandLeftOut(recording.name, float(low), float(high), _rms(logs[index][inside]),
+            result.append(HeldOutBand(recording.name, float(low), float(high), _rms(logs[index][inside]),
                                       _rms(predicted[inside])))
     return tuple(result)
 

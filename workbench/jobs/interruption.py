@@ -52,7 +52,7 @@ class Interruption:
         self._presses, self._last = 0, 0.0
 
     @property
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """Whether it was pressed."""
         return self._presses > 0
 
@@ -63,7 +63,7 @@ class Interruption:
             KeyboardInterrupt: while the command is at work, at the first press and the second.
         """
         now = time.monotonic()
-        if self.asked and now - self._last < SAME:
+        if self.requested and now - self._last < SAME:
             return
         self._presses, self._last = self._presses + 1, now
         if self.stage == "loading":

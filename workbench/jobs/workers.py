@@ -42,12 +42,12 @@ class Workers:
     def __init__(self) -> None:
         self._state: tuple[Any, ...] = ()
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
         """Let every later task take ``make(*given)`` as its first argument, made once in every process.
 
         None lets tasks take nothing again. Nothing is at work meanwhile.
         """
-        self._state = () if make is None else (make(*given),)
+        self._state = () if make is None else (make(*arguments),)
 
     def submit(self, task: Task[T]) -> Future[T]:
         """Hand a task in."""
@@ -62,12 +62,12 @@ class Workers:
         them are taken for each process. With an `own` state this process works on them too, and gives them that.
         """
         waiting, given = iter(tasks), dict[Future[T], K]()
-        state, works = (self._state, not self.size) if own is None else ((own,), True)
+        state, shares = (self._state, not self.size) if own is None else ((own,), True)
         try:
             while True:
                 for key, task in islice(waiting, self.size * ahead - len(given)):
                     given[self.submit(task)] = key
-                mine = next(waiting, None) if works else None
+                mine = next(waiting, None) if shares else None
                 if mine is not None:
                     yield mine[0], _done_here(mine[1], state)
                 elif not given:
@@ -109,8 +109,8 @@ class Processes(Workers):
         # A thread waits for each process.
         self._threads = ThreadPoolExecutor(size)
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
-        self._make = None if make is None else partial(make, *given)
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
+        self._make = None if make is None else partial(make, *arguments)
         for number, process in enumerate(self._processes):
             if process is not None:
                 process.hold(self._make)
@@ -168,8 +168,8 @@ class ExecutorWorkers(Workers):
         self.size, self._executor = size, executor
         self._make: bytes | None = None
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
-        self._make = None if make is None else pickle.dumps(partial(make, *given), protocol=pickle.HIGHEST_PROTOCOL)
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
+        self._make = None if make is None else pickle.dumps(partial(make, *arguments), protocol=pickle.HIGHEST_PROTOCOL)
 
     def submit(self, task: Task[T]) -> Future[T]:
         if self._make is None:

@@ -94,7 +94,7 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
     return path
 
 
-def _html(block: Block, told: set[str]) -> str:
+def _html(block: Block, explained: set[str]) -> str:
     """HTML of a block; `told` are the headings whose meanings the page has, to which those of a table are added."""
     match block:
         case TextTable(columns, rows):
@@ -102,8 +102,8 @@ def _html(block: Block, told: set[str]) -> str:
             cells = ("".join(_cell(c, first=k == 0) for k, c in enumerate(row)) for row in rows)
             body = "".join(f"<tr>{row}</tr>" for row in cells)
             new = {name: words for name, words in defined((*columns, *(row[0] for row in rows if row)))
-                   if name not in told}
-            told.update(new)
+                   if name not in explained}
+            explained.update(new)
             return f"<table><tr>{head}</tr>{body}</table>{_legend(new)}"
         case Picture(path, caption):
             data = base64.b64encode(path.read_bytes()).decode("ascii")

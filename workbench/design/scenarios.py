@@ -12,7 +12,7 @@ Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class ScenarioSample:
     """Offsets (SI, by parameter name) of every sample from the chip as stated, common to all chips that are compared.
 
     Of numbers that no chip varies, the sample's own values. ``quantile`` on the bad side (0.05: what 95 % of the chips

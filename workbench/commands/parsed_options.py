@@ -30,7 +30,7 @@ ROOM = 20e6
 
 
 @dataclass(frozen=True)
-class Asked:
+class ModelOptions:
     """A model as the options ask for it: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
@@ -43,26 +43,26 @@ class Asked:
     accuracy: float | Discretisation
 
 
-def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
+def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
     """The model that the options ask for.
 
     Raises:
         InputError: a band that does not rise, a frequency outside it, an accuracy there is no mesh for, or a drive
             nobody can read.
     """
-    band = asked_band(options, chip)
+    band = band_option(options, chip)
     at = None if options.at is None else parse_quantity(options.at, "frequency", source="command line", field="--at")
     if at is not None and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
-    return Asked(
+    return ModelOptions(
         registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
         relative_error=options.relative_error, drive=parse_drive(options.drive),
-        accuracy=asked_accuracy(options),
+        accuracy=accuracy_option(options),
     )
 
 
-def asked_accuracy(options: argparse.Namespace) -> float:
+def accuracy_option(options: argparse.Namespace) -> float:
     """The relative accuracy of Z that the options ask for.
 
     Raises:
@@ -76,12 +76,12 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     return accuracy
 
 
-def asked_jobs(options: argparse.Namespace) -> int:
+def jobs_option(options: argparse.Namespace) -> int:
     """How many pieces of work at a time the options ask for, one for each core if they do not say."""
     return options.jobs or os.cpu_count() or 1
 
 
-def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
+def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     """The band (Hz) that the options ask for, the chip's own at either end that they leave open."""
     def end(text: str | None, default: float, field: str) -> float:
         return default if text is None else parse_quantity(text, "frequency", source="command line", field=field)
@@ -94,7 +94,7 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def asked_reading(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
+def reading_option(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
     """The recording, read as --columns, --format and --correction say; what its columns were taken for is printed.
 
     Raises:
