@@ -193,7 +193,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     console.print(f"simulating {chip.name} ...", markup=False)
     state = chip.state(options.state).name
     frequencies = frequency_grid(requested.band, requested.points)
-    # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
+    # The simulated device is to be finer than the model fitted to it, and a liquid sticks to its walls.
     device = fill(chip, state, replace(requested.registry, assumed_losses=True))
     for text in device.findings:
         say_finding(text, console)

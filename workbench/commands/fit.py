@@ -156,7 +156,7 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
 def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Workers, show: Show) -> dict[str, str]:
     """Fit jobs into folders of theirs within `folder`; the error of each that failed, by its name.
 
-    What is finished stays when the rest is interrupted.
+    Finished fits stay when the rest is interrupted.
     """
     failed: dict[str, str] = {}
 

@@ -1,4 +1,4 @@
-"""Requests that the options of a command state, read and checked."""
+"""Values of the options of a command, read and checked."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROOM = 20e6
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """A model as the options ask for it: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
+    """The model that the options state: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]
@@ -44,7 +44,7 @@ class ModelOptions:
 
 
 def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
-    """The model that the options ask for.
+    """The model that the options state.
 
     Raises:
         InputError: a band that does not rise, a frequency outside it, an accuracy there is no mesh for, or a drive
@@ -63,7 +63,7 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
 
 
 def accuracy_option(options: argparse.Namespace) -> float:
-    """The relative accuracy of Z that the options ask for.
+    """The relative accuracy of Z that the options state.
 
     Raises:
         InputError: no number or per cent, or an accuracy there is no mesh for.
@@ -77,12 +77,12 @@ def accuracy_option(options: argparse.Namespace) -> float:
 
 
 def jobs_option(options: argparse.Namespace) -> int:
-    """How many pieces of work at a time the options ask for, one for each core if they do not say."""
+    """The number of pieces of work at a time that the options state, one for each core by default."""
     return options.jobs or os.cpu_count() or 1
 
 
 def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
-    """The band (Hz) that the options ask for, the chip's own at either end that they leave open."""
+    """The band (Hz) that the options state, the chip's own at either end that they leave open."""
     def end(text: str | None, default: float, field: str) -> float:
         return default if text is None else parse_quantity(text, "frequency", source="command line", field=field)
 

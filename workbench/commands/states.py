@@ -55,7 +55,7 @@ class _UnfinishedSpectrum:
         deciding = repr((chip, state, sorted(filling.items()), model.band[1], discretisation(model.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()
-        # What follows the last line end was cut short by a kill: a number there may lack its last digits.
+        # Text after the last line end was cut short by a kill: a number there may lack its last digits.
         first, *rows = path.read_text().split("\n")[:-1] if path.exists() else [""]
         for row in rows if first == key else []:
             frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))

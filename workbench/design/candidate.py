@@ -1,4 +1,4 @@
-"""A chip that a search proposes, what holds it where it is, and what a full solve says of it."""
+"""A chip that a search proposes, the bounds that hold it where it is, and the verdict of a full solve."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from workbench.design.variables import Selection, VariedNumber, changed
 #: and largest share of its scale by which a bound may then be missed.
 CONFIRMED = 0.01
 
-#: How far past a bound (in scales) a chip may be whose lengths were rounded.
+#: Distance past a bound (in scales) that the rounding of lengths may cause.
 ROUNDED = 1e-3
 
 
@@ -39,11 +39,11 @@ class Active:
 
 @dataclass(frozen=True, eq=False)
 class RoundedDesign:
-    """A chip with its lengths on their steps.
+    """A chip with its lengths rounded to their grids.
 
     ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
-    objective, and ``objectives`` (k,) under all; ``optimum`` the one between the steps that it comes of, None of an
-    evolutionary search; ``active`` what holds that.
+    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None of an evolutionary search;
+    ``active`` are the bounds that hold it.
     """
 
     selection: Selection
@@ -113,7 +113,7 @@ def proposed(
 
 
 def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers) -> tuple[Active, ...]:
-    """What holds an optimum, that which gains most first."""
+    """The bounds and ends of ranges that hold an optimum, the one of largest gain first."""
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
@@ -146,15 +146,15 @@ def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
 
 
 def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:
-    """What a difference of a figure is compared with: of a place in the cavity the height of that, of other figures the
-    smallest scale of their bounds, or `otherwise`."""
+    """The scale of differences of a figure: of a place in the cavity the height of that, of other figures the smallest
+    scale of their bounds, or `otherwise`."""
     if name in SIGNED:
         return sum(hole.thickness.value for hole in chip.holes)
     return min((each.scale for each in goal.bounds if not each.of_lengths and each.figure == name), default=otherwise)
 
 
 def confirmed(goal: Goal, candidate: RoundedDesign, after: Evaluation) -> Confirmed:
-    """What the figures `after` a full solve say of a candidate."""
+    """A candidate with the figures `after` a full solve, and the verdict on it."""
     nominal = candidate.point.evaluation.figures
     differences = {}
     for name in goal.figures:

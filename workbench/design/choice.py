@@ -1,5 +1,5 @@
-"""The search of one choice of stock lengths and materials: models about the best point, starts on them, their ends on
-the steps that lengths come in."""
+"""The search of one choice of stock lengths and materials: models about the best point, starts on them, and their ends
+rounded to the grids of the lengths."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ RUNNERS_UP = 3
 
 @dataclass(frozen=True, eq=False)
 class ChoiceResult:
-    """What was found of one choice.
+    """The result of the search of one choice.
 
     ``modelling`` is the last model, and ``models`` how many there were; ``attempts`` the starts on it (none of an
-    evolutionary search) and ``optima`` their distinct ends, best first; ``candidates`` chips on their steps, best
-    first; ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the
-    optimum still lies, since no more models were allowed.
+    evolutionary search) and ``optima`` their distinct ends, best first; ``candidates`` rounded chips, best first;
+    ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the optimum
+    still lies, since no more models were allowed.
     """
 
     selection: Selection
@@ -47,7 +47,7 @@ class ChoiceResult:
 
     @property
     def at_best(self) -> int:
-        """How many starts ended at the best optimum."""
+        """The number of starts that ended at the best optimum."""
         return len(self.optima[0].starts) if self.optima else 0
 
 
@@ -115,7 +115,7 @@ def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point:
 def _robust(
     goal: Goal, modelling: Modelling, scenarios: ScenarioSample, ends: Sequence[Optimum], say: Say
 ) -> list[Optimum]:
-    """The optima of what is left over a spread, from the best nominal ones."""
+    """The optima over the scenarios, from the best nominal ones."""
     programme, found = replace(modelling.programme, scenarios=scenarios), []
     chosen = ends[:RUNNERS_UP]
     for index, each in enumerate(chosen):
@@ -129,10 +129,9 @@ def _on_steps(
     goal: Goal, modelling: Modelling, ends: Sequence[Optimum], selection: Selection,
     scenarios: ScenarioSample | None, say: Say,
 ) -> tuple[RoundedDesign, ...]:
-    """The optima with their lengths on steps, best first.
+    """The optima with their lengths rounded to their grids, best first.
 
-    An optimum between the steps is better than any chip on them that comes of it; so those that are worse than a chip
-    that was found need not be looked at.
+    An optimum is better than any chip rounded from it, so one that is worse than a chip that was found is left out.
     """
     programme = replace(modelling.programme, scenarios=scenarios)
     found: list[RoundedDesign] = []

@@ -1,5 +1,5 @@
-"""The way down from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB
-88-28, of scipy), and what holds its end where it is."""
+"""A descent from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB 88-28,
+of scipy), and the bounds that hold its end where it is."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHRINKING, SMALLEST = 0.25, 0.02
 #: Times that it goes on without finding anything better.
 STALLED = 2
 
-#: What a point without figures is worse by than the worst point known, in units of the objective.
+#: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
 
@@ -51,7 +51,7 @@ class _Stalled(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """What a small step past a bound is worth: the objective falls by that much per scale, or per range.
+    """The gain of a small step past each bound: the fall of the objective per scale, or per range.
 
     ``bounds`` (m,) of the bounds; ``low`` and ``high`` (n,) of the ends of the ranges, zero where not active;
     ``residual`` the largest derivative (per range) that they leave: a stationary point has none.
@@ -119,7 +119,7 @@ def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> 
 
 
 def _last_gain(points: list[ProgrammePoint]) -> int:
-    """How many points there were when the best one was found."""
+    """The number of points up to the best one."""
     return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
 
 

@@ -43,7 +43,7 @@ OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 @dataclass(frozen=True)
 class Operation:
-    """How a chip is operated: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
+    """The operation of a chip: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
     ``thermal_resistance`` (K/W) of regions for heating, the key "" standing for all regions not named."""
 
     drive: Drive = field(default_factory=VoltageDrive)
@@ -70,11 +70,11 @@ class Evaluation(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked of a model whose numbers are in place.
+    """A request for figures of a model whose numbers are in place.
 
     ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
-    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states
-    (size, columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
+    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states (size,
+    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
     """
 
     figures: tuple[str, ...]
@@ -92,7 +92,7 @@ class Question:
 
     @property
     def turns(self) -> Complex:
-        """(k,): what a number moves its complex parameter by, 1 or 1j."""
+        """(k,): the derivative of the complex parameter by each number, 1 or 1j."""
         return np.array([1j if ParameterName.parse(name).is_loss else 1.0 for name in self.names], dtype=complex)
 
     def unit(self, name: str) -> Real:

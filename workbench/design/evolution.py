@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: What points without figures are given as objective and as broken margin: worse than any that has them.
+#: Objective and broken margin of points without figures: worse than any that has them.
 NOTHING = 1e3
 
 

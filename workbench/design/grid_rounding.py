@@ -1,4 +1,4 @@
-"""Lengths that come in steps, such as layers of a print: from the optimum between the steps to the best one on them."""
+"""Rounding of an optimum to lengths that come in steps, such as layers of a print."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _around(variable: VariedNumber, value: float) -> tuple[float, ...]:
 
 
 def _leverage(programme: NonlinearProgramme, found: DesignDescent) -> list[float]:
-    """What a step of every stepped length changes the objective by, to first order."""
+    """The change of the objective by a step of every stepped length, to first order."""
     slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
     return [abs(float(slope)) * each.step / float(extent) for each, slope, extent in slopes if each.step is not None]
 

@@ -5,7 +5,7 @@
     found = model({"substrate.thickness": 0.83e-3}, gradient=True)
     found.figures["e_ac"], found.gradient["e_ac"]
 
-What figures need of a range model is far less than its spectra (`workbench.design.bases`).
+Figures need far less of a range model than its spectra (`workbench.design.bases`).
 """
 
 from __future__ import annotations
@@ -203,8 +203,8 @@ def full_evaluation(
     gradient: bool = False,
     accuracy: float | Discretisation = ACCURACY,
 ) -> Evaluation:
-    """The same figures by full solves on a mesh of the chip's own: lengths among `values` are built in, coefficients
-    replaced. What a reduced model says is confirmed by this.
+    """The figures by full solves on a mesh of the chip's own, which confirm those of a reduced model: lengths among
+    `values` are built in, coefficients replaced.
 
     A reduced model of these numbers alone, to :data:`TOLERANCE`, says where the resonance is; the states at f0 and at
     the half-power frequencies are full ones.

@@ -33,7 +33,7 @@ from workbench.reduced.reduction import reduced
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
-#: The same within one row.
+#: Called with what is done within one row, and the share of it that is done.
 Say = Callable[[str, float], None]
 
 #: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
@@ -47,7 +47,7 @@ DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
 class Solver(Protocol):
-    """What gives the figures of chips: models of boxes, and full solves."""
+    """Models of boxes of chips, and full solves of single chips."""
 
     def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> Evaluator:
         """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
@@ -69,7 +69,7 @@ class ChipSolver:
     accuracy: float | Discretisation
 
     def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> DesignModel:
-        """As of :class:`Solver`.
+        """The model of a box; see :class:`Solver`.
 
         Raises:
             InputError: the goal has figures of fields, and no chip with these lengths has any.
@@ -131,8 +131,8 @@ class Known:
 class Modelling:
     """A model and the programme on it.
 
-    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``reach`` how far boxes extend; ``seconds``
-    what the model took.
+    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``trust_region`` the extent of boxes;
+    ``seconds`` the time to make the model.
     """
 
     chip: Chip
@@ -155,9 +155,10 @@ def modelled(
     goal: Goal, selection: Selection, about: Mapping[str, float], trust_region: TrustRegion, solver: Solver, say: Say,
     scenarios: ScenarioSample | None = None,
 ) -> Modelling:
-    """The programme of a goal on a model about the lengths `about` (m), as wide as `reach` and the bounds let it.
+    """The programme of a goal on a model about the lengths `about` (m), as wide as the trust region and the bounds let
+    it.
 
-    With a `spread` the model covers that too; the programme is still that of the nominal chip.
+    With `scenarios` the model covers those too; the programme is still that of the nominal chip.
 
     Raises:
         NotCovered: no model, even of a box halved :data:`HALVED` times.
@@ -184,7 +185,7 @@ def modelled(
 
 
 def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> Box:
-    """The box with what samples move its lengths by, and with the numbers that only samples move."""
+    """The box widened by the offsets of the scenarios, with the numbers that they alone move."""
     found = dict(box)
     if scenarios is None:
         return found
@@ -199,7 +200,7 @@ def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> B
 
 
 def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSample | None:
-    """Samples of what is uncertain of a goal's chip; None where the goal is not a robust one.
+    """The scenario sample of the uncertainty of a goal's chip; None where the goal is not a robust one.
 
     Raises:
         InputError: nothing is uncertain, or a tolerance or a posterior cannot be used.
@@ -220,7 +221,8 @@ def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSam
 
 
 def trust_region_of(goal: Goal) -> TrustRegion:
-    """How far the models of a goal extend at first: a share of the present lengths, or of the nearest within bounds."""
+    """The first trust region of the models of a goal: a share of the present lengths, or of the nearest within bounds.
+    """
     return TrustRegion.relative(present_of(goal), goal.search.reach)
 
 

@@ -29,7 +29,7 @@ KEPT = 1e-4
 
 #: Standard deviations that 95 % of a normal law are below: with them every bound holds for 95 % of the chips.
 ONE_SIDED = 1.645
-#: The smallest common factor of tolerances that is told from none.
+#: The smallest common factor of tolerances that counts as one.
 NO_TOLERANCE = 1e-6
 
 
@@ -58,7 +58,8 @@ class ProgrammePoint:
 
     @property
     def violation(self) -> float:
-        """How far (in scales) the worst margin is below zero, 0 where all bounds hold, infinite without figures."""
+        """The distance (in scales) of the worst margin below zero, 0 where all bounds hold, infinite without figures.
+        """
         return float(-min(0.0, *self.margins, 0.0)) if self.exists else math.inf
 
     @property
@@ -70,10 +71,10 @@ class ProgrammePoint:
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgramme:
-    """What is to be small over which lengths, on an evaluator.
+    """A nonlinear programme on an evaluator: an objective to minimise over lengths, under bounds.
 
-    ``variables`` the unknowns with the range each has here; ``fixed`` all other lengths (SI) by name, of which the
-    evaluator is told those it knows; ``spread`` what figures are a quantile or a mean over, None for the nominal chip.
+    ``variables`` the unknowns with their ranges; ``fixed`` all other lengths (SI) by name, of which the evaluator gets
+    those it knows; ``scenarios`` the sample that figures are a quantile or a mean over, None for the nominal chip.
     """
 
     evaluator: Evaluator
@@ -110,7 +111,7 @@ class NonlinearProgramme:
 
     @property
     def sampled(self) -> bool:
-        """Whether figures are over the samples of a spread; tolerances themselves are judged by slopes."""
+        """Whether figures are over the scenarios; tolerances themselves are judged by slopes."""
         return self.objective.figure != TOLERANCE
 
     def under(self, objective: DesignObjective) -> NonlinearProgramme:
@@ -122,7 +123,7 @@ class NonlinearProgramme:
         return self.point(x, self.evaluations(x, gradient=gradient))
 
     def evaluations(self, x: Real, *, gradient: bool) -> tuple[Evaluation, ...]:
-        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every sample of the spread."""
+        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every scenario."""
         values = {**self.fixed, **self.lengths(x)}
         known = {name: values[name] for name in self.evaluator.names if name in values}
         offsets: list[Mapping[str, float]] = [{}]
@@ -133,7 +134,7 @@ class NonlinearProgramme:
         return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
 
     def point(self, x: Real, evaluations: Sequence[Evaluation]) -> ProgrammePoint:
-        """What `evaluations`, those of the unknowns `x` (n,), are worth."""
+        """The point with the objective, slopes and margins of `evaluations`, those of the unknowns `x` (n,)."""
         lengths = self.lengths(x)
         nominal, judged = evaluations[0], evaluations[1:] if self.scenarios and self.sampled else evaluations
         missing = next(filter(None, map(self._missing, evaluations)), "")

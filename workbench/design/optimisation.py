@@ -123,7 +123,7 @@ def _improving(keep: Keep) -> Keep:
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """What full solves leave of the candidates."""
+    """The verdicts of full solves on the candidates."""
 
     best: Confirmed | None
     rejected: tuple[Confirmed, ...]

@@ -82,7 +82,7 @@ def search_all(
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
-    """The distinct optima, the best first; ends that are not stationary are told apart like the others.
+    """The distinct optima, the best first; ends that are not stationary are compared like the others.
 
     A start counts for the optimum that its best descent found.
     """

@@ -35,7 +35,7 @@ from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
 
-#: What begun.json begins with; raise it where the layout changes.
+#: Number of the layout at the head of begun.json; raise it where the layout changes.
 FORMAT = 1
 
 _BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full.", ".lock"
@@ -100,7 +100,7 @@ class StudyFolder:
         write_atomic(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
 
     def keep_full(self, rows: FinishedPoints) -> None:
-        """The same for one point by a full solve."""
+        """Put the full solve of one point on the disk."""
         write_atomic(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
 
     def rows(self) -> FinishedPoints:
@@ -143,7 +143,7 @@ def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
         begun.unlink()
     if begun.exists():
         _check_same(json.loads(begun.read_text(encoding="utf-8")), asked, path, study)
-        # What a kill left of a file that was being written.
+        # Files that a kill left half written.
         for stray in (*(path / _MODELS).glob(".*"), *(path / _POINTS).glob(".*")):
             shutil.rmtree(stray)
         return
@@ -162,7 +162,7 @@ def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, s
 
 
 def study_description(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
-    """All that decides the table of a study, as texts by the name of what they are of."""
+    """All settings that decide the table of a study, as texts by the name of the setting."""
     operation, sampling = study.operation, study.sampling
     found = {
         "format": str(FORMAT), "version": importlib.metadata.version("acoustofluidic-chip-workbench"),

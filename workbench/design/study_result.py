@@ -1,4 +1,5 @@
-"""What a study found: its table, as columns, as an xarray and as files; statistics; and how far full solves differ."""
+"""The result of a study: its table, as columns, as an xarray and as files; statistics; and the differences of full
+solves."""
 
 from __future__ import annotations
 
@@ -172,7 +173,7 @@ class StudyResult(Shown):
         write_json(folder / "study.json", self.record())
 
     def record(self) -> dict[str, Any]:
-        """What was asked, statistics and confirmations; numbers in SI, None where there is none."""
+        """The request, statistics and confirmations; numbers in SI, None where there is none."""
         plan = self.study
         return {
             "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
@@ -191,7 +192,7 @@ class StudyResult(Shown):
 
 
 def _formatted(axis: Variable, column: Real) -> NDArray[Any]:
-    """A column of the sample as it is told: numbers, or names of materials."""
+    """A column of the sample as it is shown: numbers, or names of materials."""
     return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
 
 

@@ -1,4 +1,5 @@
-"""Will it still work as it comes from the printer: yield, what limits it, and what to make more exactly.
+"""Yield of a chip as it is made: the share that meets its requirements, the numbers that limit it, and the tolerances
+to tighten.
 
     found = tolerance(read_chip("chip.toml"), "filled", ["f0 within 5 kHz", "e_ac >= 20 J/m^3 at 10 Vpp"])
     found.yields.together.sampled, found.yields.tightenings[0]
@@ -56,8 +57,8 @@ ALWAYS = ("f0", "z_min", "q")
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """What the samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds taken
-    to make it, and by how much each figure differs at the mean numbers from that of full solves, relative, by label."""
+    """The model that samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds
+    to make it, and the relative difference of each figure at the mean numbers from that of full solves, by label."""
 
     rank: int
     error: float
@@ -67,12 +68,12 @@ class ModelFacts:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerance(Shown):
-    """What tolerances and uncertainties leave of a chip in a ``state``.
+    """The figures of a chip in a ``state`` under its tolerances and uncertainties.
 
-    ``asked`` are the figures with their drives; ``frequency`` (Hz) is what it is driven at, None where the drive
+    ``requested`` are the figures with their drives; ``frequency`` (Hz) is the driving frequency, None where the drive
     follows f0. ``sensitivities`` are those at the mean numbers. ``outcomes`` holds the samples and their figures,
-    ``redrawn`` how many draws were not admissible, ``yields`` what became of the requirements (None without any),
-    ``sobol`` the indices if they were asked for. ``seconds`` is what all took.
+    ``redrawn`` how many draws were not admissible, ``yields`` those of the requirements (None without any), ``sobol``
+    the indices if they were requested. ``seconds`` is the time that all took.
     """
 
     chip: Chip
@@ -93,7 +94,7 @@ class Tolerance(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What there is to know beside the numbers, in words."""
+        """Further statements, in words."""
         found = [*self.uncertainty.notes]
         found += [f"the chip as stated does not meet {each.requirement.text!r} itself" for each in self.bounds
                   if not each.low <= each.nominal <= each.high]
@@ -183,7 +184,7 @@ def tolerance(
     asked = driven_figures(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
     check_tolerance_request(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
-    # What a fit says may lie far from what chip file and registry do: a model of both would be large for nothing.
+    # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
     there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(thermal_resistance=thermal_resistance or {})
     full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)

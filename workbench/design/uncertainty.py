@@ -2,7 +2,7 @@
 
 A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
 its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.
-What a registry or a fit calls an uncertainty is a standard uncertainty of a normal law. Normal laws are cut
+An uncertainty in a registry or a fit is a standard uncertainty of a normal law. Normal laws are cut
 at three standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
 """
 
@@ -104,7 +104,7 @@ class Uncertainty:
                             max(each.high, known.get(each.name, each.high))) for each in self.inputs}
 
     def without(self, names: Sequence[str]) -> Uncertainty:
-        """The same with the numbers called `names` at their means."""
+        """A copy with the numbers called `names` at their means."""
         kept = [k for k, each in enumerate(self.inputs) if each.name not in names]
         return replace(self, inputs=tuple(self.inputs[k] for k in kept),
                        correlation=self.correlation[np.ix_(kept, kept)])
@@ -123,7 +123,7 @@ class Uncertainty:
             scores = generator.standard_normal((count, len(self.inputs))) @ root.T
             points = self._from_scores(scores, generator)
             good = points[self._admissible(points)]
-            # What is drawn beyond the last one that is needed was never looked at.
+            # Draws beyond the last one that is needed do not count.
             needed = count - len(found)
             drawn += count if len(good) <= needed else 1 + int(np.flatnonzero(self._admissible(points))[needed - 1])
             found = np.concatenate([found, good[:needed]])

@@ -1,4 +1,4 @@
-"""What the thickness of the coupling gel does to the spectrum of a fitted sample: Fig. 6 of the paper.
+"""The change of the spectrum of a fitted sample with the thickness of the coupling gel: Fig. 6 of the paper.
 
 Acevedo-Espinosa et al. (RP-UEIS), section 4.3: nothing is fitted again, only the gel is made thicker or thinner.
 """

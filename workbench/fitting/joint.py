@@ -9,7 +9,7 @@
    thickness of a film moved to its next optimum, with the stiffnesses that rule radial and shear overtones moved by
    about one overtone, together and apart, and from samples of the prior. A descent goes on for as long as it keeps up
    with the best; what ends about as low is refined, and leads where it leaves less.
-4. What the data say of every parameter is worked out at the minimum (see `uncertainty`), and the reduced model is
+4. The uncertainty of every parameter is worked out at the minimum (see `uncertainty`), and the reduced model is
    checked against full solves there.
 """
 
@@ -71,7 +71,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitResult(Brief):
-    """What a fit found, and how far to trust it.
+    """The result of a fit, with its uncertainty.
 
     ``estimates`` one for each free parameter, in their order; ``covariance`` (p, p) SI, prior included;
     ``undetermined`` the directions the data say less of than was known before; ``bands`` predictions of parts of the

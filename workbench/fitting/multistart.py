@@ -22,16 +22,18 @@ Real = NDArray[np.float64]
 #: first would take an optimum beside the right one for it; the second is what an uncertainty may be mistaken by.
 STRUCTURED, NOISY = 1.2, 2.0
 
-#: The same of a recording that states no noise, as an rms of |ln ratio|: what instruments repeat to, if it is not
-#: white, and what is too large for any noise. On a sparse grid sharp overtones that miss each other look white.
+#: Bounds for a recording that states no noise, as an rms of |ln ratio|: the repeatability of instruments, if the
+#: residual is not white, and a size too large for any noise. On a sparse grid sharp overtones that miss each other look
+#: white.
 REPEATED, NO_NOISE = 0.003, 0.1
 
 #: Stiffnesses that rule one family of overtones each, and the factors that move it by so many overtones of some ten.
 OVERTONE_GROUPS: tuple[tuple[str, ...], ...] = (("c11", "c12"), ("c44",), ("shear_modulus", "bulk_modulus"))
 OVERTONE_FACTORS = {0: 1.0, -1: 0.88, 1: 1.13, -2: 0.78, 2: 1.27}
 
-#: The same of the thickness of a film. It is a spring between two resonators, and sharp overtones of both pass each
-#: other with it: optima stand 8 to 20 % apart, each in its own narrow valley, lower towards the right one.
+#: Factors that move the thickness of a film by so many optima. It is a spring between two resonators, and sharp
+#: overtones of both pass each other with it: optima stand 8 to 20 % apart, each in its own narrow valley, lower towards
+#: the right one.
 FILM_FACTORS = {0: 1.0, -1: 0.87, 1: 1.15, -2: 0.76, 2: 1.32}
 
 #: The last stage of the schedule.
@@ -48,7 +50,7 @@ CLOSE = 4.0
 #: Doubled, an optimum that leaves 2 % less is not taken for another.
 BETTER = 0.01
 
-#: How a start may have ended.
+#: Outcomes of a start.
 SAME, GIVEN_UP = "same optimum", "given up: worse than the best while still smoothed"
 
 
@@ -73,7 +75,7 @@ class Refined:
 
     @property
     def is_explained(self) -> bool:
-        """Whether what is left of every recording is noise: that which it states, or no more than instruments show."""
+        """Whether the residual of every recording is noise: the stated noise, or no more than instruments show."""
         found = []
         for log, noise in zip(self.minimum.residual.data.log_ratio, self.noise, strict=True):
             rms, white = float(np.sqrt(np.mean(np.abs(log) ** 2))), noise.correlation == 1.0
@@ -159,7 +161,7 @@ class FitMultistart:
             if (end is not None and end.refined is not None
                     and end.refined.log_deviation < self.refined.log_deviation - BETTER):
                 self.reached, self.refined, self.best = end, end.refined, end.descent or self.best
-                # What helped once may help again.
+                # A move that helped once may help again.
                 again = sorted(offsets_of(self.search, end.optimum.x), key=lambda each: each.label != trial.start.label)
                 waiting = [*again, *(each for each in waiting if each in samples)]
             return () if self.refined.is_explained else waiting

@@ -61,7 +61,7 @@ class MaterialFit(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is to be known of the fit, in plain statements."""
+        """Findings of the fit, in plain statements."""
         return self.result.findings
 
     @property

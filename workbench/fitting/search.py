@@ -39,7 +39,7 @@ WORSE = 2.0
 #: Where nothing can be predicted.
 REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
 
-#: What may end one start of several: nothing can be predicted, or nothing there is admissible.
+#: Errors that end one start of several: nothing can be predicted, or nothing there is admissible.
 NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
 
 
@@ -84,23 +84,23 @@ class FitSearch:
         found = (inequalities(problems, moving, recordings=names) if poisson is None
                  else inequalities(problems, moving, poisson=poisson, recordings=names))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
-        #: What deviates beside the noise of the points, if anything.
+        #: Covariance of the deviations beside the noise of the points, if there are any.
         self.covariance: Covariance | None = None
 
     def with_objective(self, objective: Objective) -> FitSearch:
-        """The same problem with its objective predicted in another way."""
+        """The problem with the predictions of another objective."""
         other = copy.copy(self)
         other.objective = objective
         return other
 
     def with_covariance(self, covariance: Covariance | None) -> FitSearch:
-        """The same problem with deviations that go together."""
+        """The problem with correlated deviations."""
         other = copy.copy(self)
         other.covariance = covariance
         return other
 
     def thinned(self) -> FitSearch:
-        """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
+        """The problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
         return self.with_objective(self.objective.thinned(SEARCHED_POINTS))
 
     def _among_all(self, inequality: Inequality) -> Inequality:

@@ -1,4 +1,4 @@
-"""Uncertainty of a fit: what the data say of each parameter at the minimum, and what they cannot say."""
+"""Uncertainty of a fit: intervals, correlations, and the directions that the data do not determine, at the minimum."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ ACTIVE = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """How the residual of one recording is distributed.
+    """The distribution of the residual of one recording.
 
-    ``deviation`` relative standard deviation of a point (root mean square over the band), ``correlation`` how many
-    neighbouring points carry the information of one (1: white), ``stated`` whether the recording brought its own
+    ``deviation`` relative standard deviation of a point (root mean square over the band), ``correlation`` the number of
+    neighbouring points that carry the information of one (1: white), ``stated`` whether the recording brought its own
     uncertainties, and ``ratio`` the factor by which the residual exceeds them (1 where it brought none).
     """
 
@@ -113,7 +113,7 @@ class FitUncertainty(Brief):
 def noise_shape(measured: Spectrum) -> Real:
     """Relative standard deviation (n,) of each point up to a common factor: the spectrum's own, or constant.
 
-    What all points share is left out: it is a number of the bench.
+    A deviation that all points share is left out: it is a number of the bench.
     """
     noise = measured.noise
     if noise is None:
@@ -128,7 +128,7 @@ def noise(log_ratio: Complex, deviation: Real, stated: bool, ratio: float) -> No
 
 
 def correlation_length(residual: Complex) -> float:
-    """How many neighbouring points carry the information of one: the integrated autocorrelation, at least 1.
+    """The number of neighbouring points that carry the information of one: the integrated autocorrelation, at least 1.
 
     1 + 2 sum rho_k, summed up to five times itself (Sokal 1997, Monte Carlo methods in statistical mechanics, section
     3); 1 where the first correlation does not stand out of what white noise of so many points shows.
@@ -160,8 +160,8 @@ def estimate_uncertainty(
     """Intervals, correlations and undetermined directions at a minimum.
 
     The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
-    What the spectrum at the minimum differs by on the meshes of `coarser` tells what the mesh's own error
-    moves the parameters by (Richardson); it is added to the covariance.
+    The difference of the spectrum at the minimum on the meshes of `coarser` gives the shift of the
+    parameters by the mesh's own error (Richardson); it is added to the covariance.
 
     Where an inequality holds a value, the interval also covers where the data alone would put it: a loss constant
     that noise or rounding has pushed out of passivity is inside.
@@ -434,7 +434,7 @@ def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tup
 
 
 def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
-    """What remains unexplained in one recording, and where."""
+    """The unexplained part of one recording, and where it lies, in words."""
     result = []
     residual = np.abs(after.log_residual)
     power = residual**2

@@ -17,7 +17,7 @@ T = TypeVar("T")
 #: Arguments larger than this (bytes) are sent to a Dask cluster once and not with every task.
 LARGE = 1_000_000
 
-#: How long (s) a Dask scheduler may take to answer.
+#: Time (s) that a Dask scheduler may take to answer.
 PATIENCE = 10.0
 
 

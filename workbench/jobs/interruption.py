@@ -57,7 +57,7 @@ class Interruption:
         return self._presses > 0
 
     def handle(self, _number: int, _frame: FrameType | None) -> None:
-        """What Ctrl-C does; a handler of :func:`signal.signal`.
+        """Handle one press of Ctrl-C; a handler of :func:`signal.signal`.
 
         Raises:
             KeyboardInterrupt: while the command is at work, at the first press and the second.
@@ -67,7 +67,7 @@ class Interruption:
             return
         self._presses, self._last = self._presses + 1, now
         if self.stage == "loading":
-            # What an exception does halfway through the loading of a library depends on that.
+            # The effect of an exception halfway through the loading of a library depends on the library.
             say("interrupted: nothing was begun" + (f", and nothing written to {self.output}" if self.output else ""))
             leave(STATUS)
         if self._presses > 2 or (self.stage == "closing" and self._presses > 1):
@@ -163,8 +163,8 @@ def say(text: str) -> None:
 
 
 def on_disk(output: Path | None, since: float) -> str:
-    """What an interrupted command that writes to `output`, a folder or a file, leaves there, in words; `since` (s since
-    the epoch) is when it began."""
+    """The files that an interrupted command that writes to `output`, a folder or a file, leaves there, in words;
+    `since` (s since the epoch) is when it began."""
     if output is None:
         return "interrupted: the command writes no files"
     from workbench.files.writing import MARK

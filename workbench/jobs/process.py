@@ -1,7 +1,7 @@
 """One process that does tasks for this one, and can be ended at any moment.
 
 It is begun as a program of its own, so a script that comes here needs no guard against being run again, and one thread
-of linear algebra is enough for it from its first moment on. What it is given is pickled: functions and classes lie in
+of linear algebra is enough for it from its first moment on. Its tasks are pickled: functions and classes lie in
 modules, not in the script itself.
 """
 

@@ -61,7 +61,7 @@ def serve(nice: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(AttributeError, OSError):
         os.nice(nice)
-    # What libraries print must not get between the answers.
+    # Prints of libraries must not get between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     requests = messages(sys.stdin.buffer, lambda: signal.raise_signal(signal.SIGTERM))

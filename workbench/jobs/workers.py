@@ -6,7 +6,7 @@
             kept[name] = done.result()                          # figures(model, at=point), as soon as it is there
 
 A task is a function that takes what :meth:`Workers.share` made in the process that does it, or nothing if nothing was
-shared. What is asked for at a time is small: whoever stops asking, or is interrupted, has all that was finished.
+shared. Each step of iteration is small: whoever stops iterating, or is interrupted, has all that was finished.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Task = Callable[..., T]
 
 
 class Workers:
-    """This process, which does one task after the other, as each is asked for.
+    """This process, which does one task after the other, each on request.
 
     Others do ``size`` tasks at a time beside it.
     """
@@ -160,7 +160,7 @@ class Processes(Workers):
 class ExecutorWorkers(Workers):
     """Somebody else's executor, such as a Dask cluster's, given `size` tasks at a time.
 
-    What is shared is made for every task anew: threads of an executor may share a process.
+    The shared state is made for every task anew: threads of an executor may share a process.
     """
 
     def __init__(self, executor: Executor, size: int) -> None:

@@ -26,7 +26,7 @@ from workbench.report.page import Block, Note, Picture, TextTable, number_text, 
 from workbench.results.comparison import compare
 from workbench.results.merit import Figures, measured_figures
 
-#: What the table of what is left shows.
+#: Title of the table of remainders.
 LEFT = "what is left of Z, rms of both parts (%)"
 
 #: Rows of a table of hypotheses.

@@ -176,7 +176,7 @@ def _together(inequalities: Sequence[Inequality], size: int) -> Inequality:
 
 
 class _Region:
-    """What is admissible around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
+    """The admissible set around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
 
     def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequality: Inequality) -> None:
         self.x, self.scale = x, scale
@@ -275,5 +275,5 @@ def _quadratic(hessian: Real, slope: Real, d: Real) -> float:
 
 
 def _ridge(hessian: Real) -> float:
-    """What makes a flat direction solvable, and is nothing beside any other."""
+    """A ridge that makes a flat direction solvable, negligible beside any other."""
     return float(1e-12 * np.trace(hessian) / len(hessian) + 1e-300)
