@@ -8,7 +8,7 @@
     print(wb.compare(recording, run).mape_percent)
     found = wb.diagnose(wb.read_campaign("campaign.toml"))
 
-What is listed in :data:`PUBLIC` is the whole promise; everything else may change. Names are loaded when they are first
+The names in :data:`PUBLIC` are the whole promise; everything else may change. Names are loaded when they are first
 used, so that importing the package costs nothing.
 
 Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> Solution -> Spectrum | Fields -> Figures

@@ -65,7 +65,7 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
 
 
 def print_diagnosis(found: Diagnosis) -> None:
-    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
+    """Headline, established effects, the remainder of each state, and the next measurement, to standard output."""
     print_paragraph(found.headline)
     if found.established:
         print_table("", established_table(found))

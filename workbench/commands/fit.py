@@ -109,7 +109,7 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 
 
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
-    """``workbench fit batch``: what is finished is on disk at once, and a further run does only the rest."""
+    """``workbench fit batch``: finished fits are on disk at once, and a further run does only the rest."""
     batch = read_batch(options.file)
     folder = output_folder(options.output)
     if any(job.save is not None for job in batch.jobs):

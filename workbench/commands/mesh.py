@@ -32,7 +32,7 @@ FINER = 1.5
 
 
 def run_mesh(options: argparse.Namespace, console: Console) -> int:
-    """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
+    """``workbench mesh``: the mesh of a chip, and the errors of the accuracies it can be made for."""
     chip = read_chip(options.chip)
     model, state = model_options(options, chip), chip.state(options.state).name
     problem = build(fill(chip, state, model.registry), band=model.band, accuracy=model.accuracy)

@@ -95,7 +95,7 @@ def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
 
 
 def reading_option(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
-    """The recording, read as --columns, --format and --correction say; what its columns were taken for is printed.
+    """The recording, read as --columns, --format and --correction say; the meaning of its columns is printed.
 
     Raises:
         InputError: a recording that cannot be read, or --columns and --format together.
@@ -111,14 +111,14 @@ def reading_option(options: argparse.Namespace, recording: Path, console: Consol
 
 
 def say_read_as(read_as: str, name: str, console: Console) -> None:
-    """Print what the columns of a table were taken for, if it was read as one."""
+    """Print the meaning of the columns of a table, if a recording was read as one."""
     if read_as:
         console.print(f"{name}: read {read_as}", markup=False)
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:
-    """Where materials are saved: the last of the `folders` that the options name, made if need be, or else the user's
-    own.
+    """The folder where materials are saved: the last of the `folders` that the options name, made if need be, or else
+    the user's own.
 
     Raises:
         InputError: a file is where the folder should be.

@@ -223,7 +223,7 @@ def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -
 
 
 def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable | None = None) -> Chip:
-    """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
+    """The chip with each length outside its range set to the middle of the range."""
     known, first = chip.dimensions(), canonical_names(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
              if axis.name in known and not axis.low <= known[axis.name].value <= axis.high}

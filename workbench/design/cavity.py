@@ -145,7 +145,7 @@ def cavity_of(
 
 
 def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
-    """Those of some parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
+    """The parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
     found = {name for i in operators.integrals if i.variant and parent_place(i.place) == CAVITY
              for name in i.coefficient.parameters}
     return [length for length in lengths if length in found]
@@ -172,7 +172,7 @@ class Polynomials:
 
     @classmethod
     def of(cls, in_s: int, in_t: int) -> Polynomials:
-        """For so many coefficients of the pressure."""
+        """The polynomials for `count` coefficients of the pressure."""
         tables, points, back, weights = [], [], [], []
         for count in (in_s, in_t):
             x, w = leggauss(2 * count - 1)
@@ -188,7 +188,7 @@ class Polynomials:
         return self.along_s[0].shape[1], self.along_t[0].shape[1]
 
     def coefficients(self, values: Real) -> Real:
-        """Of fields (..., points in s, points in t): the like."""
+        """Coefficients in s and in t of fields (..., points in s, points in t)."""
         return np.asarray(self.back[0] @ values @ self.back[1].T)
 
 

@@ -84,7 +84,7 @@ class DesignDescent:
 
 
 def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> DesignDescent:
-    """The best point that is found from `start` (n,) by at most so many `evaluations`."""
+    """The best point of a descent from `start` (n,) of at most `evaluations` evaluations."""
     points: list[ProgrammePoint] = []
     begun = 0
 
@@ -159,8 +159,8 @@ def _follow(
 
 
 def multipliers(point: ProgrammePoint) -> Multipliers:
-    """The multipliers of the bounds and ends that are active at `point`: none is negative, and what is left of the
-    slope is as small as they can make it (non-negative least squares)."""
+    """The multipliers of the bounds and ends that are active at `point`: none is negative, and they leave as little of
+    the slope as possible (non-negative least squares)."""
     count, size = len(point.margins), len(point.x)
     nothing = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), math.inf if not point.exists else 0.0)
     if not point.exists or not size:

@@ -1,4 +1,4 @@
-"""From a model with its numbers in place to the figures of a chip and their exact derivatives.
+"""Figures of a chip and their exact derivatives, from a model with its numbers in place.
 
 Every figure follows from one state, at the frequency that the chip is driven at, and from the states at the half-power
 frequencies. Where the drive follows f0, a change of a number moves the frequency too:
@@ -111,7 +111,8 @@ class FigureValues:
     state: LinearisedState | None
 
     def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
-        """For the numbers asked for, with the estimated error of the state's charge (none: of a full solve)."""
+        """The evaluation at the numbers asked for, with the estimated error of the state's charge (none: of a full
+        solve)."""
         names = self.question.figures
         nothing = Dual(math.nan, np.full(len(self.question.names), math.nan))
         found = {name: self.figures.get(name, nothing) for name in names}

@@ -1,5 +1,5 @@
-"""Evolutionary search (pymoo: Blank and Deb 2020, IEEE Access 8, 89497) for what has no slope: stock lengths, steps,
-and the front between two objectives. Its genetic algorithm for mixed variables sorts by ranks and crowding."""
+"""Evolutionary search (pymoo: Blank and Deb 2020, IEEE Access 8, 89497) over variables without a slope: stock lengths,
+steps, and the front between two objectives. Its genetic algorithm for mixed variables sorts by ranks and crowding."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def evolve(
 
 
 def undominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
-    """Those that keep all bounds and that no other one is better than in all objectives, by the first objective.
+    """The members that keep all bounds and that no other one is better than in all objectives, by the first objective.
 
     Where none keeps the bounds, the one nearest to it alone.
     """

@@ -102,7 +102,7 @@ def stated_uncertainty(
     statements: Sequence[Statement | str] = (),
     posteriors: Sequence[Path | str] = (),
 ) -> Uncertainty:
-    """All that is uncertain of a chip in a state.
+    """The input uncertainty of a chip in a state.
 
     Args:
         law: what a tolerance is: the limits of a uniform law, or three standard deviations of a normal one.

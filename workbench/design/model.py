@@ -51,7 +51,7 @@ TOLERANCE = 1e-5
 
 
 class Evaluator(Protocol):
-    """Whatever gives figures for numbers of parameters: what studies, tolerances and optimisation ask."""
+    """The figures at numbers of parameters, as studies, tolerances and optimisation need them."""
 
     @property
     def names(self) -> tuple[str, ...]:

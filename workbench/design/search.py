@@ -94,10 +94,10 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 
 
 def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether two points with figures are one optimum; what is known of an unknown beforehand is its range."""
+    """Whether two points with figures are one optimum; the scale of an unknown is its range."""
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
 def feasible(found: Iterable[Optimum]) -> list[Optimum]:
-    """Those that keep all bounds."""
+    """The optima that keep all bounds."""
     return [each for each in found if each.descent.feasible]

@@ -53,11 +53,11 @@ class Sensitivities:
     gradient: Mapping[str, Real]
 
     def changes(self, label: str) -> Real:
-        """By how much (k,) the figure changes where each number grows by its step, to first order."""
+        """The change (k,) of the figure as each number grows by its step, to first order."""
         return self.gradient[label] * self.steps
 
     def ranked(self, label: str) -> list[int]:
-        """The numbers by the size of what they change, largest first; those whose influence is unknown last."""
+        """The numbers by the size of their effect on the figure, largest first; those of unknown influence last."""
         size = np.abs(self.changes(label))
         return sorted(range(len(self.names)), key=lambda k: -size[k] if math.isfinite(size[k]) else math.inf)
 

@@ -72,12 +72,12 @@ class FinishedPoints:
         return together.chosen(order)
 
     def chosen(self, at: NDArray[np.int64]) -> FinishedPoints:
-        """Those at places (m,)."""
+        """The points at places (m,)."""
         return FinishedPoints(*(getattr(self, column.name)[at] for column in fields(self)))
 
 
 def _reasons(found: Evaluation) -> str:
-    """Why figures are missing: each reason once, behind the figures it is of."""
+    """Reasons why figures are missing, each once, behind the figures it is of."""
     reasons: dict[str, list[str]] = {}
     for name, reason in found.missing.items():
         reasons.setdefault(reason, []).append(name)

@@ -65,7 +65,7 @@ class Confirmation:
 
     @property
     def difference(self) -> float:
-        """Of the reduced model from the full solve, SI."""
+        """Difference of the reduced model from the full solve, SI."""
         return self.reduced - self.full
 
 
@@ -97,7 +97,7 @@ class StudyResult(Shown):
 
     @cached_property
     def statistics(self) -> tuple[Statistic, ...]:
-        """Of every figure in every state."""
+        """Statistics of every figure in every state."""
         states = self.columns[STATE]
         return tuple(_statistic(state, name, np.flatnonzero(states == state), self.columns[name])
                      for state in self.study.states for name in self.study.figures)

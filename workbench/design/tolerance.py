@@ -227,7 +227,7 @@ def check_tolerance_request(
 
 @dataclass(frozen=True, eq=False)
 class _Full:
-    """Full solves of one chip at the drives of what is asked."""
+    """Full solves of one chip at the drives of the requested figures."""
 
     chip: Chip
     state: str

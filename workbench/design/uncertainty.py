@@ -110,7 +110,7 @@ class Uncertainty:
                        correlation=self.correlation[np.ix_(kept, kept)])
 
     def draw(self, count: int, seed: int = 0) -> Samples:
-        """`count` samples; those outside of what is admissible are drawn again as a whole, which keeps the law.
+        """`count` samples; draws that are not admissible are drawn again as a whole, which keeps the law.
 
         Raises:
             InputError: hardly any draw is admissible (:data:`LEAST_ACCEPTED`).
@@ -162,11 +162,7 @@ def _root(correlation: Real) -> Real:
 
 
 def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> Number:
-    """A `number` that is known as `stated`, its range cut to the law, to what it can be, and to `ends`.
-
-    Raises:
-        InputError: a number that may be zero, or of the other sign, and must not.
-    """
+    """A `number` with the uncertainty `stated`, its range cut to the law, to the values it can have, and to `ends`."""
     low, high = number.value - stated.half_width, number.value + stated.half_width
     if number.low == 0.0 < number.value and low <= 0.0 and not number.is_loss:
         raise InputError(stated.origin, number.name, f"{number.value:g} within {stated.half_width:g}",

@@ -69,14 +69,13 @@ STATED, NAMED = "stated", "named"
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Campaign(Brief):
-    """A device, its states, and what is known of it.
+    """A device, its states, and the knowledge of its numbers.
 
     ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
     states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
     that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
-    the names of two shared numbers, each pair once. ``inhomogeneity`` is the
-    standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
-    None if the data are to say it.
+    the names of two shared numbers, each pair once. ``inhomogeneity`` is the standard deviation of the smooth relative
+    changes of stiffness, mass and loss within parts that no model gets right, None if the data are to say it.
     """
 
     name: str
@@ -206,7 +205,7 @@ def _inhomogeneity(table: FileTable) -> float | None:
 
 
 def _check_one_device(states: Sequence[DeviceState], source: str) -> None:
-    """All states must agree on what they share: one name, one length."""
+    """Refuse states that differ in a length or a material of one name."""
     for name, first, other in _pairs(states):
         a, b = first.chip.dimensions()[name].value, other.chip.dimensions()[name].value
         if abs(a - b) > 1e-9:

@@ -1,4 +1,4 @@
-"""The hypotheses: what may be wrong with a device or its model, and where.
+"""The hypotheses about a device or its model: errors and effects that may be there, and where.
 
 A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
 term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
@@ -98,7 +98,7 @@ STEP = 5.0
 
 
 def effects(device: Device) -> tuple[Effect, ...]:
-    """All hypotheses that make sense for a device; none that moves what is fixed."""
+    """All hypotheses that a device can have; none that moves a fixed number."""
     return effects_and_others(device)[0]
 
 
@@ -322,7 +322,7 @@ def _springs(device: Device, region: str, material: str, *, upper: bool) -> Iter
 
 
 def joints(device: Device) -> Iterator[Effect]:
-    """Superstrates that are not held everywhere, by a bond or where they touch what is below."""
+    """Superstrates that are held in a part of their area only, by a bond or where they touch the layer below."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "superstrate"):
         state = device.holding(region)[0]
         below, _ = neighbours(state, region)

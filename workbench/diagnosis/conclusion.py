@@ -26,7 +26,7 @@ class Conclusion:
 
 
 def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Conclusion:
-    """The decision on what a search found."""
+    """The decision on the results of a search."""
     # Noise that goes together from point to point says less than as much that does not.
     best = max(found.final, key=lambda each: each.explanation.log_evidence)
     points = best.explanation.correlation
@@ -90,7 +90,7 @@ def explained_share(model: Model, base: Explanation, found: Explanation) -> floa
 
 
 def _is_as_stated(model: Model, base: Explanation) -> bool:
-    """Whether no known parameter had to leave what is stated, in units of what is known of it."""
+    """Whether all known parameters stay within their priors."""
     return _pull(model, base) < 1.0
 
 

@@ -206,7 +206,7 @@ def _radius(chip: Chip, region: str) -> float:
 
 
 def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
-    """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
+    """The parameter of a known number, with its prior; a hypothesis may release the prior."""
     name, parsed, value, error, stated = number.name, number.parsed, number.value, number.deviation, number.stated
     if number.is_bench:
         found = bench_parameter(name)

@@ -60,7 +60,7 @@ class DiscrepancyModes:
 
     @classmethod
     def of(cls, columns: Mapping[Key, Real]) -> DiscrepancyModes:
-        """From the column (m,) of each."""
+        """The modes from the column (m,) of each."""
         return cls(np.stack(list(columns.values()), axis=1), tuple(columns))
 
     @property

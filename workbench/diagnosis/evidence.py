@@ -100,7 +100,7 @@ class LinearisedProblem:
     @classmethod
     def of(cls, tangents: Real, residual: Real, deviations: Real, *, precision: Real, offset: Real, widths: Real,
            below: Real, above: Real) -> LinearisedProblem:
-        """From tangents (m, p), residual (m,) and deviations (m, k)."""
+        """A problem from its tangents (m, p), residual (m,) and deviations (m, k)."""
         every = np.column_stack([tangents, residual, deviations])
         return cls(every.T @ every, precision, offset, widths, below, above)
 
@@ -207,7 +207,8 @@ class LinearisedProblem:
 
 
 def _inverse(matrix: Real) -> Real:
-    """The inverse of a positive matrix (p, p) whose units differ; what it cannot tell apart stays undetermined."""
+    """The inverse of a positive matrix (p, p) whose units differ; directions that rounding cannot tell apart stay
+    undetermined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
 
@@ -238,7 +239,8 @@ def occam_factor(covariance: Real, widths: Real) -> float:
 
 
 def over_scales(problem: LinearisedProblem, settings: Sequence[Real]) -> tuple[float, int, Average]:
-    """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and what it gives."""
+    """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and the average at it.
+    """
     found = [problem.averaged(setting) for setting in settings]
     logs = np.array([each.log_evidence for each in found])
     best = int(np.argmax(logs))

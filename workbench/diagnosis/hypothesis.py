@@ -146,7 +146,7 @@ def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
 
 
 def as_parameter(free: FreeParameter) -> Parameter:
-    """A number as a parameter without a prior: anywhere within what is admissible, the neutral value included."""
+    """A number as a parameter without a prior: anywhere within its admissible range, the neutral value included."""
     limit, start = free.admissible, free.neutral
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 

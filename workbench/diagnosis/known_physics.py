@@ -30,7 +30,7 @@ class Contribution(NamedTuple):
 
     @classmethod
     def of(cls, effect: str, state: str, there: Spectrum, without: Spectrum) -> Contribution:
-        """From the spectra with the effect and without it."""
+        """The contribution of an effect, from the spectra with it and without it."""
         (one, _), (other, _) = measured_figures(there), measured_figures(without)
         f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
         changed = np.abs(np.log(there.impedance / without.impedance))

@@ -108,7 +108,7 @@ class LocalProblem:
         return self.problem.averaged(self._expanded(scales))
 
     def over_scales(self) -> tuple[float, Scales, Average]:
-        """ln of the mean evidence over all settings, the best of these and what it gives."""
+        """ln of the mean evidence over all settings, the best of these and the average at it."""
         worth, best, average = over_scales(self.problem, [self._expanded(each) for each in self.settings])
         return worth, self.settings[best], average
 
@@ -161,7 +161,7 @@ class Explanation:
 
     @property
     def accuracy(self) -> float:
-        """Of the model, relative."""
+        """Accuracy of the model, relative."""
         return self.scales.accuracy
 
     def error(self, index: int) -> float:
@@ -487,6 +487,6 @@ NEGLIGIBLE = 0.03
 
 
 def compressed_columns(columns: Real, size: float) -> Real:
-    """Fewer columns (m, k) of the same covariance, but for what is negligible at that size."""
+    """Fewer columns (m, k) of equal covariance, up to negligible parts at that size."""
     directions, lengths = principal(columns * size, NEGLIGIBLE)
     return np.asarray(directions * lengths / size)

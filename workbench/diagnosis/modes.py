@@ -29,7 +29,7 @@ QUALITIES = (60.0, 150.0, 400.0)
 
 @dataclass(frozen=True)
 class Mode:
-    """A resonance at a ``frequency`` (Hz) of a ``quality`` in some ``recordings``, one of so many ``tried``."""
+    """A resonance at a ``frequency`` (Hz) of a ``quality`` in some ``recordings``, one of ``tried`` candidates."""
 
     recordings: tuple[int, ...]
     frequency: float
@@ -71,7 +71,7 @@ def strongest(
     recordings: Sequence[Spectrum], places: Sequence[slice], bodies: Sequence[Sequence[int]], noise: Real,
     project: Callable[[Real], Real], residual: Real, sizes: Real,
 ) -> tuple[Mode, ...]:
-    """Of every body (indices of its recordings) the mode with the largest evidence, where there is some for one.
+    """The mode with the largest evidence of every body (indices of its recordings), where there is evidence for one.
 
     Args:
         noise: (m,) of the data; `project` brings columns (m, k) over their noise to where known parameters cannot

@@ -48,7 +48,7 @@ Predicted = Callable[[Explanation, Covariance, int], tuple[Real, Real]]
 
 @dataclass(frozen=True)
 class Option:
-    """Something to measure: the ``share`` of what is open that doing it once settles, and the ``odds`` expected between
+    """A measurement: the ``share`` of the open question that doing it once settles, and the ``odds`` expected between
     the two best hypotheses after ``times`` of it."""
 
     name: str
@@ -129,7 +129,7 @@ def _predictions(likelihood: Likelihood, alive: Sequence[Explanation]) -> Iterat
 def _recorded(
     model: Model, state: str, rows: slice, drive: float, found: Explanation, systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
-    """Of a fitted state, its drive times a factor."""
+    """The prediction for recordings of a fitted state, its drive times a factor."""
     tangents, free = found.residual.jacobian[rows], np.array(found.free)
     is_new = np.array([model.parameters[i].offset and model.parameters[i].recordings == (state,) for i in free])
     new, own = free[is_new], _driven(model, found, state)
@@ -157,7 +157,8 @@ def _driven(model: Model, found: Explanation, state: str) -> list[int]:
 def _bench(
     model: Model, bench: Sequence[int], found: Explanation, _systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
-    """Of elements, by their indices, in units of what the standards tell of them."""
+    """The prediction for elements of the bench, by their indices, in units of the uncertainties that the standards
+    leave."""
     errors = np.array([STANDARDS[model.parameters[i].name.removeprefix(BENCH)] for i in bench])
     return (math.sqrt(times) * found.x[list(bench)] / errors,
             math.sqrt(times) * np.diag([found.error(i) if i in found.free else 0.0 for i in bench]) / errors[:, None])

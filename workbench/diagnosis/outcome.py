@@ -53,7 +53,7 @@ class FoundNumber(NamedTuple):
 
     @property
     def shown(self) -> tuple[float, float, float, float]:
-        """Value, ends and what is stated in the unit that numbers are shown in."""
+        """Value, ends and stated value in the unit that numbers are shown in."""
         factor = shown_factor(self.unit)
         return self.value * factor, self.low * factor, self.high * factor, self.stated * factor
 
@@ -69,8 +69,8 @@ class FoundNumber(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Established(Brief):
-    """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
-    noise, of what the known parameters leave, that it takes away."""
+    """An effect, its parameters, whether all of these are ``admissible``, and its ``share`` of the mismatch beyond
+    noise that the known parameters leave."""
 
     effect: Effect
     estimates: tuple[FoundNumber, ...]
@@ -165,7 +165,7 @@ class Diagnosis(Shown):
 
     @property
     def at_odds(self) -> tuple[FoundNumber, ...]:
-        """The known parameters that left what is known of them, furthest first."""
+        """The known parameters that left their priors, furthest first."""
         found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
         return tuple(sorted(found, key=lambda each: -abs(each.sigmas or 0.0)))
 
@@ -177,7 +177,7 @@ class Diagnosis(Shown):
         return tuple(dict.fromkeys(filter(None, found)))
 
     def _regions(self, effect: Effect) -> list[str]:
-        """Where an effect acts: a number of a material does wherever that is."""
+        """The regions where an effect acts: all regions of its material, if it has one."""
         owner = ParameterName.parse(effect.names[0]).owner
         within = {getattr(term, "region", "") for held in effect.terms.values() for term in held}
         filled = [region for state in self.states for region, material in state.materials.items()

@@ -82,7 +82,8 @@ class Posterior(Brief):
     def of(
         cls, model: Model, hypothesis: Hypothesis, x: Real, *, errors: Real | None = None, scales: Scales | None = None
     ) -> Posterior:
-        """On reduced models made for the neighbourhood of x (p,), with the discrepancy of the model there.
+        """The posterior on reduced models made for the neighbourhood of x (p,), with the discrepancy of the model
+        there.
 
         The models cover two standard deviations `errors` (p,), zero of parameters that do not move; by default those of
         Laplace's approximation at x.

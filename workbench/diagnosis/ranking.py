@@ -93,7 +93,7 @@ class _Nuisances:
 
 
 def _score(effect: Effect, tangents: Real, nuisances: _Nuisances, least: float, bounds: Real) -> Score:
-    """From the tangents (m, k) of a hypothesis, and the `least` chi-square without it."""
+    """The score of a hypothesis, from its tangents (m, k), and the `least` chi-square without it."""
     basis, left = nuisances.basis, nuisances.residual
     whole = np.vstack([tangents, np.zeros((left.size - tangents.shape[0], tangents.shape[1]))])
     apart = whole - basis @ (basis.T @ whole)

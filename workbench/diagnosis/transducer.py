@@ -90,7 +90,8 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
 
 
 def _gauge(material: str) -> Effect:
-    """A disc that was fitted with a wrong density: alone its spectrum is the same, and what it bears shows it."""
+    """A disc that was fitted with a wrong density: alone it has the spectrum of the right one, under a load it has not.
+    """
     name, limit = f"{TRANSDUCER}.gauge", MISTAKEN_GAUGE
     powers = tuple((f"{material}.{coefficient}", power) for coefficient, power in GAUGE.items())
     return Effect("density that the constants were fitted with", TRANSDUCER, "mass", "the disc's constants come from a "

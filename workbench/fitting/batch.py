@@ -1,4 +1,4 @@
-"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and what they have in common.
+"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and their statistics.
 
     [batch]
     name = "four discs"

@@ -50,7 +50,7 @@ Real = NDArray[np.float64]
 COARSE, FINE = 5e-2, 3e-4
 
 class FitError(RuntimeError):
-    """A fit that cannot be made: what is wrong with recording, geometry or parameters, in words."""
+    """A fit that cannot be made: the mistake in recording, geometry or parameters, in words."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -256,7 +256,7 @@ def listed_starts(
 
 
 def where_they_ended(starts: Sequence[Start]) -> str:
-    """Where all descents ended, in one sentence."""
+    """The ends of all descents, in one sentence."""
     same = sum(s.outcome == SAME for s in starts)
     text = f"{same} of {len(starts)} descents reached the same optimum"
     given_up = sum(s.outcome == GIVEN_UP for s in starts)

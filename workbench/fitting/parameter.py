@@ -185,8 +185,8 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
-    """A range (m or rad) about a shape that the chip states, or another size of it: twice what is usual of such shapes,
-    or twice :data:`NEARBY` of the size, to either side."""
+    """A range (m or rad) about a shape that the chip states, or another size of it: twice the usual size of such
+    shapes, or twice :data:`NEARBY` of the size, to either side."""
     value = chip.dimensions()[name].value
     reach = 2.0 * SHAPE_UNCERTAINTY.get(ParameterName.parse(name).coefficient, NEARBY * abs(value))
     return admissible_range(chip, name, value - reach, value + reach)

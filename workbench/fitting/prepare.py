@@ -213,7 +213,7 @@ def material_starts(prepared: Prepared, registry: Registry, names: Sequence[str]
 
 
 def prepare_together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
-    """Several recordings fitted at once: what has the same name is shared, what is named in `own` is each its own.
+    """Several recordings fitted at once: parameters of one name are shared, except those named in `own`.
 
     Bench elements are always each recording's own. `own` names dimensions or bench elements, on top of what every
     recording frees itself.

@@ -111,7 +111,7 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
 
 
 def refusals(result: FitResult) -> tuple[str, ...]:
-    """Why a fit is not to be believed, in words; empty if nothing speaks against it."""
+    """Reasons not to trust a fit, in words; empty if there are none."""
     found = []
     if not result.improved:
         found.append("The fit is not better than its start.")

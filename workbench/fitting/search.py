@@ -144,7 +144,7 @@ class FitSearch:
         return replace(found, x=whole(found.x))
 
     def inside(self, x: Real) -> Real:
-        """Where :meth:`minimise` begins from x (p,): at x, or near it and strictly inside of what parameters may be."""
+        """The start of :meth:`minimise` from x (p,): x, or a point near it strictly inside the admissible set."""
         result, free = x.copy(), self.free
         result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
         return result
@@ -189,7 +189,8 @@ class FitSearch:
                         progress=progress)
 
     def errors(self, optimum: Optimum) -> Real:
-        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of what is not free."""
+        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of parameters that are not
+        free."""
         found = np.zeros(self.scale.size)
         found[self.free] = standard_errors(optimum.residual.jacobian, self.scale[self.free])
         return found

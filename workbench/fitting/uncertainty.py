@@ -207,7 +207,8 @@ def estimate_uncertainty(
 
 
 def _inverse(information: Real, search: FitSearch) -> Real:
-    """Covariance (p, p) of data and prior together; what has no prior is known to a fifth of its admitted range."""
+    """Covariance (p, p) of data and prior together; a parameter without a prior is known to a fifth of its admitted
+    range."""
     # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
     scale = np.outer(search.scale, search.scale)
     return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)

@@ -40,7 +40,7 @@ class Stopped(BaseException):
 
 
 class Interruption:
-    """Whether Ctrl-C was pressed, and what a further press does.
+    """The state of an interruption by Ctrl-C, and the effect of a further press.
 
     ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
     while the command runs, and "closing" once that is over and the program about to end. ``since`` is when the command
@@ -87,7 +87,7 @@ class Interruption:
 
 @contextmanager
 def heeded(*, stays: bool) -> Iterator[Interruption]:
-    """Ctrl-C, heeded while a command runs. If it `stays` so, what the interpreter does at its end is silent too.
+    """Ctrl-C, heeded while a command runs. If it `stays` so, the interpreter's own end is silent too.
 
     Where signals are somebody else's (a thread, or a program that ignores them) they stay theirs.
     """

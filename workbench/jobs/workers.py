@@ -1,4 +1,4 @@
-"""Where tasks are done: in this process, in processes of this machine, or by an executor such as a Dask cluster's.
+"""Workers that do tasks: this process, processes of this machine, or an executor such as a Dask cluster's.
 
     with begin_workers(jobs) as workers:
         workers.share(read_model, path)                         # made once in every process
@@ -179,7 +179,7 @@ class ExecutorWorkers(Workers):
 
 @contextmanager
 def begin_workers(jobs: int, executor: Executor | None = None) -> Iterator[Workers]:
-    """Workers for so many tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
+    """Workers for `jobs` tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
 
     An executor stays open at the end of the block, the processes end.
     """

@@ -37,7 +37,7 @@ def reported_figure(name: str) -> Figure:
 
 
 def figure_in_unit(name: str, value: float, digits: int = 5) -> str:
-    """A figure (SI) in the unit it is told in."""
+    """A figure (SI) in the unit it is shown in."""
     return f"{number_text(value / reported_figure(name).factor, digits)} {reported_figure(name).shown}".strip()
 
 
@@ -47,7 +47,7 @@ def programme_figure(objective: DesignObjective, number_to_be_small: float) -> f
 
 
 def before_after_table(design: Design) -> TextTable:
-    """Every figure of the goal before and after, by full solves, with what the model said and what must hold."""
+    """Every figure of the goal before and after, by full solves, with that of the model and its bounds."""
     goal, after = design.goal, None if design.best is None else design.best.after
     model = None if design.best is None else design.best.candidate.point.evaluation
     rows = []

@@ -65,7 +65,7 @@ def remainder_table(found: Diagnosis) -> TextTable:
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
-    """``report.html``: the headline, what it looks like, what to do next and what was taken as known; then evidence."""
+    """``report.html``: the headline, its pictures, the next measurement and the prior knowledge; then evidence."""
     first: list[Block] = [Note(found.headline), f"Verdict: {found.verdict.replace('_', ' ')}.",
                            "\n\n".join(found.findings)]
     if found.established:
@@ -117,7 +117,7 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
-    """Every state before and after, a bar of shares, and the section with what is marked on it."""
+    """Every state before and after, a bar of shares, and the section with the suspect places marked."""
     first, last = ((found.base, found.best) if found.established else (found.stated, found.base))
     labels = (("known parameters alone", "with what was found") if found.established
               else ("as stated", "known parameters fitted"))

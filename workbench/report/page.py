@@ -66,7 +66,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Answer:
-    """The sentences that answer what the report was made for."""
+    """The sentences that answer the question of the report."""
 
     text: str
 
@@ -95,7 +95,8 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
 
 
 def _html(block: Block, explained: set[str]) -> str:
-    """HTML of a block; `told` are the headings whose meanings the page has, to which those of a table are added."""
+    """HTML of a block; `explained` are the headings whose meanings the page has, to which those of a table are added.
+    """
     match block:
         case TextTable(columns, rows):
             head = "".join(f"<th>{_heading(c)}</th>" for c in columns)

@@ -91,7 +91,7 @@ def confirmed_table(result: StudyResult) -> TextTable:
 
 
 def missing_table(result: StudyResult) -> TextTable | None:
-    """Why figures are missing, and at how many points; None where none is."""
+    """Reasons why figures are missing, with the number of points; None where none is."""
     reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
     found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
                    reverse=True)

@@ -243,7 +243,7 @@ def fit_polymer(
 
 
 def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float]) -> dict[str, float]:
-    """Where every parameter starts, by full name."""
+    """The start of every parameter, by full name."""
     known = {p.parsed.within(material): p for p in free}
     for name, value in start.items():
         if name not in known:
@@ -284,7 +284,7 @@ def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
 
 
 class _Search:
-    """The point the algorithm is at, the window it looks through, and what has been spent."""
+    """The present point of the algorithm, its window, and the spectra spent."""
 
     def __init__(
         self, recording: FitRecording, problem: Problem, start: Mapping[str, float], broken: Broken,

@@ -64,14 +64,14 @@ class Inequality:
         return np.asarray(self.constant + np.tensordot(x, self.slopes, axes=1))
 
     def margin(self, x: Real) -> float:
-        """The smallest eigenvalue at x, relative to the size of what it is made of."""
+        """The smallest eigenvalue at x, relative to the size of its terms."""
         size = np.abs(self.constant).max() + np.abs(x[:, None, None] * self.slopes).max()
         return float(np.linalg.eigvalsh(self(x))[0] / size)
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[Residuals]):
-    """Where the search ended.
+    """The end of a search.
 
     ``x`` (p,), ``residual`` there; ``cost`` half the sum of squares; ``converged`` whether no step promised a further
     relative decrease of more than the tolerance; ``iterations`` accepted and rejected steps; ``reason`` in words.
