@@ -21,7 +21,7 @@ from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.search import SCHEDULE, SEARCHED_POINTS, FitSearch
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.reduced.reduction import NotEnriched
@@ -73,7 +73,7 @@ def recorded(
             values[coefficient] = complex(old.real, number) if key.endswith(".loss") else complex(number, old.imag)
     lengths = {key: number for key, number in truth.items() if key in chip.dimensions()}
     if lengths:
-        problem = flexible(problem, chip, [key for key in lengths if key.endswith("radius")])
+        problem = parametrised(problem, chip, [key for key in lengths if key.endswith("radius")])
     predictor = Predictor(problem, frequency, tolerance=1e-7)
     bench = {key: number for key, number in truth.items() if key.startswith("bench.")}
     impedance = predictor({**values, **{key: complex(length) for key, length in lengths.items()}},

@@ -32,7 +32,7 @@ from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
 from workbench.jobs.progress import Progress, no_progress
-from workbench.model.dimensions import flexible, flexible_within
+from workbench.model.dimensions import parametrised, parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
@@ -221,9 +221,9 @@ def full_evaluation(
     if gradient and lengths:
         parsed = [ParameterName.parse(n) for n in lengths]
         if moved.is_profiled:
-            problem = flexible_within(problem, moved, {n: about(moved, n) for n in lengths})
+            problem = parametrised_within(problem, moved, {n: about(moved, n) for n in lengths})
         else:
-            problem = flexible(problem, moved, [str(n) for n in parsed if n.is_radius],
+            problem = parametrised(problem, moved, [str(n) for n in parsed if n.is_radius],
                                {str(n): about(moved, str(n)) for n in parsed if n.is_shape})
     unknown = sorted(n for n in others if ParameterName.parse(n).key not in problem.values)
     if unknown:

@@ -27,7 +27,7 @@ from workbench.fitting.parameter import (
     ranges_of_dimensions,
     stretchable,
 )
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
@@ -138,13 +138,13 @@ def device_model(
     found, others = effects_and_others(device)
     hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
     problems: list[Problem] = []
-    asides = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
+    neutral = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
               for state in campaign.states}
-    asked = {state.name: _lines(state, asides[state.name], widths) for state in campaign.states}
+    requested = {state.name: _lines(state, neutral[state.name], widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         # States of one chip have one mesh.
-        alike = [asked[each.name] for each in campaign.states if each.device.section == state.device.section]
+        alike = [requested[each.name] for each in campaign.states if each.device.section == state.device.section]
         skins = {region: skin for own, _ in alike for region, skin in own.items()}
         radii = {radius for _, own in alike for radius in own}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
@@ -171,8 +171,8 @@ def device_model(
         shapes = [name for p in parameters for name in p.names if name in possible(state.chip)]
         chips.append(with_shapes(state.chip, shapes))
         ranges = ranges_of_dimensions(parameters, chips[-1].dimensions())
-        flexed.append(flexible_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
-                                      asides=asides[state.name]))
+        flexed.append(parametrised_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
+                                      neutral=neutral[state.name]))
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
