@@ -120,14 +120,14 @@ def _of(
     model: Model, found: Found, stated: tuple[StateFit, ...], conclusion: Conclusion, criteria: Criteria, started: float
 ) -> Diagnosis:
     # A hypothesis outside the catalogue moves no parameter of a prediction: the known parameters do.
-    settled = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
-    best = settled.explanation
-    likelihood = Likelihood(model, model.fitted, settled.columns, settled.region_discrepancy)
-    location, alive = suspect_places(settled, found), _alive(found, conclusion, criteria)
+    refit = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
+    best = refit.explanation
+    likelihood = Likelihood(model, model.fitted, refit.columns, refit.region_discrepancy)
+    location, alive = suspect_places(refit, found), _alive(found, conclusion, criteria)
     further = options(likelihood, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
     released = {name for effect in best.hypothesis.effects for name in effect.releases}
     return Diagnosis(
-        model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, settled),
+        model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, refit),
         established(model, found, best), _remainder(likelihood, best, location, criteria), location,
         estimates(model, best, [p.name for p in model.parameters[:model.known] if p.name not in released]),
         found.base.scores, tuple(each.explanation.hypothesis.name for each, _ in alive),
@@ -141,10 +141,10 @@ def established(model: Model, found: Found, best: Explanation) -> tuple[Establis
     for count, effect in enumerate(effects, 1):
         so_far = of.get(effects[:count])
         after = before if so_far is None else max(before, explained_share(model, found.base.explanation, so_far))
-        told = estimates(model, best, effect.names)
-        limits = [(effect.admissible[each.name], each.value) for each in told if each.name in effect.admissible]
+        parameters = estimates(model, best, effect.names)
+        limits = [(effect.admissible[each.name], each.value) for each in parameters if each.name in effect.admissible]
         inside = all(limit.lowest <= value <= limit.highest for limit, value in limits)
-        result.append(Established(effect, told, inside, after - before))
+        result.append(Established(effect, parameters, inside, after - before))
         before = after
     return tuple(result)
 

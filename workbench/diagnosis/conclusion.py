@@ -53,14 +53,14 @@ def evidence(model: Model, refit: Refitted, base: Explanation, points: float = 1
     """
     found = refit.explanation
     hypothesis = found.hypothesis
-    away = {}
+    z_scores = {}
     for effect in hypothesis.effects:
         for name in effect.names:
             i = model.index(name)
             error = found.error(i)
-            away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
+            z_scores[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence / points, tuple(effect.name for effect in hypothesis.effects),
-                    hypothesis.is_outside, away, refit.held_out / points, found.accuracy,
+                    hypothesis.is_outside, z_scores, refit.held_out / points, found.accuracy,
                     explained_share(model, base, found))
 
 

@@ -123,21 +123,21 @@ class DiagnosisSearch:
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.models.wide.predictors) if p.model])
         self.progress("nothing wrong", 0.1)
         ends, null = self.initial_optima()
-        settled = dict[Candidate, Refitted]()
+        refits = dict[Candidate, Refitted]()
         if null.fits:
-            settled[null] = self.refit(null)
-            if settled[null].explanation.accuracy <= INCONSPICUOUS:
-                return self.concluded(null, settled, [null])
+            refits[null] = self.refit(null)
+            if refits[null].explanation.accuracy <= INCONSPICUOUS:
+                return self.concluded(null, refits, [null])
         self.progress("what is outside the catalogue", 0.2)
         outside = self.run_tasks([SearchTask.of("what is outside the catalogue", self.outside_catalogue, null)])[0]
         found: list[Candidate] = [*(outside or ())]
-        searches = [("hypotheses by their scores", lambda: self.by_score(null, ends, settled)),
+        searches = [("hypotheses by their scores", lambda: self.by_score(null, ends, refits)),
                     ("hypotheses of any size", lambda: self.by_size(null))]
         # No tangent counts where more is left than the points were allowed to deviate by.
         if ends[0].cost > 0.5 * sum(2 * state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
         for number, (name, search) in enumerate(searches):
-            if number and self.is_explained(settled[null], settled.values()):
+            if number and self.is_explained(refits[null], refits.values()):
                 break
             if number and self.is_over:
                 self.undone.append(name)
@@ -145,11 +145,11 @@ class DiagnosisSearch:
             self.progress("single hypotheses", 0.3 + 0.3 * number)
             found += search()
             self.progress("the best of them", 0.45 + 0.3 * number)
-            self.refit_best(null, found, settled)
+            self.refit_best(null, found, refits)
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
-        return self.concluded(null, settled, [null, *best.values()])
+        return self.concluded(null, refits, [null, *best.values()])
 
     def initial_optima(self) -> tuple[list[InitialOptimum], Candidate]:
         """The initial optima of the null hypothesis at little weight, best first, and its candidate at more weight.
@@ -242,9 +242,9 @@ class DiagnosisSearch:
         x = self.models.belief.x
         scores = self.run_tasks([SearchTask.of("scores of the hypotheses", self.scored, x, LEVELS[0])])[0] or []
         bare = self.models.bare()
-        left = math.sqrt(2.0 * bare.solve(bare.search(Hypothesis()), STAGE, x).cost)
-        effects = [each.effect for each in scores if each.most > left]
-        self.say("   swept", len(effects), "of", len(scores), "left", left)
+        residual = math.sqrt(2.0 * bare.solve(bare.search(Hypothesis()), STAGE, x).cost)
+        effects = [each.effect for each in scores if each.most > residual]
+        self.say("   swept", len(effects), "of", len(scores), "left", residual)
         scans = self.run_tasks([
             SearchTask.of(f"{effect.name} of any size", self.scan_effect, effect.name) for effect in effects])
         best = sorted(((each, effect) for each, effect in zip(scans, effects, strict=True) if each),

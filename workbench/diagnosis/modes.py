@@ -89,9 +89,9 @@ def strongest(
                 slope = mode_slopes(recordings[index], centre, quality)
                 for part, turned in enumerate((slope, 1j * slope)):
                     whole[places[index], part] = np.concatenate([turned.real, turned.imag])
-            seen = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
+            signal = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
                 -1, 2, centre.size), -1, 0)
-            worth = _worth(seen, residual, sizes)
+            worth = _worth(signal, residual, sizes)
             at = int(np.argmax(worth))
             if best is None or worth[at] > best[0]:
                 best = float(worth[at]), Mode(tuple(body), float(centre[at]), quality, tried)
@@ -100,9 +100,9 @@ def strongest(
     return tuple(found)
 
 
-def _worth(seen: Real, residual: Real, sizes: Real) -> Real:
+def _worth(signal: Real, residual: Real, sizes: Real) -> Real:
     """Largest log evidence (k,) over the `sizes` for amplitudes of columns (k, m', 2) in a residual (m',)."""
-    gram, along = seen.swapaxes(1, 2) @ seen, seen.swapaxes(1, 2) @ residual
+    gram, along = signal.swapaxes(1, 2) @ signal, signal.swapaxes(1, 2) @ residual
     values, vectors = np.linalg.eigh(gram)
     squares = np.einsum("kij,ki->kj", vectors, along) ** 2
     ratio = sizes[:, None, None] ** 2 * np.maximum(values, 0.0)

@@ -69,10 +69,10 @@ def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], 
     systematic = [(each, _systematic(likelihood, each)) for each, _ in alive]
     for name, predicted in _predictions(likelihood, [each for each, _ in alive]):
         distances = {n: _distances([predicted(*each, n) for each in systematic]) for n in TIMES}
-        settled = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
+        share = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
         times = next((n for n in TIMES if distances[n][0, 1] > 2.0 * math.log(wanted)), TIMES[-1])
         odds = math.exp(min(0.5 * float(distances[times][0, 1]), 50.0))
-        found.append(Option(name, max(0.0, float(settled)), odds, times))
+        found.append(Option(name, max(0.0, float(share)), odds, times))
     return sorted(found, key=lambda option: (-option.share, option.times))
 
 

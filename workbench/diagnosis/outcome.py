@@ -62,8 +62,8 @@ class FoundNumber(NamedTuple):
         """Value and interval in the unit that numbers are shown in."""
         value, low, high, _ = self.shown
         if self.relative:
-            told = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
-            return "{} ({} to {}) of what is stated".format(*told)
+            formatted = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
+            return "{} ({} to {}) of what is stated".format(*formatted)
         return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
 
 
@@ -209,7 +209,7 @@ class Diagnosis(Shown):
     @property
     def headline(self) -> str:
         """The sentence to read first."""
-        decision, left = self.conclusion.decision, self.remainder
+        decision, remainder = self.conclusion.decision, self.remainder
         match self.verdict:
             case "missing_physics" | "ambiguous":
                 text = (f"{'; '.join(_in_words(each) for each in self.established)}; this explains "
@@ -217,12 +217,12 @@ class Diagnosis(Shown):
                 if decision.rivals:
                     text += f", but {' or '.join(plain_words(each.name) for each in decision.rivals)} would too"
             case "no_mismatch":
-                text = f"the model as stated explains the recordings: {_remainder_in_words(left)}"
+                text = f"the model as stated explains the recordings: {_remainder_in_words(remainder)}"
             case "parameters_explain":
                 most = max(self.known, key=lambda each: abs(each.sigmas or 0.0))
                 text = (f"the known parameters, within what is known of them, explain the recordings: "
-                        f"{_remainder_in_words(left)}; the {ParameterName.parse(most.name).in_words} moves most, by "
-                        f"{most.sigmas:+.1f} standard uncertainties")
+                        f"{_remainder_in_words(remainder)}; the {ParameterName.parse(most.name).in_words} moves most, "
+                        f"by {most.sigmas:+.1f} standard uncertainties")
             case "below_detection":
                 name, odds = self._likeliest()
                 text = (f"something may be missing, {plain_words(name)} most likely, at odds of {odds:.2g}: not "
@@ -232,7 +232,7 @@ class Diagnosis(Shown):
             case "unexplained":
                 name = self._likeliest()[0] if decision.chosen.outside else ""
                 which = "that could be tried " if self.found.not_tried else ""
-                text = (f"nothing in the catalogue {which}explains what is left: {_remainder_in_words(left)}"
+                text = (f"nothing in the catalogue {which}explains what is left: {_remainder_in_words(remainder)}"
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
@@ -241,8 +241,8 @@ class Diagnosis(Shown):
     def _not_looked_at(self) -> str:
         """The steps that a search that was cut short left out, in words."""
         undone = Counter(self.found.undone)
-        told = [plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
-        listed = _listed([*told[:NAMED], *([f"{len(told) - NAMED} more"] if len(told) > NAMED else [])])
+        formatted = [plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
+        listed = _listed([*formatted[:NAMED], *([f"{len(formatted) - NAMED} more"] if len(formatted) > NAMED else [])])
         if not self.tried:
             return f"none of the {len(self.model.effects)} hypotheses has been tried; still to be looked at: {listed}"
         return f"still to be looked at: {listed}"
@@ -281,8 +281,8 @@ class Diagnosis(Shown):
                    f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
                    for each in decision.rivals]
         if self.at_odds:
-            told = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
-            result.append(f"In standard uncertainties, at odds with what is known: {told}.")
+            formatted = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
+            result.append(f"In standard uncertainties, at odds with what is known: {formatted}.")
         count = len(self.campaign.fitted)
         result += [f"{after.name}, held out: a reduced chi-square of {before.reduced:.3g} by the known parameters"
                    + (f", {after.reduced:.3g} with what was found." if self.established else ".")
@@ -299,8 +299,8 @@ class Diagnosis(Shown):
                f"(rms of both parts; {_noise_in_words(self.remainder)}).")
         tried = ", ".join(map(plain_words, self.tried))
         if found.established:
-            told = "; ".join(_in_words(each) for each in found.established)
-            yield (f"Provisional: of what was tried ({tried}), best so far is {told}. What was not "
+            formatted = "; ".join(_in_words(each) for each in found.established)
+            yield (f"Provisional: of what was tried ({tried}), best so far is {formatted}. What was not "
                    "looked at may explain as much, or more.")
         elif self.tried:
             yield f"Provisional: of what was tried ({tried}), nothing explains it so far."
@@ -316,10 +316,10 @@ class Diagnosis(Shown):
         if self.verdict == NOT_FINISHED:
             return ""
         alive = {each.explanation.hypothesis.name: each.explanation.hypothesis.effects for each in self.found.final}
-        told = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
+        formatted = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
         compared = next_measurement_text(self.next_options, [plain_words(name) for name in self.alive],
                                          self.criteria.rival)
-        return " ".join(filter(None, (*told, compared)))
+        return " ".join(filter(None, (*formatted, compared)))
 
     def summary(self) -> Summary:
         """Headline, effects with their numbers, and findings, for a notebook."""
@@ -356,10 +356,10 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[F
 
 def _in_words(found: Established) -> str:
     """An effect with the values of its parameters."""
-    told = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
+    formatted = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
             f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
             + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
-    return f"{plain_words(found.effect.name)}: {_listed(told)}"
+    return f"{plain_words(found.effect.name)}: {_listed(formatted)}"
 
 
 def _capital(text: str) -> str:

@@ -292,9 +292,9 @@ def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None
         ValueError: no hypothesis of that name, or nothing near its place is admissible.
         NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
     """
-    for settled in found.final:
-        if settled.explanation.hypothesis.name == name:
-            return Posterior.of_refit(model, settled, scales=scales)
+    for refit in found.final:
+        if refit.explanation.hypothesis.name == name:
+            return Posterior.of_refit(model, refit, scales=scales)
     best = found.base.explanation.x
     begins = {score.effect.name: (Hypothesis((score.effect,)), start(model, score.effect, best, score))
               for score in found.base.scores}

@@ -77,12 +77,12 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         for size in sizes:
             place = _sized(model, effect, x, directions[direction], size)
             try:
-                seen = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
+                weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
             except NO_END as error:
                 refused.append(error)
                 continue
-            step = np.linalg.lstsq(seen.jacobian[:, free], -seen.vector, rcond=None)[0]
-            cost = 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2))
+            step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
+            cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
             found[direction, size] = InitialOptimum(place, cost, np.zeros(place.size))
 
     for direction in range(len(directions)):

@@ -94,21 +94,21 @@ class _Nuisances:
 
 def _score(effect: Effect, tangents: Real, nuisances: _Nuisances, least: float, bounds: Real) -> Score:
     """The score of a hypothesis, from its tangents (m, k), and the `least` chi-square without it."""
-    basis, left = nuisances.basis, nuisances.residual
-    whole = np.vstack([tangents, np.zeros((left.size - tangents.shape[0], tangents.shape[1]))])
+    basis, residual = nuisances.basis, nuisances.residual
+    whole = np.vstack([tangents, np.zeros((residual.size - tangents.shape[0], tangents.shape[1]))])
     apart = whole - basis @ (basis.T @ whole)
     size = np.linalg.norm(apart, axis=0)
-    seen = size > UNSEEN * np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+    acting = size > UNSEEN * np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
     amplitude, error = np.zeros(size.size), np.full(size.size, np.inf)
-    if not seen.any():
+    if not acting.any():
         return Score(effect, 0.0, 0.0, amplitude, error)
-    unit = apart[:, seen] / size[seen]
-    low, high = bounds[seen].T * size[seen]
-    best = lsq_linear(unit, -left, (np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12))
-    amplitude[seen] = best.x / size[seen]
-    gain = least - float(np.sum((left + unit @ best.x) ** 2))
-    covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
-    error[seen] = np.sqrt(np.diag(covariance))
-    cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[seen])
-    most = float(np.max(size[seen] * np.abs(bounds[seen]).max(axis=1)))
+    unit = apart[:, acting] / size[acting]
+    low, high = bounds[acting].T * size[acting]
+    best = lsq_linear(unit, -residual, (np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12))
+    amplitude[acting] = best.x / size[acting]
+    gain = least - float(np.sum((residual + unit @ best.x) ** 2))
+    covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[acting], size[acting])
+    error[acting] = np.sqrt(np.diag(covariance))
+    cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[acting])
+    most = float(np.max(size[acting] * np.abs(bounds[acting]).max(axis=1)))
     return Score(effect, 0.5 * (gain - cost), gain, amplitude, error, most)

@@ -199,10 +199,10 @@ def reweighted_descent(search: FitSearch, x: Real) -> tuple[Optimum, tuple[Noise
         free = len(search.parameters) / max(1, len(levels))
         now = [float(np.sqrt(np.sum(np.abs(log / shape) ** 2) / max(1.0, 2.0 * log.size - free)))
                for log, shape in zip(data.log_ratio, shapes, strict=True)]
-        settled = all(abs(a / b - 1.0) < 0.02 for a, b in zip(levels, now, strict=True))
+        steady = all(abs(a / b - 1.0) < 0.02 for a, b in zip(levels, now, strict=True))
         # A fit without noise would weigh rounding.
         levels = [max(level, 0.1 * FINE) for level in now]
-        if settled:
+        if steady:
             break
     noise = tuple(
         uncertainty.noise(log, level * shape, r.measured.uncertainty is not None, level)

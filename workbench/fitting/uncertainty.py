@@ -171,7 +171,7 @@ def estimate_uncertainty(
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
     near = search.with_objective(search.objective.narrowed(_around(search, minimum.x, covariance)))
-    settled = near.evaluate(minimum.x, deviation) if profiles else here
+    evaluated = near.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
         shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, minimum.x, deviation))
@@ -183,7 +183,7 @@ def estimate_uncertainty(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _not_quadratic(near, minimum.x, settled, covariance, i, deviation)):
+        if profiles and (held or _not_quadratic(near, minimum.x, evaluated, covariance, i, deviation)):
             ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))

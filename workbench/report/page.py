@@ -86,10 +86,10 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
     """Write an HTML page with every picture inside it. `sections` are (heading, blocks)."""
     parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
              f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"]
-    told: set[str] = set()
+    explained: set[str] = set()
     for heading, blocks in sections:
         parts.append(f"<h2>{html.escape(heading)}</h2>")
-        parts += [_html(block, told) for block in blocks]
+        parts += [_html(block, explained) for block in blocks]
     write_atomic(path, "\n".join(parts) + "\n")
     return path
 

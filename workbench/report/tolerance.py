@@ -101,9 +101,10 @@ def sensitivities_table(found: Tolerance) -> TextTable:
     rows = []
     for k in known.ranked(found.requested[0].label):
         name, step = known.names[k], known.steps[k]
-        told = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
-        rows.append((name, told, *(f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
-                                   for each in found.requested)))
+        step_text = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
+        rows.append((name, step_text, *(
+            f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
+            for each in found.requested)))
     return TextTable(("number", "grows by", *heads), tuple(rows))
 
 
