@@ -17,7 +17,7 @@ from workbench.design.dual import Dual, dual_derivative
 from workbench.design.trapping import NoTrap, find_trap, largest_square, trap_focus_time
 from workbench.fem.elements import gauss_lobatto
 from workbench.fem.operators import assemble
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.particles import Particle, viscous_scattering
 from workbench.model.problem import Problem
 
@@ -184,7 +184,7 @@ def test_numbers_with_derivatives_follow_the_rules() -> None:
 def test_a_cavity_that_a_length_deforms_has_no_such_field(small_chip: Chip, filled: Problem) -> None:
     """It would be that of the cylinder it no longer is; the side that a barrel moves is not the cavity's."""
     chip = with_shapes(small_chip, ["sidewall.draft", "sidewall.barrel"])
-    flexed = flexible(filled, chip, (), {"sidewall.draft": (-0.1, 0.1), "sidewall.barrel": (-5e-5, 5e-5)})
+    flexed = parametrised(filled, chip, (), {"sidewall.draft": (-0.1, 0.1), "sidewall.barrel": (-5e-5, 5e-5)})
     operators = assemble(flexed.mesh, flexed.terms)
     assert cavity_of(operators, chip, WATER, BEAD, [], FREQUENCY).lengths == ()
     assert cavity_of(operators, chip, WATER, BEAD, ["sidewall.barrel"], FREQUENCY).lengths == ("sidewall.barrel",)

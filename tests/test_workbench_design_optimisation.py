@@ -21,11 +21,11 @@ from workbench.design.descent import descend
 from workbench.design.evaluation import Evaluation
 from workbench.design.evolution import evolve, undominated
 from workbench.design.goal import DesignObjective, Goal, Robust, SearchOptions, read_goal
+from workbench.design.grid_rounding import round_to_grid
+from workbench.design.nonlinear_programme import NonlinearProgramme
 from workbench.design.optimisation import optimise
-from workbench.design.programme import Programme
+from workbench.design.scenarios import ScenarioSample
 from workbench.design.search import attempt, optima, search_all
-from workbench.design.spread import Spread
-from workbench.design.steps import settle
 from workbench.design.variables import MaterialChoice, VariedNumber, changed
 from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource
@@ -84,7 +84,7 @@ class Hill:
 
 
 def programme(*texts: str, step: float | None = None, hill: Hill | None = None, **ranges: tuple[float, float]
-              ) -> Programme:
+              ) -> NonlinearProgramme:
     """The made-up hill over substrate and sidewall, 0.7 to 0.9 mm and 0.65 to 0.8 mm unless told otherwise."""
     chip = read_chip(CHIPS / "reference_chip.toml")
     lengths = {name: each.value for name, each in chip.dimensions().items()}
@@ -93,7 +93,7 @@ def programme(*texts: str, step: float | None = None, hill: Hill | None = None, 
     low, high = ranges.get("substrate", (0.7, 0.9))
     variables = (VariedNumber(SUBSTRATE, 1e-3 * low, 1e-3 * high, step),
                  VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3, step))
-    return Programme(hill or Hill(), variables, DesignObjective("e_ac", maximise=True), bounds, lengths)
+    return NonlinearProgramme(hill or Hill(), variables, DesignObjective("e_ac", maximise=True), bounds, lengths)
 
 
 #: The transducer of the reference chip makes a little energy, within the rounding of its losses, and says so.
@@ -165,7 +165,7 @@ def test_a_start_without_any_figures_says_so() -> None:
 
 def test_slopes_are_differences() -> None:
     for one in (programme("f0 >= 1 MHz", "trap_offset within 50 um of 0 um"),
-                replace(programme("heating <= 5 K"), spread=Spread(
+                replace(programme("heating <= 5 K"), scenarios=ScenarioSample(
                     tuple({SUBSTRATE: 1e-5 * k, SIDEWALL: -2e-6 * k} for k in range(-4, 6)), 0.25))):
         x, step = np.array([0.4, 0.3]), 1e-6
         point = one(x)
@@ -220,7 +220,7 @@ def test_a_start_depends_on_its_number_and_the_seed_alone() -> None:
 def test_steps_are_those_of_brute_force(texts: tuple[str, ...]) -> None:
     step = 0.04e-3
     one = programme(*texts, step=step)
-    _, found = settle(one, descend(one, np.array([0.5, 0.5]), evaluations=60), evaluations=60)
+    _, found = round_to_grid(one, descend(one, np.array([0.5, 0.5]), evaluations=60), evaluations=60)
     grid = [np.arange(math.ceil(each.low / step - 1e-9), math.floor(each.high / step + 1e-9) + 1) * step
             for each in one.variables]
     every = [one.holding({SUBSTRATE: float(a), SIDEWALL: float(b)})(np.zeros(0)) for a, b in product(*grid)]
@@ -231,7 +231,7 @@ def test_steps_are_those_of_brute_force(texts: tuple[str, ...]) -> None:
 def test_the_rest_is_optimal_beside_a_step() -> None:
     one = programme()
     one = replace(one, variables=(replace(one.variables[0], step=0.05e-3), one.variables[1]))
-    held, found = settle(one, descend(one, np.array([0.5, 0.5]), evaluations=60), evaluations=60)
+    held, found = round_to_grid(one, descend(one, np.array([0.5, 0.5]), evaluations=60), evaluations=60)
     assert held.fixed[SUBSTRATE] == pytest.approx(0.85e-3, abs=1e-12)
     assert 1e3 * found.point.lengths[SIDEWALL] == pytest.approx(0.74, abs=1e-3)
 
@@ -451,9 +451,9 @@ def test_a_robust_optimum_keeps_away_from_a_bound() -> None:
 def test_the_quantile_is_the_one_of_numpy() -> None:
     losses: NDArray[np.float64] = np.random.default_rng(0).normal(size=33)
     for quantile in (0.05, 0.2, 0.5):
-        spread = Spread(({"a": 0.0},) * 33, quantile)
+        spread = ScenarioSample(({"a": 0.0},) * 33, quantile)
         assert spread.weights(losses) @ losses == pytest.approx(np.quantile(losses, 1.0 - quantile), rel=1e-12)
-    assert Spread(({"a": 0.0},) * 33, None).weights(losses) @ losses == pytest.approx(losses.mean())
+    assert ScenarioSample(({"a": 0.0},) * 33, None).weights(losses) @ losses == pytest.approx(losses.mean())
 
 
 @pytest.mark.slow

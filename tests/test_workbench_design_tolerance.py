@@ -15,8 +15,8 @@ from support import DISC, standard_json
 from geometry.chip import Chip, parse_chip
 from workbench.cli import main
 from workbench.design.evaluation import Evaluation
+from workbench.design.input_uncertainty import numbers_of
 from workbench.design.model import full_evaluation
-from workbench.design.stated import numbers_of
 from workbench.design.tolerance import Tolerance, tolerance
 from workbench.design.yields import Tightening
 from workbench.files.errors import InputError

@@ -18,9 +18,9 @@ from materials.fit import Correlation
 from materials.kinds import Piezoelectric
 from materials.passivity import smallest_dissipation
 from materials.registry import Registry
-from workbench.design import stated
+from workbench.design import input_uncertainty
 from workbench.design.centre import centred_chip
-from workbench.design.stated import numbers_of, parse_statement, read_statements, stated_uncertainty
+from workbench.design.input_uncertainty import numbers_of, parse_statement, read_statements, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty, halved_weights, known_as
 from workbench.files.errors import InputError
 from workbench.model.numbers import CUT, Number, Stated, limits
@@ -255,7 +255,8 @@ def test_a_fitted_entry_brings_its_correlation(monkeypatch: pytest.MonkeyPatch) 
     fit = type("Fit", (), {"correlation": correlation})()
     fitted = replace(material, values=values, fit=fit)
     known = fill(chip())
-    monkeypatch.setattr(stated, "fill", lambda *_: FilledChip(known.chip, known.state, {"transducer": fitted}))
+    filled = FilledChip(known.chip, known.state, {"transducer": fitted})
+    monkeypatch.setattr(input_uncertainty, "fill", lambda *_: filled)
     found = stated_uncertainty(chip())
     assert found.names == ("transducer.thickness", f"{PZT}.c33", f"{PZT}.c33.loss", f"{PZT}.e33")
     assert found.correlation[1:, 1:] == pytest.approx(np.array(correlation.rows))

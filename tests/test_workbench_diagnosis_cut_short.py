@@ -21,12 +21,12 @@ from workbench.diagnosis.conclusion import conclude
 from workbench.diagnosis.conclusion import not_finished as cut_short
 from workbench.diagnosis.decision import MISSING
 from workbench.diagnosis.descent import Candidate
+from workbench.diagnosis.discrepancy import DiscrepancyModes
 from workbench.diagnosis.evidence import WrongEvidence
-from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Settled
+from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Refitted
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.inference import DiagnosisSearch
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales, Weighed
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, LaplaceApproximation, Scales
 from workbench.diagnosis.ranking import Score
 from workbench.diagnosis.tasks import SearchTask
 from workbench.fem.solve import NotConverged
@@ -70,52 +70,52 @@ class Made(DiagnosisSearch):
         return self.interrupted or (not self.stops and len(self.done) >= self.tasks)
 
     @property
-    def least(self) -> float:
+    def least_evidence(self) -> float:
         return 0.0
 
-    def attempted(self, task: SearchTask) -> Any:
+    def attempt(self, task: SearchTask) -> Any:
         if self.stops and not self.interrupted and len(self.done) >= self.tasks:
             raise KeyboardInterrupt
         self.done.append(task.method.__name__)
-        return super().attempted(task)
+        return super().attempt(task)
 
-    def begun(self) -> tuple[list[InitialOptimum], Candidate]:
-        self.work([SearchTask.of("a start", self.a_start)] * 2, must=1)
+    def initial_optima(self) -> tuple[list[InitialOptimum], Candidate]:
+        self.run_tasks([SearchTask.of("a start", self.a_start)] * 2, must=1)
         return [InitialOptimum(PLACE, 1.0, PLACE)], candidate()
 
     def a_start(self) -> None:
         self._end("a_start", "nothing")
 
-    def outside(self, plain: Candidate) -> list[Candidate]:
+    def outside_catalogue(self, null: Candidate) -> list[Candidate]:
         return []
 
     def scored(self, x: Any, level: float) -> list[Score]:
         return [Score(SMALL, 1.0, 2.0, np.array([0.5]), np.array([0.1]))]
 
-    def by_size(self, plain: Candidate) -> list[Candidate]:
-        self.work([SearchTask.of("large of any size", self.swept, "large")])
-        return self.tried(plain, PLACE, [(LARGE, [PLACE])])
+    def by_size(self, null: Candidate) -> list[Candidate]:
+        self.run_tasks([SearchTask.of("large of any size", self.scan_effect, "large")])
+        return self.refit_hypotheses(null, PLACE, [(LARGE, [PLACE])])
 
-    def swept(self, name: str) -> list[InitialOptimum]:
+    def scan_effect(self, name: str) -> list[InitialOptimum]:
         return []
 
-    def explain(self, name: str, at: Any, starts: Sequence[Any]) -> Candidate:
-        self._end("explain", name)
+    def refit_hypothesis(self, name: str, at: Any, starts: Sequence[Any]) -> Candidate:
+        self._end("refit_hypothesis", name)
         return candidate(self.effect(name))
 
-    def onward(self, candidate: Candidate, at: Any) -> Candidate:
-        self._end("onward", candidate.hypothesis.name)
+    def continue_candidate(self, candidate: Candidate, at: Any) -> Candidate:
+        self._end("continue_candidate", candidate.hypothesis.name)
         return candidate
 
-    def settled(self, candidate: Candidate, hurried: bool = False) -> Settled:
+    def refit(self, candidate: Candidate, far_behind: bool = False) -> Refitted:
         hypothesis = candidate.hypothesis
-        self._end("settled", hypothesis.name)
+        self._end("refit", hypothesis.name)
         worth, left = WORTH[hypothesis.name]
         residual: Any = SimpleNamespace(vector=np.full(40, math.sqrt(left)))
         found = Explanation(hypothesis, PLACE + 0.5, (0, 1), 1e-4 * np.eye(2), worth, Scales(0.001 * left, 0.0, 0.0),
                             0.0, residual, 0.0)
         nothing = np.zeros((40, 0))
-        return Settled(found, (), (), 0.0, (), nothing, Patterns(nothing, ()))
+        return Refitted(found, (), (), 0.0, (), nothing, DiscrepancyModes(nothing, ()))
 
     def _end(self, method: str, name: str) -> None:
         if (method, name) in self.fail:
@@ -124,7 +124,7 @@ class Made(DiagnosisSearch):
 
 def candidate(*effects: Effect) -> Candidate:
     hypothesis = Hypothesis(effects)
-    return Candidate(hypothesis, (Weighed(PLACE, WORTH[hypothesis.name][0], PLACE, 0.01, 9.0, 0.0),))
+    return Candidate(hypothesis, (LaplaceApproximation(PLACE, WORTH[hypothesis.name][0], PLACE, 0.01, 9.0, 0.0),))
 
 
 def searched(tasks: float = math.inf, *, stop: bool = False, fail: dict[tuple[str, str], Exception] | None = None
@@ -154,7 +154,7 @@ def test_a_search_that_is_cut_short_has_not_looked_at_something_wherever_it_ends
         assert found.interrupted == stop
         cut = cut_short(MODEL, found, conclude(MODEL, found))
         assert (cut.decision.verdict, cut.chosen, cut.rivals) == ("not_finished", found.base, ())
-        assert cut.decision.chosen.is_nothing
+        assert cut.decision.chosen.is_null
 
 
 def test_what_would_have_been_looked_at_after_the_end_is_told() -> None:
@@ -173,7 +173,7 @@ REASONS: list[tuple[Exception, str]] = [
 
 
 @pytest.mark.parametrize(("error", "reason"), REASONS)
-@pytest.mark.parametrize("method", ["explain", "onward", "settled"])
+@pytest.mark.parametrize("method", ["refit_hypothesis", "continue_candidate", "refit"])
 def test_a_hypothesis_that_cannot_be_tried_is_told_and_the_others_go_on(
     error: Exception, reason: str, method: str
 ) -> None:
@@ -187,10 +187,10 @@ def test_a_hypothesis_that_cannot_be_tried_is_told_and_the_others_go_on(
 
 def test_a_defect_of_the_program_still_ends_all() -> None:
     with pytest.raises(KeyError, match="c33"):
-        searched(fail={("explain", "small"): KeyError("c33")})
+        searched(fail={("refit_hypothesis", "small"): KeyError("c33")})
 
 
-@pytest.mark.parametrize("task", [("a_start", "nothing"), ("settled", "nothing")])
+@pytest.mark.parametrize("task", [("a_start", "nothing"), ("refit", "nothing")])
 def test_where_the_device_as_stated_cannot_be_predicted_there_is_no_diagnosis(task: tuple[str, str]) -> None:
     with pytest.raises(InputError, match="no such mesh"):
         searched(fail={task: InputError("chip", "layers", "1", "no such mesh")})
@@ -199,15 +199,15 @@ def test_where_the_device_as_stated_cannot_be_predicted_there_is_no_diagnosis(ta
 class Slow:
     """A search of a worker that answers late, with what it was asked."""
 
-    def attempted(self, task: SearchTask) -> Any:
+    def attempt(self, task: SearchTask) -> Any:
         time.sleep(0.05)
-        return task.given[0]
+        return task.arguments[0]
 
 
 class Stopped(Made):
     """A search that is interrupted at its first task."""
 
-    def attempted(self, task: SearchTask) -> Any:
+    def attempt(self, task: SearchTask) -> Any:
         raise KeyboardInterrupt
 
 
@@ -217,15 +217,15 @@ def test_what_workers_still_send_after_an_interruption_is_taken_for_nothing_else
         workers.share(Slow)
         made = Stopped(MODEL)
         made.done, made._workers = [], workers
-        first, second, third = (SearchTask.of(name, made.swept, name) for name in ("first", "second", "third"))
-        assert made.work([first, second]) == [None, None]
+        first, second, third = (SearchTask.of(name, made.scan_effect, name) for name in ("first", "second", "third"))
+        assert made.run_tasks([first, second]) == [None, None]
         assert made.interrupted
         assert workers.map([third]) == ["third"]
 
 
 def test_what_was_not_tried_is_told_once() -> None:
     assert NotTried("a", "b") == NotTried("a", "b")
-    found, _ = searched(fail={("explain", "small"): ValueError("no"), ("explain", "large"): ValueError("no")})
+    found, _ = searched(fail={("refit_hypothesis", name): ValueError("no") for name in ("small", "large")})
     assert [each.name for each in found.not_tried] == ["small", "large"]
     assert [each.explanation.hypothesis.name for each in found.final] == ["nothing"]
 
@@ -246,7 +246,7 @@ def test_a_diagnosis_that_is_stopped_at_once_leaves_what_it_read(
     assert {each["name"] for each in said["taken"]} >= {"couplant.thickness", "bench.gain[filled]"}
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<h1>Diagnosis, not finished: small chip</h1>" in page
-    assert "explain" not in page
+    assert "refit_hypothesis" not in page
 
 
 @pytest.mark.parametrize(("interrupted", "status"), [(False, 3), (True, 130)])

@@ -27,7 +27,7 @@ COUNT, SHARE = 50, math.log(50.0)
 
 def effect(name: str, gained: float, **away: float) -> Evidence:
     """One effect whose evidence is that much better than that of nothing."""
-    return Evidence(name, NOTHING.log_evidence + gained, (name,), away=away)
+    return Evidence(name, NOTHING.log_evidence + gained, (name,), z_scores=away)
 
 
 def verdict(*others: Evidence, stated: bool = False, criteria: Criteria | None = None) -> Decision:
@@ -66,12 +66,12 @@ def test_a_rival_is_what_the_odds_cannot_rule_out() -> None:
     assert verdict(far, best).verdict == MISSING
 
 
-def test_what_adds_only_spare_parameters_is_no_rival() -> None:
+def test_what_adds_only_redundant_parameters_is_no_rival() -> None:
     best = effect("dielectric loss", 40.0, eps33=8.0)
     more = effect("complex piezoelectric constant", 39.0, eps33=7.0, e33=0.4)
     assert verdict(best, more).verdict == MISSING
     # Its own parameter is not consistent with nothing: it says something else.
-    assert verdict(best, replace(more, away={"eps33": 7.0, "e33": 3.0})).verdict == AMBIGUOUS
+    assert verdict(best, replace(more, z_scores={"eps33": 7.0, "e33": 3.0})).verdict == AMBIGUOUS
     assert verdict(best, effect("leads", 39.0, resistance=4.0)).verdict == AMBIGUOUS
 
 
@@ -89,7 +89,7 @@ def test_of_those_that_say_the_same_the_one_that_says_least_is_named() -> None:
     assert (found.verdict, found.chosen, found.rivals) == (MISSING, least, ())
     # Not where the odds rule it out, and not where the further parameter says something.
     assert verdict(replace(more, log_evidence=-900.0), least).chosen.name == "leads and clips"
-    assert verdict(replace(more, away={"resistance": 8.0, "clips": 3.0}), least).verdict == AMBIGUOUS
+    assert verdict(replace(more, z_scores={"resistance": 8.0, "clips": 3.0}), least).verdict == AMBIGUOUS
 
 
 def test_two_that_move_the_same_parameters_are_one() -> None:
@@ -126,7 +126,7 @@ def test_what_needs_a_model_that_is_wrong_is_unexplained_though_nothing_is_named
 def test_two_effects_have_to_earn_a_share_each() -> None:
     single = effect("leads", 40.0, resistance=9.0)
     pair = Evidence("leads and gain", NOTHING.log_evidence + 40.0, ("leads", "gain"),
-                    away={"resistance": 9.0, "gain": 5.0})
+                    z_scores={"resistance": 9.0, "gain": 5.0})
     both = verdict(single, replace(pair, log_evidence=single.log_evidence + SHARE + math.log(2.0) + math.log(21.0)))
     assert (both.verdict, both.chosen.effects) == (MISSING, ("leads", "gain"))
     assert verdict(single, replace(pair, log_evidence=single.log_evidence + 1.0)).chosen == single
@@ -146,7 +146,7 @@ def test_what_the_catalogue_does_not_have_is_unexplained() -> None:
     (Criteria(hinted=10.0), (effect("leads", SHARE + math.log(5.0)),), HINT, EXPLAINED),
     (Criteria(rival=2.0), (effect("leads", 40.0), effect("gain", 39.0)), AMBIGUOUS, MISSING),
     (Criteria(nothing_wrong=0.99), (effect("leads", SHARE + math.log(50.0)),), MISSING, EXPLAINED),
-    (Criteria(spare=0.5), (effect("a", 40.0, x=9.0), effect("b", 39.0, x=9.0, y=1.0)), MISSING, AMBIGUOUS),
+    (Criteria(redundant=0.5), (effect("a", 40.0, x=9.0), effect("b", 39.0, x=9.0, y=1.0)), MISSING, AMBIGUOUS),
 ])
 def test_every_criterion_changes_a_verdict(
     changed: Criteria, others: tuple[Evidence, ...], before: str, after: str
@@ -176,7 +176,7 @@ def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_and_no_trace_e
 
 
 @pytest.mark.parametrize("wrong", [
-    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}, {"inaccurate": 0.0},
+    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"redundant": 0.0}, {"inaccurate": 0.0},
     {"at_odds": 0.0}, {"most": 0.0}, {"most": 1.1}])
 def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1|uncertainties above zero"):

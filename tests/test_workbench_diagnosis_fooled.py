@@ -23,7 +23,7 @@ from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.fitting.seen import through_bench
+from workbench.fitting.measurement_model import through_bench
 from workbench.model.problem import build, fill, with_boundary_layers
 from workbench.reduced.at_point import reduce
 from workbench.results.spectrum import Spectrum, write_spectrum

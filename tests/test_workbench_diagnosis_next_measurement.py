@@ -32,7 +32,8 @@ def likelihood(columns: Real | None = None) -> Any:
     model = SimpleNamespace(campaign=SimpleNamespace(fitted=states), parameters=PARAMETERS,
                             index=[p.name for p in PARAMETERS].index)
     return SimpleNamespace(model=model, places=[slice(0, ROWS), slice(ROWS, 2 * ROWS)], noise=np.ones(2 * ROWS),
-                           columns=np.zeros((2 * ROWS, 0)) if columns is None else columns, anything=None, measured=())
+                           columns=np.zeros((2 * ROWS, 0)) if columns is None else columns,
+                           region_discrepancy=None, measured=())
 
 
 def explanation(

@@ -16,12 +16,12 @@ from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis.appraisal import established, suspect_places
 from workbench.diagnosis.conclusion import Conclusion, explained_share
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
-from workbench.diagnosis.findings import Found, NotTried, Settled
+from workbench.diagnosis.discrepancy import DiscrepancyModes
+from workbench.diagnosis.findings import Found, NotTried, Refitted
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Left, SuspectPlace
+from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Number, Stated
@@ -60,10 +60,10 @@ def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explana
                        Scales(0.001, 0.0, 0.0), 0.0, residual, 0.0)
 
 
-def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Settled:
+def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Refitted:
     nothing = np.zeros((402, 0))
-    return Settled(explanation(*effects, off=off, region=region), (), (), 0.0, (impedance(off),), nothing,
-                   Patterns(nothing, ()))
+    return Refitted(explanation(*effects, off=off, region=region), (), (), 0.0, (impedance(off),), nothing,
+                   DiscrepancyModes(nothing, ()))
 
 
 def campaign() -> Any:
@@ -102,7 +102,7 @@ def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, 
         device, found, Conclusion(Decision(verdict, chosen, rivals, log_odds), named if told else base,
                                   (settled(GLASS),) * len(rivals)),
         Criteria(), fits["stated"], fits["base"], fits["best"] if told else fits["base"], told,
-        Left(0.003, 0.0028, 0.001, 0.0015, ""), (SuspectPlace("bond", "anything", 1.0, (), 0.5),),
+        Remainder(0.003, 0.0028, 0.001, 0.0015, ""), (SuspectPlace("bond", "anything", 1.0, (), 0.5),),
         (estimate("pla.density", 1180.0, "kg/m^3", 1150.0, 2.5),), (), (), (), 12.0), **changed)
 
 
@@ -142,7 +142,7 @@ def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at
     found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), not_tried=(
         NotTried("pairs", "none is left"),), known=(
         estimate("pla.density", 1180.0, "kg/m^3", 1150.0, -3.6), estimate("bond.thickness", 9e-6, "m", 1e-5, 3.4)),
-        established=(replace(TOLD, admissible=False),), left=Left(0.004, 0.0028, 0.001, 0.0015, "bond"))
+        established=(replace(TOLD, admissible=False),), remainder=Remainder(0.004, 0.0028, 0.001, 0.0015, "bond"))
     text = "\n".join(found.findings)
     assert "it looks like something in the bond." in text
     assert "A parameter of leads lies outside what is admissible" in text
@@ -256,7 +256,7 @@ def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:
 
 def test_regions_that_the_search_settled_come_first() -> None:
     weighed = tuple((Hypothesis(region=region), worth) for region, worth in (("cavity", 8.0), ("bond", 3.0)))
-    base = replace(settled(), beside=weighed)
+    base = replace(settled(), alternatives=weighed)
     assert [(place.region, place.evidence) for place in suspect_places(base, Found(base, (base,), ()))
             ] == [("cavity", 8.0), ("bond", 3.0)]
     beside = settled(region="bond")

@@ -21,7 +21,7 @@ from scipy.stats import multivariate_normal
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.evidence import LinearisedProblem
-from workbench.diagnosis.likelihood import Hypothesis, Local, Scales
+from workbench.diagnosis.likelihood import Hypothesis, LocalProblem, Scales
 from workbench.diagnosis.posterior import Posterior
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Stated
@@ -60,7 +60,7 @@ def settled(device: Model, name: str, truth: Real, scales: Scales | None = None)
     free, _ = device.free(hypothesis.effects)
     x = np.array([p.start for p in device.parameters])
     x[free] = truth[free]
-    first = Posterior.of(device, hypothesis, x).likelihood.settled(hypothesis, x)
+    first = Posterior.of(device, hypothesis, x).likelihood.refit(hypothesis, x)
     return Posterior.of(device, hypothesis, first.x, errors=first.errors, scales=scales)
 
 
@@ -103,7 +103,7 @@ class Straight:
     def objective(self, x: Real, **_: object) -> SimpleNamespace:
         return SimpleNamespace(vector=self.residual + self.tangents @ (x - self.x))
 
-    def spreads(self) -> list[Real]:
+    def point_deviations(self) -> list[Real]:
         return []
 
     def search(self, _: Hypothesis) -> SimpleNamespace:
@@ -115,12 +115,12 @@ class Straight:
     def deviations(self, *_: object) -> tuple[Real, ...]:
         return (self.columns,)
 
-    def linearised(self, hypothesis: Hypothesis, search: SimpleNamespace, x: Real) -> Local:
+    def linearised(self, hypothesis: Hypothesis, search: SimpleNamespace, x: Real) -> LocalProblem:
         widths = np.where(search.precision > 0.0, np.nan, search.high - search.low)
         problem = LinearisedProblem.of(
             self.tangents, self.residual, self.columns, precision=np.diag(search.precision**2),
             offset=x - search.centre, widths=widths, below=x - search.low, above=search.high - x)
-        return Local(problem, self.settings, (2, 0, 0, 0), SimpleNamespace())
+        return LocalProblem(problem, self.settings, (2, 0, 0, 0), SimpleNamespace())
 
     def evidence(self) -> float:
         """In closed form, with a range far wider than what the data allow: ln of the mean normal density of the data
@@ -230,7 +230,7 @@ def test_the_evidence_of_a_disc_is_the_integral_of_its_posterior(tmp_path: Path)
     assert posterior.laplace().log_evidence == pytest.approx(integral(posterior, 25, 5.0), abs=0.05)
     # Beyond the bounds of a material nothing is asked of the model.
     assert posterior.log_posterior(posterior.high * 1.01) == -np.inf
-    assert posterior.model_error(posterior.place) < 0.1 * NOISE
+    assert posterior.error_estimate(posterior.place) < 0.1 * NOISE
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def searched(folder: Path, values: Mapping[str, float]) -> DiagnosisSearch:
 def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path) -> None:
     """A fifth of the radius without an electrode."""
     search = searched(tmp_path, {WIDTH: 0.2})
-    found = {each.name: search.swept(each.name) for each in search.model.effects}
+    found = {each.name: search.scan_effect(each.name) for each in search.model.effects}
     ordered = sorted((name for name, places in found.items() if places), key=lambda name: found[name][0].cost)
     best = found["electrode that ends before the rim"]
     print([(name, round(found[name][0].cost, 1)) for name in ordered[:3]])
@@ -66,10 +66,10 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
     own = search.effect("electrode that ends before the rim")
     at = search.models.belief.x
     wider = search.models.wider(Hypothesis((own,)), corners(search.model, own, at))
-    likelihood = search.models.bare().on(wider)
+    likelihood = search.models.bare().with_objective(wider)
     best = scan_profiles(likelihood, own, at)[0]
     problem = likelihood.search(Hypothesis((own,)))
-    here = problem.evaluate(best.x, likelihood.spreads(LEVELS[0]))
+    here = problem.evaluate(best.x, likelihood.point_deviations(LEVELS[0]))
     free = [i for i in problem.free if search.model.parameters[i].name != WIDTH]
     step = np.linalg.lstsq(here.jacobian[:, free], -here.vector, rcond=None)[0]
     least = 0.5 * float(np.sum((here.vector + here.jacobian[:, free] @ step) ** 2))

@@ -13,7 +13,7 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem, build, fill
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.surface_load import SurfaceLoad
@@ -91,7 +91,7 @@ def problem(chip: Chip) -> Problem:
 def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
     stretched = assemble(moved_onto(problem.mesh, chip.with_dimensions(LONGER)), problem.terms)
     expected = solve_full(stretched, FREQUENCIES, problem.values).impedance
-    thick = flexible(problem, chip)
+    thick = parametrised(problem, chip)
     values = {**thick.values, **{name: complex(value) for name, value in LONGER.items()}}
     found = solve_full(assemble(thick.mesh, thick.terms), FREQUENCIES, values).impedance
     # Two ways to the same matrices: what is left is rounding, which the resonances magnify.
@@ -106,7 +106,7 @@ def test_new_radii_are_those_of_the_stretched_mesh(chip: Chip, problem: Problem)
     moved = chip.with_dimensions({**lengths, **{name: WIDER[first] for name, first in TIED.items()}})
     there = assemble(moved_onto(problem.mesh, moved), problem.terms)
     expected = solve_full(there, FREQUENCIES, problem.values).impedance
-    wide = flexible(problem, chip, tuple(WIDER))
+    wide = parametrised(problem, chip, tuple(WIDER))
     operators = assemble(wide.mesh, wide.terms)
     values = {**wide.values, **{name: complex(value) for name, value in lengths.items()}}
     found = solve_full(operators, FREQUENCIES, values).impedance
@@ -119,9 +119,9 @@ def test_new_radii_are_those_of_the_stretched_mesh(chip: Chip, problem: Problem)
 
 
 def test_radii_that_coincide_are_one_parameter(chip: Chip, problem: Problem) -> None:
-    alone = flexible(problem, chip, ("substrate.radius",))
+    alone = parametrised(problem, chip, ("substrate.radius",))
     for names in (("bond.radius",), ("superstrate.radius", "sidewall.radius", "substrate.radius", "bond.radius")):
-        together = flexible(problem, chip, names)
+        together = parametrised(problem, chip, names)
         assert together.terms == alone.terms
         assert together.values == alone.values
 
@@ -135,11 +135,11 @@ def test_radii_that_contradict_each_other_are_refused(
     chip: Chip, problem: Problem, radii: dict[str, tuple[float, float]], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        flexible(problem, chip, radii)
+        parametrised(problem, chip, radii)
 
 
 def test_the_gradient_by_a_length_is_that_of_differences(chip: Chip, problem: Problem) -> None:
-    wide = flexible(problem, chip, tuple(WIDER))
+    wide = parametrised(problem, chip, tuple(WIDER))
     operators = assemble(wide.mesh, wide.terms)
     names = (*sorted(LONGER), *WIDER)
     exact = solve_full(operators, FREQUENCIES, wide.values).parameter_gradient(wide.values, names)
@@ -154,14 +154,14 @@ def test_the_gradient_by_a_length_is_that_of_differences(chip: Chip, problem: Pr
 
 def test_a_mesh_of_another_chip_is_refused(chip: Chip, problem: Problem) -> None:
     with pytest.raises(MeshError, match="not of chip"):
-        flexible(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
+        parametrised(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
 
 
 def test_a_term_on_a_part_of_a_boundary_stays_there(chip: Chip, problem: Problem) -> None:
     # The lid's outside is its top and its side: a load on what lies level is on the top alone.
     load = SurfaceLoad(part_name(outside("superstrate"), LEVEL), "superstrate", "load")
     values = {"load.normal_impedance": 1e5, "load.tangential_impedance": 0.0}
-    loaded = flexible(problem.with_terms((load,), values), chip)
+    loaded = parametrised(problem.with_terms((load,), values), chip)
     operators = assemble(loaded.mesh, loaded.terms)
     raised = np.zeros((operators.size, 1), dtype=complex)
     for component in ("u_r", "u_z"):

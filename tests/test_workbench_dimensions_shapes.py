@@ -20,7 +20,7 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.moved_mesh import Interpolation
 from workbench.model.problem import Problem, build, fill
 from workbench.model.shaped_mesh import shaped
@@ -84,7 +84,7 @@ def off(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
 @pytest.mark.parametrize("names", [
     *([name] for name in RANGES), ["sidewall.draft", "sidewall.barrel"], ["sidewall.draft", "superstrate.bow"]])
 def test_a_new_shape_is_that_of_the_moved_mesh(chip: Chip, problem: Problem, names: list[str]) -> None:
-    flexed = flexible(problem, chip, (), {name: RANGES[name] for name in names})
+    flexed = parametrised(problem, chip, (), {name: RANGES[name] for name in names})
     sizes = {name: SIZES[name] for name in names}
     before = solve_full(assemble(problem.mesh, problem.terms), FREQUENCIES, problem.values).impedance
     assert off(within(flexed, {}), before) < 1e-11
@@ -105,7 +105,7 @@ def test_a_new_shape_is_that_of_the_moved_mesh(chip: Chip, problem: Problem, nam
 def test_radii_move_with_shapes(chip: Chip, problem: Problem, names: list[str], agreement: float) -> None:
     drafted = replace(chip, layers=tuple(layer.with_shapes({"bow": None, "dome": None}) for layer in chip.layers))
     lengths = {name: chip.dimensions()[name].value for name in WIDER}
-    flexed = flexible(problem, drafted, {name: (0.92 * value, 1.08 * value) for name, value in lengths.items()},
+    flexed = parametrised(problem, drafted, {name: (0.92 * value, 1.08 * value) for name, value in lengths.items()},
                       {name: (0.4 * RANGES[name][0], 0.4 * RANGES[name][1]) for name in names})
     values = {**{name: 0.35 * SIZES[name] for name in names}, **LONGER, **WIDER}
     expected = there(problem, drafted, values)
@@ -116,7 +116,7 @@ def test_radii_move_with_shapes(chip: Chip, problem: Problem, names: list[str], 
 def test_the_gradient_is_that_of_moved_meshes(chip: Chip, problem: Problem) -> None:
     names = ("sidewall.draft", "sidewall.barrel", "superstrate.bow", "couplant.thickness", "bond.thickness",
              "sidewall.thickness")
-    flexed = flexible(problem, chip, (), {name: RANGES[name] for name in names if name in RANGES})
+    flexed = parametrised(problem, chip, (), {name: RANGES[name] for name in names if name in RANGES})
     at = {name: value for name, value in {**SIZES, **LONGER}.items() if name in names}
     values = {**flexed.values, **{name: complex(value) for name, value in at.items()}}
     exact = solve_full(assemble(flexed.mesh, flexed.terms), FREQUENCIES, values).parameter_gradient(values, names)
@@ -137,7 +137,7 @@ def test_a_stated_shape_goes_on_from_its_size(chip: Chip, problem: Problem) -> N
     made = replace(problem, mesh=mesh)
     before = solve_full(assemble(mesh, problem.terms), FREQUENCIES, problem.values).impedance
     for shapes in ({}, {"sidewall.draft": (0.0, 0.08)}):
-        flexed = flexible(made, drafted, (), shapes)
+        flexed = parametrised(made, drafted, (), shapes)
         assert flexed.values.get("sidewall.draft", 0.05) == 0.05
         assert off(within(flexed, {}), before) < AGREEMENT
         values = {**LONGER, **({"sidewall.draft": 0.071} if shapes else {})}
@@ -148,8 +148,8 @@ def test_what_is_not_moved_is_as_it_was(chip: Chip, problem: Problem) -> None:
     plain = replace(problem, mesh=replace(problem.mesh, coordinates=None))
     straight = replace(chip, layers=tuple(layer.with_shapes(dict.fromkeys(layer.shapes)) for layer in chip.layers))
     before, after = (assemble(each.mesh, each.terms) for each in (
-        flexible(plain, straight), flexible(plain, straight, (), {"sidewall.draft": RANGES["sidewall.draft"]})))
-    assert not flexible(plain, straight).mesh.variants
+        parametrised(plain, straight), parametrised(plain, straight, (), {"sidewall.draft": RANGES["sidewall.draft"]})))
+    assert not parametrised(plain, straight).mesh.variants
     kept = [name for name in before.places if name in after.places]
     assert any(name.startswith("transducer") for name in kept)
     assert "cavity" not in kept, sorted(kept)
@@ -160,11 +160,11 @@ def test_what_is_not_moved_is_as_it_was(chip: Chip, problem: Problem) -> None:
 
 
 def test_thickness_beyond_its_range_is_refused(chip: Chip, problem: Problem) -> None:
-    flexed = flexible(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]})
+    flexed = parametrised(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]})
     thin = {"superstrate.bow": 7e-6, "bond.thickness": 20e-6}
     with pytest.raises(ModelError, match="outside the range that the model was made for"):
         within(flexed, thin)
-    wider = flexible(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]},
+    wider = parametrised(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]},
                      thicknesses={"bond.thickness": (20e-6, 90e-6)})
     assert off(within(wider, thin), there(problem, chip, thin)) < AGREEMENT
 
@@ -178,19 +178,19 @@ def test_shapes_that_make_no_sense_are_refused(
     chip: Chip, problem: Problem, shapes: dict[str, tuple[float, float]], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        flexible(problem, chip, (), shapes)
+        parametrised(problem, chip, (), shapes)
 
 
 def test_a_range_that_folds_a_cell_is_refused(chip: Chip, problem: Problem) -> None:
     with pytest.raises(MeshError, match="folds its section"):
-        flexible(problem, chip, (), {"superstrate.bow": (-70e-6, 0.0)})
+        parametrised(problem, chip, (), {"superstrate.bow": (-70e-6, 0.0)})
 
 
 def test_a_radius_within_a_parabola_is_refused_unless_carried(chip: Chip, problem: Problem) -> None:
     bowed = {"superstrate.bow": RANGES["superstrate.bow"]}
     with pytest.raises(InputError, match=r"sidewall.cavity_radius.*within the parabola of superstrate.bow"):
-        flexible(problem, chip, ("sidewall.cavity_radius",), bowed)
-    flexed = flexible(problem, chip, ("sidewall.cavity_radius",), bowed, interpolation=Interpolation(carried=True))
+        parametrised(problem, chip, ("sidewall.cavity_radius",), bowed)
+    flexed = parametrised(problem, chip, ("sidewall.cavity_radius",), bowed, interpolation=Interpolation(carried=True))
     sizes = {"superstrate.bow": SIZES["superstrate.bow"]}
     assert off(within(flexed, sizes), there(problem, chip, sizes)) < AGREEMENT
     # The radius 1 % wider: off by a few percent of what the bow changes.
@@ -202,7 +202,7 @@ def test_a_radius_within_a_parabola_is_refused_unless_carried(chip: Chip, proble
 
 def test_a_mesh_without_the_shapes_of_its_chip_is_refused(chip: Chip, problem: Problem) -> None:
     with pytest.raises(MeshError, match="with the shapes that its layers have"):
-        flexible(problem, shape(chip, "sidewall", draft=0.05))
+        parametrised(problem, shape(chip, "sidewall", draft=0.05))
 
 
 @pytest.mark.parametrize("degrees", [(4,), (0, 3), (5, 3), (2, 4, 3)])
@@ -244,8 +244,8 @@ def test_terms_that_are_nothing_on_the_mesh_may_follow_shapes_roughly(chip: Chip
     shear = next(term for term in problem.terms if isinstance(term, CouplantShear))
     ranges, sizes = ({name: each[name] for name in ("transducer.dome",)} for each in (RANGES, SIZES))
     nothing = {**sizes, **{each.name: 0.0 for each in shear.free()}}
-    exact = flexible(problem, chip, (), ranges)
-    rough = flexible(problem, chip, (), ranges, interpolation=Interpolation(aside=0.03), asides=(shear,))
+    exact = parametrised(problem, chip, (), ranges)
+    rough = parametrised(problem, chip, (), ranges, interpolation=Interpolation(neutral=0.03), neutral=(shear,))
     assert off(within(rough, nothing), within(exact, nothing)) < 1e-12
     added, roughly = (within(flexed, sizes) - within(flexed, nothing) for flexed in (exact, rough))
     assert 1e-7 < np.abs(roughly - added).max() / np.abs(added).max() < 0.03

@@ -16,12 +16,12 @@ from materials.kinds import Material, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.fitting import multistart
 from workbench.fitting.joint import FINE, FitError, FitResult, fit_parameters
+from workbench.fitting.measurement_model import through_bench
 from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.search import SCHEDULE, SEARCHED_POINTS, FitSearch
-from workbench.fitting.seen import through_bench
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
 from workbench.reduced.at_point import NotEnriched
 from workbench.reduced.predictor import Predictor
@@ -73,7 +73,7 @@ def recorded(
             values[coefficient] = complex(old.real, number) if key.endswith(".loss") else complex(number, old.imag)
     lengths = {key: number for key, number in truth.items() if key in chip.dimensions()}
     if lengths:
-        problem = flexible(problem, chip, [key for key in lengths if key.endswith("radius")])
+        problem = parametrised(problem, chip, [key for key in lengths if key.endswith("radius")])
     predictor = Predictor(problem, frequency, tolerance=1e-7)
     bench = {key: number for key, number in truth.items() if key.startswith("bench.")}
     impedance = predictor({**values, **{key: complex(length) for key, length in lengths.items()}},

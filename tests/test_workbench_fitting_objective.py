@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material
+from workbench.fitting.measurement_model import log_ratio, lorentzian, through_bench
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
-from workbench.fitting.seen import log_ratio, lorentzian, through_bench
 from workbench.model.numbers import BENCH_ELEMENTS, LENGTHS, Stated
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor

@@ -17,7 +17,7 @@ from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
 from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Predictor
@@ -58,7 +58,7 @@ def stack(chip: Chip, filling: dict[str, Material], meshed: Callable[..., Proble
 @pytest.fixture(scope="module")
 def flexed(stack: Problem, chip: Chip) -> Problem:
     """The stack with its thicknesses and both its radii among its values."""
-    return flexible(stack, chip, {RADIUS: (2.6e-3, 3.3e-3), "substrate.radius": (3.45e-3, 3.9e-3)})
+    return parametrised(stack, chip, {RADIUS: (2.6e-3, 3.3e-3), "substrate.radius": (3.45e-3, 3.9e-3)})
 
 
 def drawn(problem: Problem, seed: int, low: float, high: float) -> dict[str, complex]:
@@ -194,7 +194,7 @@ def test_a_stretched_mesh_predicts_what_a_new_one_does(
     chip: Chip, filling: dict[str, Material], meshed: Callable[..., Problem]
 ) -> None:
     lengths = {THICKNESS: 2.04e-3, RADIUS: 3.02e-3}
-    old = flexible(meshed(chip, filling, elements_per_wavelength=6.0), chip, [RADIUS])
+    old = parametrised(meshed(chip, filling, elements_per_wavelength=6.0), chip, [RADIUS])
     new = meshed(chip.with_dimensions({**lengths, "couplant.radius": lengths[RADIUS]}), filling,
                  elements_per_wavelength=6.0)
     found = Predictor(old, GRID, tolerance=1e-6)({name: complex(length) for name, length in lengths.items()}).impedance
@@ -229,7 +229,7 @@ def test_a_radius_on_both_sides_of_its_nominal_length_and_close_to_its_neighbour
     """Forty micrometres beside a radius of three millimetres: neared to a tenth, the column is stretched a lot."""
     chip = stacked([("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 2.96e-3, None),
                     ("substrate", 1e-3, 3.5e-3, None)], band=(300e3, 450e3))
-    problem = flexible(meshed(chip, filling, elements_per_wavelength=2.0), chip, {RADIUS: (2.964e-3, 3.1e-3)})
+    problem = parametrised(meshed(chip, filling, elements_per_wavelength=2.0), chip, {RADIUS: (2.964e-3, 3.1e-3)})
     predictor = Predictor(problem, GRID, tolerance=TOLERANCE)
     for radius in (3e-3, 2.97e-3, 2.9645e-3, 3.09e-3):
         predictor = after(predictor, {RADIUS: complex(radius)})

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.fitting.joint import FINE, reweighted_descent
+from workbench.fitting.measurement_model import log_ratio
 from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.search import FitSearch
-from workbench.fitting.seen import log_ratio
 from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,
@@ -31,7 +31,7 @@ from workbench.fitting.uncertainty import (
     reduced_model_error,
     residual_findings,
 )
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
@@ -433,7 +433,7 @@ def test_the_gauges_leave_the_spectrum_unchanged(disc: Problem, chip: Chip, fact
             values[name] = value * factor ** exponents.get(kind, 0.0)
         if gauge == "size":
             values |= {name: complex(factor * d.value) for name, d in chip.dimensions().items()}
-        sized = flexible(disc, chip, {"transducer.radius": (2.5e-3, 4e-3)})
+        sized = parametrised(disc, chip, {"transducer.radius": (2.5e-3, 4e-3)})
         moved = Predictor(sized, GRID, tolerance=1e-8)(values).impedance
         assert moved == pytest.approx(plain, rel=1e-6), gauge  # of predictions good to 1e-8, estimated
 

@@ -47,7 +47,7 @@ def test_at_work_it_says_what_is_on_disk(swallowed: bool, tmp_path: Path) -> Non
     code = ("import os, signal, sys, time\n"
             "from workbench.cli import main\n"
             "from workbench.commands import export\n"
-            "from workbench.commands.asked import output_folder\n"
+            "from workbench.commands.parsed_options import output_folder\n"
             "from workbench.files.writing import write_atomic\n"
             "class Gone:\n"
             "    def __del__(self): os.killpg(0, signal.SIGINT); time.sleep(0.2)\n"
@@ -135,7 +135,7 @@ def test_a_second_press_at_the_same_moment_is_the_same_one() -> None:
     with pytest.raises(KeyboardInterrupt):
         found.handle(signal.SIGINT, None)
     found.handle(signal.SIGINT, None)
-    assert found.asked
+    assert found.requested
     with heeded(stays=False) as other:
         assert signal.getsignal(signal.SIGINT) == other.handle
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

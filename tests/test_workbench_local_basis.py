@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material
-from workbench.diagnosis.inaccuracy import LOSS, MASS, STIFFNESS, cosines, patterns
+from workbench.diagnosis.discrepancy import LOSS, MASS, STIFFNESS, cosines, discrepancy_modes
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import solve_full
 from workbench.fitting.objective import FitRecording, Objective
@@ -235,7 +235,7 @@ def test_a_enriched_objective_holds_what_newly_moves(objective: Objective, x: Re
 def test_a_uniform_change_is_that_of_the_constants(objective: Objective, x: Real) -> None:
     """The first cosine of a region, the same everywhere: all its moduli, or its density, or all its losses at once."""
     place = objective.near(x, {}, TOLERANCE)
-    found, _ = patterns(place, x)
+    found, _ = discrepancy_modes(place, x)
     values = {**objective.recordings[0].problem.values, **place.settings(x, 0)[0]}
     names = tuple(f"{PLA}.{key}" for key in ("bulk_modulus", "shear_modulus", "density"))
     by = np.conj(place.predict(x, 0)[2].logarithmic_gradient(names) * np.array([values[name] for name in names]))

@@ -19,7 +19,7 @@ from materials.registry import Material
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import Problem, with_boundary_layers
 
@@ -47,7 +47,7 @@ def plain(chip: Chip, filled_materials: dict[str, Material]) -> Problem:
 
 @pytest.fixture(scope="module")
 def flexed(chip: Chip, plain: Problem) -> Problem:
-    return flexible_within(plain, chip, RANGES)
+    return parametrised_within(plain, chip, RANGES)
 
 
 def ln_z(problem: Problem, sizes: Mapping[str, float] = {}) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_a_thickness_may_be_a_fifth_of_what_is_stated_and_five_times(
     thickness: float, chip: Chip, plain: Problem
 ) -> None:
     """Of a gel of 20 um, which stretches by itself and moves all that is above."""
-    flexed = flexible_within(plain, chip, {"couplant.thickness": (4e-6, 100e-6)})
+    flexed = parametrised_within(plain, chip, {"couplant.thickness": (4e-6, 100e-6)})
     sizes = {"couplant.thickness": thickness}
     assert np.abs(ln_z(flexed, sizes) - ln_z(moved(plain, chip, sizes))).max() < 1e-7
     assert {part.name for term in flexed.terms for _, parts in term.parts for part in parts if part.moves} <= {  # type: ignore[attr-defined]
@@ -124,4 +124,4 @@ def test_ranges_that_will_not_do(
     ranges: dict[str, tuple[float, float]], message: str, chip: Chip, plain: Problem
 ) -> None:
     with pytest.raises(InputError, match=message):
-        flexible_within(plain, chip, ranges)
+        parametrised_within(plain, chip, ranges)

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from geometry.chip import Chip
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.operators import FullOperators, assemble
-from workbench.model.dimensions import flexible
+from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
 from workbench.physics.solid import ElasticSolid
 from workbench.physics.term import (
@@ -213,7 +213,7 @@ def basis_radii(operators: FullOperators) -> Real:
 @pytest.fixture(scope="module")
 def flexed(filled: Problem, small_chip: Chip) -> FullOperators:
     """The filled chip whose rings and rims move: integrals of every measure, on regions and boundaries."""
-    problem = flexible(filled, small_chip, ("cavity.radius", "transducer.radius", "substrate.radius"))
+    problem = parametrised(filled, small_chip, ("cavity.radius", "transducer.radius", "substrate.radius"))
     return assemble(problem.mesh, problem.terms)
 
 
@@ -241,7 +241,7 @@ def test_a_term_takes_its_measure_along_when_it_is_stretched(filled: Problem, sm
     """What has a measure of its own keeps it where only thicknesses move."""
     ring = Weighed("sidewall", MEASURES[2:3])
     plain = replace(filled, terms=(*filled.terms, ring))
-    thick = flexible(plain, small_chip)
+    thick = parametrised(plain, small_chip)
     states = np.random.default_rng(3).standard_normal((assemble(plain.mesh, plain.terms).size, 1)).astype(complex)
     one, other = (assemble(each.mesh, each.terms) for each in (plain, thick))
     expected = sum(one.quadratic(states, states)[0, q] for q, i in enumerate(one.integrals) if i.radial is not None)

@@ -17,8 +17,8 @@ from geometry.dimension import Dimension
 from geometry.stretch import admissible_range
 from materials.registry import Registry
 from workbench.app.controls import controls
+from workbench.design.input_uncertainty import stated_uncertainty
 from workbench.design.model import full_evaluation
-from workbench.design.stated import stated_uncertainty
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError

@@ -8,7 +8,7 @@
     print(wb.compare(recording, run).mape_percent)
     found = wb.diagnose(wb.read_campaign("campaign.toml"))
 
-What is listed in :data:`PUBLIC` is the whole promise; everything else may change. Names are loaded when they are first
+The names in :data:`PUBLIC` are the whole promise; everything else may change. Names are loaded when they are first
 used, so that importing the package costs nothing.
 
 Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> Solution -> Spectrum | Fields -> Figures
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from workbench.design.evaluation import Operation as Operation
     from workbench.design.goal import Goal as Goal
     from workbench.design.goal import read_goal as read_goal
+    from workbench.design.input_uncertainty import stated_uncertainty as stated_uncertainty
     from workbench.design.model import DesignModel as DesignModel
     from workbench.design.model import design_model as design_model
     from workbench.design.model import full_evaluation as full_evaluation
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from workbench.design.optimisation import optimise as optimise
     from workbench.design.plan import Study as Study
     from workbench.design.plan import read_study as read_study
-    from workbench.design.stated import stated_uncertainty as stated_uncertainty
     from workbench.design.study import study as study
     from workbench.design.study_result import StudyResult as StudyResult
     from workbench.design.tolerance import Tolerance as Tolerance
@@ -130,7 +130,7 @@ PUBLIC = {
     "read_study": "workbench.design.plan",
     "simulate": "workbench.simulation.run",
     "snapshot": "workbench.simulation.run",
-    "stated_uncertainty": "workbench.design.stated",
+    "stated_uncertainty": "workbench.design.input_uncertainty",
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",
     "write_chip": "geometry.chip_file",

@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = _main(arguments, interrupted)
         except KeyboardInterrupt:
             status = interruption.STATUS  # between two steps, where everything is written
-    return interruption.finish(status) if own and interrupted.asked else status
+    return interruption.finish(status) if own and interrupted.requested else status
 
 
 def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
@@ -81,10 +81,10 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             interrupted.stage = "working"
             status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
-            complete = not interrupted.asked
+            complete = not interrupted.requested
         except BaseException as error:
             interrupted.stage = "closing"
-            if interrupted.asked or isinstance(error, KeyboardInterrupt):
+            if interrupted.requested or isinstance(error, KeyboardInterrupt):
                 # Some libraries make other exceptions of it.
                 return _interrupted(output, console, interrupted)
             match error:
@@ -102,7 +102,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
         finally:
             if isinstance(output, Path) and output.is_dir():
                 settle_folder(output, complete=complete)
-    if interrupted.asked and output is not None:
+    if interrupted.requested and output is not None:
         # The command made its report of what it knew by then.
         return _interrupted(output, console, interrupted)
     if status == 0 and output is not None:

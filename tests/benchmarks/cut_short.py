@@ -35,7 +35,7 @@ sys.path[:0] = [str(ROOT)]
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.commands.asked import asked_accuracy  # noqa: E402
+from workbench.commands.parsed_options import accuracy_option  # noqa: E402
 from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.descent import Candidate  # noqa: E402
@@ -119,11 +119,11 @@ class Replayed(DiagnosisSearch):
     def is_over(self) -> bool:
         return self.clock > self.budget
 
-    def attempted(self, task: SearchTask) -> Any:
-        key = (task.method.__name__, hashlib.sha256(repr([named(each) for each in task.given]).encode()).hexdigest())
+    def attempt(self, task: SearchTask) -> Any:
+        key = (task.method.__name__, hashlib.sha256(repr([named(x) for x in task.arguments]).encode()).hexdigest())
         if key not in self.kept:
             started = time.perf_counter()
-            self.kept[key] = Kept(super().attempted(task), time.perf_counter() - started)
+            self.kept[key] = Kept(super().attempt(task), time.perf_counter() - started)
         self.clock += self.kept[key].seconds
         return self.kept[key].result
 
@@ -147,7 +147,7 @@ class Replay:
     """All runs of one campaign."""
 
     def __init__(self, campaign: Path, options: argparse.Namespace) -> None:
-        self._given = campaign, asked_accuracy(options)
+        self._given = campaign, accuracy_option(options)
         self._kept: dict[tuple[str, str], Kept] = {}
         self._model: Model | None = None
         self._stated: tuple[StateFit, ...] = ()

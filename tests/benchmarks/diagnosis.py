@@ -69,7 +69,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         print(f"diagnosis of two states: {found.seconds:.0f} s, {found.seconds / full:.2f} of it")
 
         models = LocalModels(found.model)
-        bare = Likelihood.bare(found.model, models.narrow)
+        bare = Likelihood.noise_only(found.model, models.narrow)
         started = time.perf_counter()
         scores = ranked(bare, models.belief.x, 0.0)
         scored = time.perf_counter() - started

@@ -32,11 +32,11 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, parse_chip, read_chip  # noqa: E402
 from workbench.design.evaluation import Evaluation, Operation  # noqa: E402
+from workbench.design.input_uncertainty import numbers_of  # noqa: E402
 from workbench.design.model import _evaluated, full_evaluation  # noqa: E402
-from workbench.design.stated import numbers_of  # noqa: E402
 from workbench.design.tolerance import Tolerance, tolerance  # noqa: E402
 from workbench.design.yields import passed_share  # noqa: E402
-from workbench.model.dimensions import flexible  # noqa: E402
+from workbench.model.dimensions import parametrised  # noqa: E402
 from workbench.model.numbers import ParameterName, placed  # noqa: E402
 from workbench.model.problem import build, fill  # noqa: E402
 
@@ -124,7 +124,7 @@ def compare_sensitivities(case: Case, accuracy: float, kept: Measurements) -> No
     known = numbers_of(device)
     values = {name: known[name] for name in case.compared}
     radii = [name for name in case.compared if ParameterName.parse(name).is_radius]
-    problem = flexible(build(device, accuracy=accuracy), case.chip, radii)
+    problem = parametrised(build(device, accuracy=accuracy), case.chip, radii)
 
     def solved(numbers: Mapping[str, float]) -> Evaluation:
         # What `full_evaluation` does once its mesh is made, which here stays; gradients make it follow the lengths.

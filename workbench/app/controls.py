@@ -13,7 +13,7 @@ from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
 from workbench.model.device_numbers import assumed_by_role, coefficient_number, length_number
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, Number, ParameterName, real_part
 from workbench.model.problem import Problem
 
@@ -112,7 +112,8 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
         found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
     # Refuses a radius that would pass another one, and a shape that folds a cell.
-    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_dimension})
+    parametrised_within(problem, chip, {
+        name: (each.low, each.high) for name, each in found.items() if each.is_dimension})
     return tuple(found.values())
 
 

@@ -18,7 +18,7 @@ from workbench.app.growth import growing_elsewhere
 from workbench.app.section_fields import SectionFields
 from workbench.app.server import Drawing, LiveView
 from workbench.app.session import Session
-from workbench.commands.asked import asked_model, asked_reading
+from workbench.commands.parsed_options import model_options, reading_option
 from workbench.commands.terminal import print_line
 from workbench.files.errors import InputError
 from workbench.jobs.process import Send
@@ -41,12 +41,12 @@ def run_app(options: argparse.Namespace, console: Console) -> int:
     if importlib.util.find_spec("trame_vuetify") is None:
         raise RuntimeError("the live view needs trame and trame-vuetify (./setup installs them)")
     chip = read_chip(options.chip)
-    asked = asked_model(options, chip)
-    recording = None if options.recording is None else asked_reading(options, options.recording, console).spectrum
+    model = model_options(options, chip)
+    recording = None if options.recording is None else reading_option(options, options.recording, console).spectrum
     if options.campaign is not None and not options.campaign.is_file():
         raise InputError("command line", "--campaign", str(options.campaign), "a file")
-    session = Session(chip, options.state, options.vary, registry=asked.registry, band=asked.band,
-                      accuracy=asked.accuracy, drive=asked.drive, recording=recording,
+    session = Session(chip, options.state, options.vary, registry=model.registry, band=model.band,
+                      accuracy=model.accuracy, drive=model.drive, recording=recording,
                       recording_name="" if options.recording is None else options.recording.name,
                       growing=growing_elsewhere)
     view = LiveView(session, Drawing(_section, _space), options.folder, diagnose_as_command,

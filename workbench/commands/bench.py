@@ -20,7 +20,7 @@ from workbench.bench.pairs import degrees
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
-from workbench.commands.asked import asked_model, asked_reading
+from workbench.commands.parsed_options import model_options, reading_option
 from workbench.commands.terminal import print_line, print_table, say_finding
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError, choose
@@ -187,18 +187,19 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     if options.device is None:
         raise InputError("command line", "DEVICE", None, "a CHIP.toml or a recorded spectrum, or --connect")
     if options.device.suffix != ".toml":
-        return device_of(asked_reading(options, options.device, console).spectrum), str(options.device)
+        return device_of(reading_option(options, options.device, console).spectrum), str(options.device)
     chip = read_chip(options.device)
-    asked = asked_model(options, chip)
+    requested = model_options(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)
     state = chip.state(options.state).name
-    frequencies = frequency_grid(asked.band, asked.points)
-    # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
-    device = fill(chip, state, replace(asked.registry, assumed_losses=True))
+    frequencies = frequency_grid(requested.band, requested.points)
+    # The simulated device is to be finer than the model fitted to it, and a liquid sticks to its walls.
+    device = fill(chip, state, replace(requested.registry, assumed_losses=True))
     for text in device.findings:
         say_finding(text, console)
-    problem = with_boundary_layers(build(device, accuracy=asked.accuracy, band=asked.band))
-    model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.relative_error)
+    problem = with_boundary_layers(build(device, accuracy=requested.accuracy, band=requested.band))
+    model = reduce(
+        assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=requested.relative_error)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"
 

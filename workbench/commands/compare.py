@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from workbench.commands.asked import asked_model, asked_reading, output_folder
+from workbench.commands.parsed_options import model_options, output_folder, reading_option
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 
 def run_compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
-    reading = asked_reading(options, options.recording, console)
+    reading = reading_option(options, options.recording, console)
     measured = reading.spectrum
     chip = read_chip(options.chip)
-    asked = asked_model(options, chip)
-    asked = replace(asked, band=_common_band(options, asked.band, measured.frequency),
-                    points=max(asked.points, 2 * len(measured.frequency) - 1))
+    model = model_options(options, chip)
+    model = replace(model, band=_common_band(options, model.band, measured.frequency),
+                    points=max(model.points, 2 * len(measured.frequency) - 1))
     folder = output_folder(options.output)
     with progress_bars(console) as show:
-        run = run_state(chip, options.state, asked, show)
+        run = run_state(chip, options.state, model, show)
         show(run.state, "done", 1.0)
     comparison = compare(measured, run.spectrum)
     write_spectrum(run.spectrum, folder / "spectrum.csv")
@@ -73,7 +73,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
 def _common_band(
     options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Where the band asked for and the recording overlap (Hz): simulating more would have nothing to be compared with.
+    """The overlap (Hz) of the band asked for and the recording: simulating more would have nothing to be compared with.
 
     Raises:
         InputError: fewer than two recorded points lie in the band.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
-from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder
+from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder
 from workbench.commands.terminal import by_rows, print_line, print_table, progress_bars, say_finding
 from workbench.design.goal import read_goal
 from workbench.design.modelling import ChipSolver
@@ -35,8 +35,8 @@ SO_FAR = "best_so_far.toml"
 
 def run_design(options: argparse.Namespace, console: Console) -> int:
     """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
-    jobs = asked_jobs(options)
-    registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), asked_accuracy(options)
+    jobs = jobs_option(options)
+    registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), accuracy_option(options)
     goal = read_goal(options.goal, registry=registry)
     for text in fill(goal.chip, goal.state, registry).findings:
         say_finding(text, console)

@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder, say_read_as
+from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder, say_read_as
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
@@ -19,7 +19,7 @@ from workbench.report.diagnosis import (
     LEFT,
     diagnosis_record,
     established_table,
-    left_table,
+    remainder_table,
     write_diagnosis_report,
     write_stopped,
 )
@@ -36,7 +36,7 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
 
     Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.
     """
-    accuracy, (jobs, minutes) = asked_accuracy(options), _asked_effort(options)
+    accuracy, (jobs, minutes) = accuracy_option(options), _effort_options(options)
     campaign = read_campaign(options.campaign, materials=options.materials)
     folder = output_folder(options.output)
     for state in campaign.states:
@@ -65,17 +65,17 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
 
 
 def print_diagnosis(found: Diagnosis) -> None:
-    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
+    """Headline, established effects, the remainder of each state, and the next measurement, to standard output."""
     print_paragraph(found.headline)
     if found.established:
         print_table("", established_table(found))
-    print_table(LEFT, left_table(found))
+    print_table(LEFT, remainder_table(found))
     for text in (*found.findings, found.next_measurement):
         if text:
             print_paragraph(text)
 
 
-def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:
+def _effort_options(options: argparse.Namespace) -> tuple[int, float | None]:
     """Processes and minutes that the options ask for.
 
     Raises:
@@ -83,4 +83,4 @@ def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:
     """
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError("command line", "--minutes", options.minutes, "more than no time")
-    return asked_jobs(options), options.minutes
+    return jobs_option(options), options.minutes

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import output_folder
+from workbench.commands.parsed_options import output_folder
 from workbench.commands.terminal import print_line
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder, saving_folder, say_read_as
 from workbench.commands.fit_job import Done, known, run_job
+from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder, saving_folder, say_read_as
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
@@ -39,7 +39,7 @@ def run_fit(options: argparse.Namespace, console: Console) -> int:
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of descents, 0 for none")
     settings = Settings(
-        materials=tuple(options.materials), accuracy=asked_accuracy(options),
+        materials=tuple(options.materials), accuracy=accuracy_option(options),
         algorithm=options.algorithm, starts=tuple(options.start), tries=options.tries, force=options.force)
     if options.kind == "batch":
         return _batch(options, console, settings)
@@ -109,7 +109,7 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 
 
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
-    """``workbench fit batch``: what is finished is on disk at once, and a further run does only the rest."""
+    """``workbench fit batch``: finished fits are on disk at once, and a further run does only the rest."""
     batch = read_batch(options.file)
     folder = output_folder(options.output)
     if any(job.save is not None for job in batch.jobs):
@@ -127,7 +127,7 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     for job in waiting:
         # Or a fit that fails now would pass for the one that succeeded before.
         (folder / job.name / "fit.json").unlink(missing_ok=True)
-    with progress_bars(console) as show, begin_workers(min(asked_jobs(options), len(waiting) or 1)) as workers:
+    with progress_bars(console) as show, begin_workers(min(jobs_option(options), len(waiting) or 1)) as workers:
         failed = fit_all(waiting, settings, folder, workers, show)
     for job in waiting:
         records[job.name] = known(job, settings, folder)
@@ -156,7 +156,7 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
 def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Workers, show: Show) -> dict[str, str]:
     """Fit jobs into folders of theirs within `folder`; the error of each that failed, by its name.
 
-    What is finished stays when the rest is interrupted.
+    Finished fits stay when the rest is interrupted.
     """
     failed: dict[str, str] = {}
 

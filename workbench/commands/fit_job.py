@@ -12,7 +12,7 @@ from geometry.chip import read_chip
 from materials import Registry, save_fit, user_registry
 from materials.kinds import Material
 from materials.versions import check_name
-from workbench.commands.asked import saving_folder
+from workbench.commands.parsed_options import saving_folder
 from workbench.files.errors import InputError
 from workbench.files.writing import write_json
 from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished

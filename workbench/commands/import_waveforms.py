@@ -10,7 +10,7 @@ from workbench.bench.impedance import impedance
 from workbench.bench.pairs import WaveformPair, pairs_spectrum, write_ratios
 from workbench.bench.sine_fit import NoSine, fit_sines
 from workbench.bench.waveforms import pair_files, read_channels, read_waveform
-from workbench.commands.asked import output_folder
+from workbench.commands.parsed_options import output_folder
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity

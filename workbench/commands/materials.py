@@ -17,7 +17,7 @@ from materials import (
     withdraw,
 )
 from materials.history import load_quietly
-from workbench.commands.asked import saving_folder
+from workbench.commands.parsed_options import saving_folder
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity

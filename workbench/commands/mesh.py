@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
+from workbench.commands.parsed_options import ModelOptions, accuracy_option, model_options, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError
@@ -32,22 +32,22 @@ FINER = 1.5
 
 
 def run_mesh(options: argparse.Namespace, console: Console) -> int:
-    """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
+    """``workbench mesh``: the mesh of a chip, and the errors of the accuracies it can be made for."""
     chip = read_chip(options.chip)
-    asked, state = asked_model(options, chip), chip.state(options.state).name
-    problem = build(fill(chip, state, asked.registry), band=asked.band, accuracy=asked.accuracy)
-    made = discretisation(asked.accuracy)
+    model, state = model_options(options, chip), chip.state(options.state).name
+    problem = build(fill(chip, state, model.registry), band=model.band, accuracy=model.accuracy)
+    made = discretisation(model.accuracy)
     cells = problem.mesh.mesh.t.shape[1]
-    print_table(f"{chip.name}, {state}: {cells} cells of order {made.order} at {asked.band[1] / 1e6:.4g} MHz",
-                cells_table(problem, asked.band[1]))
+    print_table(f"{chip.name}, {state}: {cells} cells of order {made.order} at {model.band[1] / 1e6:.4g} MHz",
+                cells_table(problem, model.band[1]))
     if not options.converge:
         return 0
-    return _converge(options, console, chip, state, asked)
+    return _converge(options, console, chip, state, model)
 
 
-def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, asked: Asked) -> int:
+def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, model: ModelOptions) -> int:
     """The meshes of every accuracy against one finer than all; whether the one asked for is as accurate as that."""
-    wanted = asked_accuracy(options)
+    wanted = accuracy_option(options)
     accuracies = sorted({*ROWS, wanted}, reverse=True)
     made: dict[float | None, Discretisation] = {accuracy: discretisation(accuracy) for accuracy in accuracies}
     made[None] = ROWS[min(ROWS)].refined(FINER)
@@ -55,11 +55,11 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
     with progress_bars(console) as show:
         for accuracy, one in made.items():
             label = "finer" if accuracy is None else f"{100.0 * accuracy:g} %"
-            runs[accuracy] = run_state(chip, state, replace(asked, accuracy=one), partial(_renamed, show, label))
+            runs[accuracy] = run_state(chip, state, replace(model, accuracy=one), partial(_renamed, show, label))
             show(label, "done", 1.0)
     for run in runs.values():
         if run.figures is None:
-            raise InputError(str(options.chip), "band", f"{asked.band[0]:g} to {asked.band[1]:g} Hz",
+            raise InputError(str(options.chip), "band", f"{model.band[0]:g} to {model.band[1]:g} Hz",
                              f"a band with a resonance in it ({run.no_resonance})")
     rows = [MeshRow.of(accuracy, run, runs[None]) for accuracy, run in runs.items()]
     title = f"{chip.name}, {state}"

@@ -404,7 +404,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
-#: What every command is for, and what adds its options.
+#: Purpose of every command, and the function that adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
     "study": ("figures of a chip over ranges of its dimensions and materials, resumable, with pictures", _study),

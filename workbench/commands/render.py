@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
-from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.parsed_options import model_options, output_folder
 from workbench.commands.states import SIMULATED, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
 from workbench.files.errors import InputError, choose
@@ -24,12 +24,12 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
     for name in options.field or []:
         choose(name, FIELDS, source="command line", field="--field")
     chip = read_chip(options.chip)
-    asked, name, folder = asked_model(options, chip), chip.state(options.state).name, output_folder(options.output)
-    if asked.at is None:
+    model, name, folder = model_options(options, chip), chip.state(options.state).name, output_folder(options.output)
+    if model.at is None:
         raise InputError("command line", "--at", None, "the frequency of the fields")
     with progress_bars(console) as show:
-        shot = snapshot(chip, name, asked.at, registry=asked.registry, band=asked.band, drive=asked.drive,
-                        accuracy=asked.accuracy,
+        shot = snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
+                        accuracy=model.accuracy,
                         progress=partial(simulated, show, name))
         show(name, "pictures", SIMULATED)
         paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]

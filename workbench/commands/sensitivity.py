@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.chip import Chip, read_chip
 from geometry.names import TRANSDUCER
-from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.parsed_options import model_options, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
@@ -33,17 +33,17 @@ def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     chip = read_chip(options.chip)
     if options.density is not None:
         chip = _with_density(chip, parse_quantity(options.density, "density", source="command line", field="--density"))
-    asked = asked_model(options, chip)
+    model = model_options(options, chip)
     if options.points < 2:
         raise InputError("command line", "--points", options.points, "two frequencies or more")
     state = chip.state(options.state).name
-    problem = build(fill(chip, state, asked.registry), band=asked.band,
-                    accuracy=asked.accuracy)
+    problem = build(fill(chip, state, model.registry), band=model.band,
+                    accuracy=model.accuracy)
     baseline = _baseline(problem, options.loss)
     folder = output_folder(options.output)
     with progress_bars(console) as show:
         found = sensitivity(
-            problem, np.linspace(*asked.band, options.points), baseline=baseline, scalings=options.scalings,
+            problem, np.linspace(*model.band, options.points), baseline=baseline, scalings=options.scalings,
             progress=lambda part, share: show(state, local_name(part), share))
         show(state, "done", 1.0)
     print_table(f"{chip.name}, {problem.materials[TRANSDUCER].name}", ranking_table(found))
@@ -55,7 +55,7 @@ def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     write_json(folder / "sensitivity.json", {
         "chip": chip.name, "chip_file": str(options.chip), "state": state,
         "material": problem.materials[TRANSDUCER].name, "density_kg_m3": problem.materials[TRANSDUCER].density,
-        "band_hz": list(asked.band), "points": options.points, **sensitivity_record(found)})
+        "band_hz": list(model.band), "points": options.points, **sensitivity_record(found)})
     write_sensitivity_report(chip.name, found, folder)
     return 0
 

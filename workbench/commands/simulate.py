@@ -13,8 +13,8 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.export import export_solids
+from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.writing import write_json
@@ -43,18 +43,18 @@ if TYPE_CHECKING:
 def run_simulate(options: argparse.Namespace, console: Console) -> int:
     """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
     chip = read_chip(options.chip)
-    asked = asked_model(options, chip)
+    model = model_options(options, chip)
     chosen = options.state or [state.name for state in chip.states]
     # Each once; and every state's materials are read before the first state is solved.
     states = list(dict.fromkeys(chip.state(name).name for name in chosen))
     for name in states:
-        fill(chip, name, asked.registry)
+        fill(chip, name, model.registry)
     folder = output_folder(options.output)
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _solid_model(chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
-        for run in _simulated(chip, states, asked, show, folder, unfinished):
+        for run in _simulated(chip, states, model, show, folder, unfinished):
             pictures[run.state] = []
             if not options.no_pictures:
                 from workbench.render.gallery import draw_state
@@ -95,7 +95,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
 
 
 def _simulated(
-    chip: Chip, states: Sequence[str], asked: Asked, show: Show, folder: Path, unfinished: Mapping[str, Path]
+    chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path]
 ) -> Iterator[Simulation]:
     """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
     computed while what is made of this one is drawn, if there is memory for both.
@@ -105,7 +105,7 @@ def _simulated(
     files = {name: folder / f"spectrum_{name}.csv" for name in states}
     if unfinished:
         for name in states:
-            yield run_state(chip, name, asked, show, unfinished=unfinished[name], spectrum=files[name])
+            yield run_state(chip, name, model, show, unfinished=unfinished[name], spectrum=files[name])
         return
     stopped = Event()
 
@@ -114,9 +114,9 @@ def _simulated(
             raise Stopped
         show(state, activity, fraction)
 
-    pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, asked))
+    pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, model))
     try:
-        jobs = [pool.submit(run_state, chip, name, asked, heard, spectrum=files[name]) for name in states]
+        jobs = [pool.submit(run_state, chip, name, model, heard, spectrum=files[name]) for name in states]
         for job in jobs:
             yield job.result()
     finally:
@@ -125,11 +125,11 @@ def _simulated(
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _at_a_time(chip: Chip, states: Sequence[str], asked: Asked) -> int:
+def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     """Two states at a time where there is memory for them, else one."""
-    made, room = discretisation(asked.accuracy), memory_to_use()
-    devices = [fill(chip, name, asked.registry) for name in states]
-    sizes = sorted(job_size(each.section, each.materials, made, asked.band).memory for each in devices)
+    made, room = discretisation(model.accuracy), memory_to_use()
+    devices = [fill(chip, name, model.registry) for name in states]
+    sizes = sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
     return 2 if room is None or sum(sizes[-2:]) <= room else 1
 
 

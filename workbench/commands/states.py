@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from geometry.chip import Chip
-from workbench.commands.asked import Asked
+from workbench.commands.parsed_options import ModelOptions
 from workbench.commands.terminal import Show
 from workbench.files.writing import write_atomic
 from workbench.model.discretisation import discretisation
@@ -22,16 +22,16 @@ SIMULATED = 0.9
 
 
 def run_state(
-    chip: Chip, state: str | None, asked: Asked, show: Show, *, unfinished: Path | None = None,
+    chip: Chip, state: str | None, model: ModelOptions, show: Show, *, unfinished: Path | None = None,
     spectrum: Path | None = None,
 ) -> Simulation:
     """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`. The
     spectrum is in the file `spectrum` as soon as it is known: interrupted later, it is not lost."""
     name = chip.state(state).name
-    points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
+    points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, model)
     return simulate_state(
-        chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
-        relative_error=asked.relative_error, drive=asked.drive, accuracy=asked.accuracy,
+        chip, name, registry=model.registry, band=model.band, points=model.points, at=model.at, full=model.full,
+        relative_error=model.relative_error, drive=model.drive, accuracy=model.accuracy,
         on_point=points.add if points else None, known=points.known if points else None,
         on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),
@@ -50,12 +50,12 @@ class _UnfinishedSpectrum:
     mesh. Points with another digest are not taken over. Numbers are hexadecimal, hence exact.
     """
 
-    def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
-        filling = fill(chip, state, replace(asked.registry, assumed_losses=True)).materials
-        deciding = repr((chip, state, sorted(filling.items()), asked.band[1], discretisation(asked.accuracy)))
+    def __init__(self, path: Path, chip: Chip, state: str, model: ModelOptions) -> None:
+        filling = fill(chip, state, replace(model.registry, assumed_losses=True)).materials
+        deciding = repr((chip, state, sorted(filling.items()), model.band[1], discretisation(model.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()
-        # What follows the last line end was cut short by a kill: a number there may lack its last digits.
+        # Text after the last line end was cut short by a kill: a number there may lack its last digits.
         first, *rows = path.read_text().split("\n")[:-1] if path.exists() else [""]
         for row in rows if first == key else []:
             frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_jobs, output_folder
+from workbench.commands.parsed_options import jobs_option, output_folder
 from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
@@ -47,7 +47,7 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
 def _executor(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
     """The executor of the cluster that the options name, if they do, and how many tasks it is given at a time."""
     if options.dask is None:
-        yield None, asked_jobs(options)
+        yield None, jobs_option(options)
         return
     from workbench.jobs.cluster import dask_cluster
 

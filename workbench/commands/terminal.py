@@ -113,7 +113,7 @@ def _widths(table: TextTable, width: int) -> list[int] | None:
     for split in (str.split, _pieces):
         found = [max((cell_len(piece) for text in column for piece in split(text)), default=1) for column in columns]
         if sum(found) <= room:
-            # What is left goes where it makes the most crowded column less crowded.
+            # The rest of the room goes to the most crowded column, one character after the other.
             for _ in range(room - sum(found)):
                 found[max(range(len(found)), key=lambda column: wanted[column] / found[column])] += 1
             return found

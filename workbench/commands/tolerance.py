@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import asked_jobs, asked_model, output_folder
+from workbench.commands.parsed_options import jobs_option, model_options, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.figures import check_figures
+from workbench.design.input_uncertainty import Statement, parse_statement, read_statements, stated_uncertainty
 from workbench.design.requirement import parse_requirements
-from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
 from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
     chip = read_chip(options.chip)
-    asked = asked_model(options, chip)
-    registry = replace(asked.registry, assumed_losses=True)
+    model = model_options(options, chip)
+    registry = replace(model.registry, assumed_losses=True)
     for text in fill(chip, options.state, registry).findings:
         say_finding(text, console)
     required = parse_requirements(options.require, chip.regions)
@@ -53,10 +53,10 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     folder = output_folder(options.output)
     with progress_bars(console) as show:
         found = tolerance(
-            chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=asked.drive,
+            chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=model.drive,
             thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
             sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
-            band=asked.band, accuracy=asked.accuracy, jobs=asked_jobs(options),
+            band=model.band, accuracy=model.accuracy, jobs=jobs_option(options),
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
         show(found.state, "done", 1.0)
     if found.outcomes is not None:

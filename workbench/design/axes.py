@@ -1,12 +1,9 @@
-"""What varies in a study: numbers within ranges or of a list, and materials as alternatives.
+"""The variables of a study as its file states them: numbers within ranges or of a list, and materials as alternatives.
 
-    [vary]
-    "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm", points = 5 }
-    "couplant.thickness" = { values = ["10 um", "20 um", "50 um"] }
-    "sidewall.thickness" = { tolerance = true }          # that of the chip file
-    "cavity.radius" = { tolerance = "50 um" }            # to both sides of what the chip file says; or "2 %"
-    "pla/acevedo_2026.shear_modulus" = { tolerance = "10 %" }
-    "superstrate.material" = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+[vary] "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm", points = 5 } "couplant.thickness" = { values = ["10
+um", "20 um", "50 um"] } "sidewall.thickness" = { tolerance = true }          # that of the chip file "cavity.radius" =
+{ tolerance = "50 um" }            # to both sides of what the chip file says; or "2 %" "pla/acevedo_2026.shear_modulus"
+= { tolerance = "10 %" } "superstrate.material" = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ _EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } o
 
 def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Registry, *,
               method: str) -> tuple[Variable, ...]:
-    """What the table [vary] says, of a chip in those `states`; `method` is that of the sample.
+    """The variables of the table [vary], of a chip in those `states`; `method` is that of the sample.
 
     Raises:
         InputError: a name that nothing has, a range that is none, that loses a tolerance nobody stated or that passes
@@ -226,7 +223,7 @@ def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -
 
 
 def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable | None = None) -> Chip:
-    """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
+    """The chip with each length outside its range set to the middle of the range."""
     known, first = chip.dimensions(), canonical_names(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
              if axis.name in known and not axis.low <= known[axis.name].value <= axis.high}

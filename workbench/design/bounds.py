@@ -1,4 +1,4 @@
-"""What a design must keep to: bounds of figures and of lengths.
+"""Bounds of figures and of lengths that a design keeps to.
 
 Figures are bounded by requirements (`workbench.design.requirement`), or within two ends; lengths by sums of them:
 
@@ -31,8 +31,8 @@ class Bound:
     """A limit of a figure, or of a sum of lengths.
 
     ``weights`` by name of the figure or the lengths, whose weighted sum (SI) is limited; ``limit`` in SI; ``above``:
-    the sum stays above it; ``scale`` (SI, above zero) is what distances to it are told in: of a limit its own size, of
-    two ends half of what is between them. ``text`` is what a person wrote.
+    the sum stays above it; ``scale`` (SI, above zero) is the unit of distances to it: the size of a limit, half the
+    distance of two ends. ``text`` is the sentence as written.
     """
 
     weights: Mapping[str, float]
@@ -54,7 +54,8 @@ class Bound:
         return next(iter(self.weights))
 
     def margin(self, values: Mapping[str, float]) -> float:
-        """How far the sum of `values` (SI, by name) is on the right side of the limit, in scales; NaN where one is."""
+        """The distance, in scales, of the sum of `values` (SI, by name) from the limit, positive where it is kept; NaN
+        where a value is."""
         total = sum(weight * values[name] for name, weight in self.weights.items())
         return (total - self.limit if self.above else self.limit - total) / self.scale
 
@@ -76,7 +77,7 @@ def parse_bounds(
     if sum_of_lengths is not None and _is_of_lengths(sum_of_lengths["sum"], lengths):
         weights = _weights(sum_of_lengths["sum"], lengths, source=source, field=field)
         limit = parse_quantity(sum_of_lengths["limit"], "length", source=source, field=f'{field} "{text}"')
-        # A clearance of nothing is told in millimetres.
+        # A clearance of zero is given in millimetres.
         return (Bound(weights, limit, sum_of_lengths["sign"] == ">=", abs(limit) or 1e-3, text, True),)
     name, low, high = _limits(text, regions, drive, source=source, field=field)
     bounded = [(end, above) for end, above in ((low, True), (high, False)) if math.isfinite(end)]

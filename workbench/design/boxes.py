@@ -1,4 +1,4 @@
-"""Boxes of lengths that models are made for: within the bounds of a goal, not wider than a model can be, and moved."""
+"""Boxes of lengths that models are made for: within the bounds of a goal, no wider than a model covers, and moved."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from workbench.design.variables import GRAIN, VariedNumber
 
 Box = Mapping[str, tuple[float, float]]
 
-#: How near (share of the box's width) to a side of its box an optimum lies on it.
+#: Distance (share of the box's width) from a side of its box within which an optimum lies on it.
 ON_SIDE = 1e-3
 
 
 @dataclass(frozen=True)
 class TrustRegion:
-    """How far boxes extend: ``half_widths`` (m) by name of the length."""
+    """The extent of boxes: ``half_widths`` (m) by name of the length."""
 
     half_widths: Mapping[str, float]
 

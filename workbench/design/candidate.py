@@ -1,4 +1,4 @@
-"""A chip that a search proposes, what holds it where it is, and what a full solve says of it."""
+"""A chip that a search proposes, the bounds that hold it where it is, and the verdict of a full solve."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from workbench.design.descent import Multipliers
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import figure_named
 from workbench.design.goal import SIGNED, Goal
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.grid_rounding import round_to_grid
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.design.search import Optimum
-from workbench.design.steps import settle
 from workbench.design.variables import Selection, VariedNumber, changed
 
 #: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
 #: and largest share of its scale by which a bound may then be missed.
 CONFIRMED = 0.01
 
-#: How far past a bound (in scales) a chip may be whose lengths were rounded.
+#: Distance past a bound (in scales) that the rounding of lengths may cause.
 ROUNDED = 1e-3
 
 
@@ -39,11 +39,11 @@ class Active:
 
 @dataclass(frozen=True, eq=False)
 class RoundedDesign:
-    """A chip with its lengths on their steps.
+    """A chip with its lengths rounded to their grids.
 
     ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
-    objective, and ``objectives`` (k,) under all; ``optimum`` the one between the steps that it comes of, None of an
-    evolutionary search; ``active`` what holds that.
+    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None of an evolutionary search;
+    ``active`` are the bounds that hold it.
     """
 
     selection: Selection
@@ -87,17 +87,17 @@ class Confirmed:
 
 
 def rounded_design(
-    goal: Goal, programme: Programme, optimum: Optimum, selection: Selection, evaluations: int
+    goal: Goal, programme: NonlinearProgramme, optimum: Optimum, selection: Selection, evaluations: int
 ) -> RoundedDesign:
     """The chip that an optimum becomes with its lengths on their steps."""
-    held, descent = settle(programme, optimum.descent, evaluations=evaluations)
+    held, descent = round_to_grid(programme, optimum.descent, evaluations=evaluations)
     rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
     lengths = {each.name: {**held.fixed, **rounded}[each.name] for each in goal.unknowns}
     return proposed(goal, programme, lengths, selection, optimum)
 
 
 def proposed(
-    goal: Goal, programme: Programme, lengths: Mapping[str, float], selection: Selection,
+    goal: Goal, programme: NonlinearProgramme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
 ) -> RoundedDesign:
     """The chip of these `lengths` (m), one for each of the goal's unknowns."""
@@ -112,12 +112,12 @@ def proposed(
                          goal.bounds)
 
 
-def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple[Active, ...]:
-    """What holds an optimum, that which gains most first."""
+def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers) -> tuple[Active, ...]:
+    """The bounds and ends of ranges that hold an optimum, the one of largest gain first."""
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
-            active.append(Active(_told(bound), *_step(bound, float(gain))))
+            active.append(Active(_bound_text(bound), *_step(bound, float(gain))))
     for each, low, high in zip(programme.variables, found.low, found.high, strict=True):
         for gain, end, word, value in ((low, each.low, "lowest", _own(goal, each).low),
                                        (high, each.high, "highest", _own(goal, each).high)):
@@ -133,7 +133,7 @@ def _own(goal: Goal, variable: VariedNumber) -> VariedNumber:
     return next(each for each in goal.unknowns if each.name == variable.name)
 
 
-def _told(bound: Bound) -> str:
+def _bound_text(bound: Bound) -> str:
     """The text of a bound, and which of its two ends is meant where it has two."""
     return bound.text if "within" not in bound.text else f"{bound.text} ({'lower' if bound.above else 'upper'} end)"
 
@@ -146,15 +146,15 @@ def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
 
 
 def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:
-    """What a difference of a figure is compared with: of a place in the cavity the height of that, of other figures the
-    smallest scale of their bounds, or `otherwise`."""
+    """The scale of differences of a figure: of a place in the cavity the height of that, of other figures the smallest
+    scale of their bounds, or `otherwise`."""
     if name in SIGNED:
         return sum(hole.thickness.value for hole in chip.holes)
     return min((each.scale for each in goal.bounds if not each.of_lengths and each.figure == name), default=otherwise)
 
 
 def confirmed(goal: Goal, candidate: RoundedDesign, after: Evaluation) -> Confirmed:
-    """What the figures `after` a full solve say of a candidate."""
+    """A candidate with the figures `after` a full solve, and the verdict on it."""
     nominal = candidate.point.evaluation.figures
     differences = {}
     for name in goal.figures:

@@ -1,4 +1,4 @@
-"""The pressure in the cavity as one polynomial, and what follows from it: potential, force, energy density.
+"""The pressure in the cavity as one polynomial, and the potential, force and energy density that follow from it.
 
 A state of the model, full or reduced, gives the pressure on the nodes of the cavity. Sound there has no scale finer
 than its wavelength, so one polynomial over the whole cavity holds it, even in the radius:
@@ -45,7 +45,7 @@ BEYOND = 10
 POTENTIAL, FORCE, SQUARE, ENERGY = range(4)
 
 
-#: What of the fluid the fields depend on besides the pressure.
+#: Properties of the fluid that the fields depend on besides the pressure.
 OF_FLUID = ("density", "sound_speed", "shear_viscosity")
 
 
@@ -83,7 +83,7 @@ class Cavity:
     wave_number: float
 
     def change(self, values: Mapping[str, complex]) -> Real:
-        """How far (m) each of ``lengths`` is from where it started."""
+        """The change (m) of each of ``lengths`` from its start."""
         return np.array([complex(values[name]).real for name in self.lengths]) - self.start
 
     def pressure_rows(self, basis: Real) -> Real:
@@ -145,7 +145,7 @@ def cavity_of(
 
 
 def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
-    """Those of some parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
+    """The parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
     found = {name for i in operators.integrals if i.variant and parent_place(i.place) == CAVITY
              for name in i.coefficient.parameters}
     return [length for length in lengths if length in found]
@@ -160,8 +160,9 @@ def _interpolated(places: Real, breaks: Real, slopes: Real) -> Places:
 
 @dataclass(frozen=True, eq=False)
 class Polynomials:
-    """What is the same for every pressure: values (points, k) of Legendre's polynomials and of their first and second
-    derivatives on the Gauss-Legendre points of s and of t, and the way back from values to coefficients."""
+    """Constants of the transform that are equal for every pressure: values (points, k) of Legendre's polynomials and of
+    their first and second derivatives on the Gauss-Legendre points of s and of t, and the way back from values to
+    coefficients."""
 
     s: Real
     along_s: tuple[Real, ...]
@@ -171,7 +172,7 @@ class Polynomials:
 
     @classmethod
     def of(cls, in_s: int, in_t: int) -> Polynomials:
-        """For so many coefficients of the pressure."""
+        """The polynomials for `count` coefficients of the pressure."""
         tables, points, back, weights = [], [], [], []
         for count in (in_s, in_t):
             x, w = leggauss(2 * count - 1)
@@ -187,7 +188,7 @@ class Polynomials:
         return self.along_s[0].shape[1], self.along_t[0].shape[1]
 
     def coefficients(self, values: Real) -> Real:
-        """Of fields (..., points in s, points in t): the like."""
+        """Coefficients in s and in t of fields (..., points in s, points in t)."""
         return np.asarray(self.back[0] @ values @ self.back[1].T)
 
 

@@ -1,4 +1,4 @@
-"""A chip at the mean of what is uncertain: where a fit says other numbers than the chip file and the registry."""
+"""A chip at the mean of its uncertain numbers: where a fit gives other numbers than the chip file and the registry."""
 
 from __future__ import annotations
 

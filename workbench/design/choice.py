@@ -1,5 +1,5 @@
-"""The search of one choice of stock lengths and materials: models about the best point, starts on them, their ends on
-the steps that lengths come in."""
+"""The search of one choice of stock lengths and materials: models about the best point, starts on them, and their ends
+rounded to the grids of the lengths."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from workbench.design.candidate import RoundedDesign, proposed, rounded_design
 from workbench.design.descent import descend
 from workbench.design.evolution import evolve
 from workbench.design.goal import Goal
-from workbench.design.modelling import Modelling, Say, Solver, modelled, present_of, reach_of
-from workbench.design.programme import ProgrammePoint
+from workbench.design.modelling import Modelling, Say, Solver, modelled, present_of, trust_region_of
+from workbench.design.nonlinear_programme import ProgrammePoint
+from workbench.design.scenarios import ScenarioSample
 from workbench.design.search import Attempt, Optimum, attempt, optima, search_all
-from workbench.design.spread import Spread
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
 
@@ -27,13 +27,13 @@ RUNNERS_UP = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
-    """What was found of one choice.
+class ChoiceResult:
+    """The result of the search of one choice.
 
     ``modelling`` is the last model, and ``models`` how many there were; ``attempts`` the starts on it (none of an
-    evolutionary search) and ``optima`` their distinct ends, best first; ``candidates`` chips on their steps, best
-    first; ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the
-    optimum still lies, since no more models were allowed.
+    evolutionary search) and ``optima`` their distinct ends, best first; ``candidates`` rounded chips, best first;
+    ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the optimum
+    still lies, since no more models were allowed.
     """
 
     selection: Selection
@@ -47,43 +47,44 @@ class Searched:
 
     @property
     def at_best(self) -> int:
-        """How many starts ended at the best optimum."""
+        """The number of starts that ended at the best optimum."""
         return len(self.optima[0].starts) if self.optima else 0
 
 
 def search_choice(
-    goal: Goal, selection: Selection, solver: Solver, *, spread: Spread | None, workers: Workers, say: Say,
+    goal: Goal, selection: Selection, solver: Solver, *, scenarios: ScenarioSample | None, workers: Workers, say: Say,
     keep: Keep | None,
-) -> Searched:
+) -> ChoiceResult:
     """The best chips of one choice.
 
     Raises:
         NotCovered: no model of the lengths is good enough, however narrow.
     """
     about: Mapping[str, float] = present_of(goal)
-    reach = reach_of(goal)
+    reach = trust_region_of(goal)
     if goal.search.evolutionary:
         # A population is spread over all of the bounds.
         reach = replace(reach, half_widths={each.name: each.high - each.low for each in goal.unknowns})
-        return _evolved(goal, selection, modelled(goal, selection, about, reach, solver, say, spread), spread,
+        return _evolved(goal, selection, modelled(goal, selection, about, reach, solver, say, scenarios), scenarios,
                         workers, say, keep)
     open_sides: tuple[str, ...] = ()
     attempts: list[Attempt] = []
     for models in range(1, goal.search.moves + 2):
-        modelling = modelled(goal, selection, about, reach, solver, say, spread)
+        modelling = modelled(goal, selection, about, reach, solver, say, scenarios)
         if not goal.unknowns:
             only = proposed(goal, modelling.programme, {}, selection)
-            return Searched(selection, modelling, models, (), (), (only,) if only.point.exists else ())
+            return ChoiceResult(selection, modelling, models, (), (), (only,) if only.point.exists else ())
         attempts = _attempts(goal, selection, modelling, about, workers, say, keep)
-        about, reach = min((each.best.point for each in attempts), key=lambda each: each.rank).lengths, modelling.reach
+        about = min((each.best.point for each in attempts), key=lambda each: each.rank).lengths
+        reach = modelling.trust_region
         open_sides = sides_within(about, modelling.box, goal.unknowns)
         if not open_sides:
             break
     ends = optima(attempts)
-    if spread is not None:
-        ends = _robust(goal, modelling, spread, ends, say)
-    return Searched(selection, modelling, models, tuple(attempts), tuple(ends),
-                    _on_steps(goal, modelling, ends, selection, spread, say), (), open_sides)
+    if scenarios is not None:
+        ends = _robust(goal, modelling, scenarios, ends, say)
+    return ChoiceResult(selection, modelling, models, tuple(attempts), tuple(ends),
+                    _on_steps(goal, modelling, ends, selection, scenarios, say), (), open_sides)
 
 
 def _attempts(
@@ -112,10 +113,10 @@ def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point:
 
 
 def _robust(
-    goal: Goal, modelling: Modelling, spread: Spread, ends: Sequence[Optimum], say: Say
+    goal: Goal, modelling: Modelling, scenarios: ScenarioSample, ends: Sequence[Optimum], say: Say
 ) -> list[Optimum]:
-    """The optima of what is left over a spread, from the best nominal ones."""
-    programme, found = replace(modelling.programme, spread=spread), []
+    """The optima over the scenarios, from the best nominal ones."""
+    programme, found = replace(modelling.programme, scenarios=scenarios), []
     chosen = ends[:RUNNERS_UP]
     for index, each in enumerate(chosen):
         say("robust", index / len(chosen))
@@ -125,14 +126,14 @@ def _robust(
 
 
 def _on_steps(
-    goal: Goal, modelling: Modelling, ends: Sequence[Optimum], selection: Selection, spread: Spread | None, say: Say
+    goal: Goal, modelling: Modelling, ends: Sequence[Optimum], selection: Selection,
+    scenarios: ScenarioSample | None, say: Say,
 ) -> tuple[RoundedDesign, ...]:
-    """The optima with their lengths on steps, best first.
+    """The optima with their lengths rounded to their grids, best first.
 
-    An optimum between the steps is better than any chip on them that comes of it; so those that are worse than a chip
-    that was found need not be looked at.
+    An optimum is better than any chip rounded from it, so one that is worse than a chip that was found is left out.
     """
-    programme = replace(modelling.programme, spread=spread)
+    programme = replace(modelling.programme, scenarios=scenarios)
     found: list[RoundedDesign] = []
     for index, each in enumerate(ends):
         if not each.point.exists or (found and each.point.rank > min(one.point.rank for one in found)):
@@ -144,11 +145,11 @@ def _on_steps(
 
 
 def _evolved(
-    goal: Goal, selection: Selection, modelling: Modelling, spread: Spread | None, workers: Workers, say: Say,
-    keep: Keep | None,
-) -> Searched:
+    goal: Goal, selection: Selection, modelling: Modelling, scenarios: ScenarioSample | None, workers: Workers,
+    say: Say, keep: Keep | None,
+) -> ChoiceResult:
     """An evolutionary search: of one objective its best member, improved by a descent; of two the front."""
-    programme = replace(modelling.programme, spread=spread)
+    programme = replace(modelling.programme, scenarios=scenarios)
     programmes = [programme.under(each) for each in goal.objectives]
     present, first = programme.unknowns(present_of(goal)), []
     if not goal.stock and programme.sampled:
@@ -160,12 +161,12 @@ def _evolved(
                      better=lambda each: _kept(goal, selection, each.lengths, each.points[0], keep))
     chips = [proposed(goal, programme, each.lengths, selection) for each in members]
     if len(programmes) > 1:
-        return Searched(selection, modelling, 1, (), (), tuple(chips), tuple(chips))
+        return ChoiceResult(selection, modelling, 1, (), (), tuple(chips), tuple(chips))
     if not members or not programme.sampled:
-        return Searched(selection, modelling, 1, (), (), tuple(chips))
+        return ChoiceResult(selection, modelling, 1, (), (), tuple(chips))
     held = programme.holding({each.name: members[0].lengths[each.name] for each in goal.stock})
     start = held.unknowns(members[0].lengths)
     end = Optimum(descend(held, start, evaluations=goal.search.evaluations), (0,))
     best = min([rounded_design(goal, held, end, selection, goal.search.evaluations), *chips],
                key=lambda each: each.point.rank)
-    return Searched(selection, modelling, 1, (), (end,), (best,))
+    return ChoiceResult(selection, modelling, 1, (), (end,), (best,))

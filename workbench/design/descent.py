@@ -1,5 +1,5 @@
-"""The way down from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB
-88-28, of scipy), and what holds its end where it is."""
+"""A descent from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB 88-28,
+of scipy), and the bounds that hold its end where it is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
-from workbench.design.programme import KEPT, Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import KEPT, NonlinearProgramme, ProgrammePoint
 
 Real = NDArray[np.float64]
 
@@ -31,9 +31,9 @@ ACTIVE = 1e-4
 SHRINKING, SMALLEST = 0.25, 0.02
 
 #: Times that it goes on without finding anything better.
-IDLE = 2
+STALLED = 2
 
-#: What a point without figures is worse by than the worst point known, in units of the objective.
+#: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
 
@@ -41,17 +41,17 @@ PENALTY = 1.0
 PATIENCE = 12
 
 
-class _Spent(Exception):
+class _OutOfEvaluations(Exception):
     """The evaluations of a descent are used up."""
 
 
-class _Idle(Exception):
+class _Stalled(Exception):
     """A round finds nothing better any more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """What a small step past a bound is worth: the objective falls by that much per scale, or per range.
+    """The gain of a small step past each bound: the fall of the objective per scale, or per range.
 
     ``bounds`` (m,) of the bounds; ``low`` and ``high`` (n,) of the ends of the ranges, zero where not active;
     ``residual`` the largest derivative (per range) that they leave: a stationary point has none.
@@ -83,8 +83,8 @@ class DesignDescent:
         return self.point.violation <= KEPT
 
 
-def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDescent:
-    """The best point that is found from `start` (n,) by at most so many `evaluations`."""
+def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> DesignDescent:
+    """The best point of a descent from `start` (n,) of at most `evaluations` evaluations."""
     points: list[ProgrammePoint] = []
     begun = 0
 
@@ -93,25 +93,25 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDes
             if np.array_equal(each.x, x):
                 return each
         if len(points) >= evaluations:
-            raise _Spent
+            raise _OutOfEvaluations
         if len(points) - max(begun, _last_gain(points)) > PATIENCE:
-            raise _Idle
+            raise _Stalled
         points.append(programme(x))
         return points[-1]
 
     centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
     try:
         best = evaluate(centre)
-        while width >= SMALLEST and idle < IDLE and programme.variables:
+        while width >= SMALLEST and idle < STALLED and programme.variables:
             before, begun = best, len(points)
-            with suppress(_Idle):
+            with suppress(_Stalled):
                 _follow(programme, evaluate, points, centre, width)
             best = min(points, key=lambda each: each.rank)
             if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
                 break
             idle = 0 if _better(best, before) else idle + 1
             width, centre = SHRINKING * width, best.x
-    except _Spent:
+    except _OutOfEvaluations:
         pass
     best = min(points, key=lambda each: each.rank)
     return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
@@ -119,7 +119,7 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDes
 
 
 def _last_gain(points: list[ProgrammePoint]) -> int:
-    """How many points there were when the best one was found."""
+    """The number of points up to the best one."""
     return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
 
 
@@ -129,8 +129,8 @@ def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
 
 
 def _follow(
-    programme: Programme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint], centre: Real,
-    width: float
+    programme: NonlinearProgramme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint],
+    centre: Real, width: float,
 ) -> None:
     """SLSQP from `centre` (n,) within `width` to either side."""
     def clipped(x: Real) -> ProgrammePoint:
@@ -159,8 +159,8 @@ def _follow(
 
 
 def multipliers(point: ProgrammePoint) -> Multipliers:
-    """The multipliers of the bounds and ends that are active at `point`: none is negative, and what is left of the
-    slope is as small as they can make it (non-negative least squares)."""
+    """The multipliers of the bounds and ends that are active at `point`: none is negative, and they leave as little of
+    the slope as possible (non-negative least squares)."""
     count, size = len(point.margins), len(point.x)
     nothing = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), math.inf if not point.exists else 0.0)
     if not point.exists or not size:

@@ -61,7 +61,7 @@ class Driven:
     """
 
     model: DesignModel
-    asked: tuple[DrivenFigure, ...]
+    requested: tuple[DrivenFigure, ...]
     operation: Operation = field(default_factory=Operation)
 
     @property
@@ -70,19 +70,19 @@ class Driven:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        return tuple(each.label for each in self.asked)
+        return tuple(each.label for each in self.requested)
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
         return merged_evaluations([
             (mine, replace(self.model, figures=tuple(each.figure.name for each in mine),
                            operation=replace(self.operation, drive=mine[0].drive))(values, gradient=gradient))
-            for mine in by_drive(self.asked)])
+            for mine in by_drive(self.requested)])
 
 
-def by_drive(asked: Sequence[DrivenFigure]) -> list[tuple[DrivenFigure, ...]]:
+def by_drive(requested: Sequence[DrivenFigure]) -> list[tuple[DrivenFigure, ...]]:
     """Quantities in groups of one drive."""
-    drives = dict.fromkeys(str(each.drive) for each in asked)
-    return [tuple(each for each in asked if str(each.drive) == drive) for drive in drives]
+    drives = dict.fromkeys(str(each.drive) for each in requested)
+    return [tuple(each for each in requested if str(each.drive) == drive) for drive in drives]
 
 
 def merged_evaluations(parts: Sequence[tuple[Sequence[DrivenFigure], Evaluation]]) -> Evaluation:

@@ -1,4 +1,4 @@
-"""From a model with its numbers in place to the figures of a chip and their exact derivatives.
+"""Figures of a chip and their exact derivatives, from a model with its numbers in place.
 
 Every figure follows from one state, at the frequency that the chip is driven at, and from the states at the half-power
 frequencies. Where the drive follows f0, a change of a number moves the frequency too:
@@ -43,7 +43,7 @@ OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 @dataclass(frozen=True)
 class Operation:
-    """How a chip is operated: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
+    """The operation of a chip: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
     ``thermal_resistance`` (K/W) of regions for heating, the key "" standing for all regions not named."""
 
     drive: Drive = field(default_factory=VoltageDrive)
@@ -70,11 +70,11 @@ class Evaluation(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked of a model whose numbers are in place.
+    """A request for figures of a model whose numbers are in place.
 
     ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
-    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states
-    (size, columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
+    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states (size,
+    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
     """
 
     figures: tuple[str, ...]
@@ -92,7 +92,7 @@ class Question:
 
     @property
     def turns(self) -> Complex:
-        """(k,): what a number moves its complex parameter by, 1 or 1j."""
+        """(k,): the derivative of the complex parameter by each number, 1 or 1j."""
         return np.array([1j if ParameterName.parse(name).is_loss else 1.0 for name in self.names], dtype=complex)
 
     def unit(self, name: str) -> Real:
@@ -111,7 +111,8 @@ class FigureValues:
     state: LinearisedState | None
 
     def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
-        """For the numbers asked for, with the estimated error of the state's charge (none: of a full solve)."""
+        """The evaluation at the numbers asked for, with the estimated error of the state's charge (none: of a full
+        solve)."""
         names = self.question.figures
         nothing = Dual(math.nan, np.full(len(self.question.names), math.nan))
         found = {name: self.figures.get(name, nothing) for name in names}

@@ -1,5 +1,5 @@
-"""Evolutionary search (pymoo: Blank and Deb 2020, IEEE Access 8, 89497) for what has no slope: stock lengths, steps,
-and the front between two objectives. Its genetic algorithm for mixed variables sorts by ranks and crowding."""
+"""Evolutionary search (pymoo: Blank and Deb 2020, IEEE Access 8, 89497) over variables without a slope: stock lengths,
+steps, and the front between two objectives. Its genetic algorithm for mixed variables sorts by ranks and crowding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.goal import SearchOptions
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.design.variables import VariedNumber
 from workbench.jobs.workers import Workers, itself
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: What points without figures are given as objective and as broken margin: worse than any that has them.
+#: Objective and broken margin of points without figures: worse than any that has them.
 NOTHING = 1e3
 
 
@@ -39,7 +39,7 @@ class PopulationMember:
         return np.array([each.objective for each in self.points])
 
 
-def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> PopulationMember:
+def judge(programmes: Sequence[NonlinearProgramme], lengths: Mapping[str, float]) -> PopulationMember:
     """The member of these lengths (m): evaluated once, judged by every programme."""
     x = programmes[0].unknowns(lengths)
     evaluations = programmes[0].evaluations(x, gradient=False)
@@ -47,7 +47,7 @@ def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Popu
 
 
 def evolve(
-    programmes: Sequence[Programme], stock: Sequence[VariedNumber], search: SearchOptions,
+    programmes: Sequence[NonlinearProgramme], stock: Sequence[VariedNumber], search: SearchOptions,
     first: Sequence[Mapping[str, float]] = (), *, workers: Workers,
     say: Callable[[float], None] | None = None, better: Callable[[PopulationMember], None] | None = None,
 ) -> list[PopulationMember]:
@@ -90,7 +90,7 @@ def evolve(
 
 
 def undominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
-    """Those that keep all bounds and that no other one is better than in all objectives, by the first objective.
+    """The members that keep all bounds and that no other one is better than in all objectives, by the first objective.
 
     Where none keeps the bounds, the one nearest to it alone.
     """
@@ -142,7 +142,7 @@ def _gene(variable: VariedNumber, stock: Sequence[VariedNumber]) -> _Gene:
 
 
 def _problem(
-    genes: Sequence[_Gene], programmes: Sequence[Programme],
+    genes: Sequence[_Gene], programmes: Sequence[NonlinearProgramme],
     evaluate: Callable[[Sequence[Mapping[str, Any]]], list[PopulationMember]],
 ) -> Problem:
     """The problem as pymoo wants it."""

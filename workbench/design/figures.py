@@ -11,17 +11,17 @@ from dataclasses import dataclass
 
 from workbench.files.errors import InputError, choose
 
-#: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
+#: Units of changes where those of the figure itself are too large, and their factors to SI.
 OF_CHANGES = {"MHz": ("kHz", 1e3)}
 
-#: How the name of the share of the power that is lost in a region begins; the region follows.
+#: Head of the name of the share of the power that is lost in a region; the region follows.
 LOSS_SHARE = "loss."
 
 
 @dataclass(frozen=True)
 class Figure:
     """A figure by ``name``; ``unit`` SI, ``dimension`` as of `workbench.files.quantities.UNITS`, ``shown`` the unit it
-    is told in and ``factor`` what one of that is in SI."""
+    is written in and ``factor`` of that to SI."""
 
     name: str
     unit: str
@@ -67,7 +67,7 @@ def figure_named(name: str) -> Figure:
 
 
 def change_unit(figure: Figure) -> tuple[str, float]:
-    """The unit in which changes of a figure are told, and what one of it is in SI."""
+    """The unit in which changes of a figure are written, and its factor to SI."""
     return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
 
 

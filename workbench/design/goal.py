@@ -1,24 +1,17 @@
-"""What a chip is to be best at, what of it may change, and what it must keep to: the content of GOAL.toml.
+"""The goal of a design: objectives, the variables of the chip, and its constraints, as GOAL.toml states them.
 
-    [goal]
-    chip = "chip.toml"                        # where the search starts; the path is relative to this file
-    state = "filled"
-    drive = "10 Vpp"                          # or "1 W": a figure per volt or per watt is the figure at that drive
-    maximise = "e_ac"                         # or minimise = "focus_time"; two of them give a Pareto front
-    constraints = ["trap_offset within 50 um of 0 um", "heating <= 5 K",
-                   "substrate.radius - cavity.radius >= 0.8 mm"]
+[goal] chip = "chip.toml"                        # where the search starts; the path is relative to this file state =
+"filled" drive = "10 Vpp"                          # or "1 W": a figure per volt or per watt is the figure at that drive
+maximise = "e_ac"                         # or minimise = "focus_time"; two of them give a Pareto front constraints =
+["trap_offset within 50 um of 0 um", "heating <= 5 K",                "substrate.radius - cavity.radius >= 0.8 mm"]
 
-    [variables]
-    substrate.thickness = { from = "0.7 mm", to = "1.0 mm", step = "20 um" }    # layers of a printer
-    sidewall.thickness = { from = "0.65 mm", to = "0.8 mm" }
-    superstrate.thickness = { values = ["0.15 mm", "0.5 mm", "1.0 mm"] }        # stock
-    superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+[variables] substrate.thickness = { from = "0.7 mm", to = "1.0 mm", step = "20 um" }    # layers of a printer
+sidewall.thickness = { from = "0.65 mm", to = "0.8 mm" } superstrate.thickness = { values = ["0.15 mm", "0.5 mm", "1.0
+mm"] }        # stock superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 
-    [thermal]
-    all = "12 K/W"                            # or of single regions: kelvin per watt lost there
+[thermal] all = "12 K/W"                            # or of single regions: kelvin per watt lost there
 
-    [search]
-    starts = 10
+[search] starts = 10
 """
 
 from __future__ import annotations
@@ -71,13 +64,13 @@ class DesignObjective:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How the optimum is looked for.
+    """Options of the search for the optimum.
 
     ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
-    the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model
-    extends to either side of its middle, relative to the length there; within wider bounds models are moved, at most
-    ``moves`` times. ``relative_error``: of the impedance on them. ``population`` and ``generations`` of the
-    evolutionary search, which ``evolutionary`` asks for.
+    the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model extends
+    to either side of its middle, relative to the length there; within wider bounds models are moved, at most ``moves``
+    times. ``relative_error``: of the impedance on them. ``population`` and ``generations`` of the evolutionary search,
+    which ``evolutionary`` asks for.
     """
 
     starts: int = 10
@@ -95,7 +88,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class Robust:
-    """A figure stands for what is left of it over the uncertainty of the chip.
+    """The statistics of a figure over the uncertainty of the chip that stand for the figure.
 
     That is its ``quantile`` on the bad side (0.05: what 95 % of the chips reach), or its mean where that is None, by so
     many ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the ``materials`` if

@@ -5,7 +5,7 @@
     found = model({"substrate.thickness": 0.83e-3}, gradient=True)
     found.figures["e_ac"], found.gradient["e_ac"]
 
-What figures need of a range model is far less than its spectra (`workbench.design.bases`).
+Figures need far less of a range model than its spectra (`workbench.design.bases`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
 from workbench.jobs.progress import Progress, no_progress
-from workbench.model.dimensions import flexible, flexible_within
+from workbench.model.dimensions import parametrised, parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
@@ -51,7 +51,7 @@ TOLERANCE = 1e-5
 
 
 class Evaluator(Protocol):
-    """Whatever gives figures for numbers of parameters: what studies, tolerances and optimisation ask."""
+    """The figures at numbers of parameters, as studies, tolerances and optimisation need them."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,8 +203,8 @@ def full_evaluation(
     gradient: bool = False,
     accuracy: float | Discretisation = ACCURACY,
 ) -> Evaluation:
-    """The same figures by full solves on a mesh of the chip's own: lengths among `values` are built in, coefficients
-    replaced. What a reduced model says is confirmed by this.
+    """The figures by full solves on a mesh of the chip's own, which confirm those of a reduced model: lengths among
+    `values` are built in, coefficients replaced.
 
     A reduced model of these numbers alone, to :data:`TOLERANCE`, says where the resonance is; the states at f0 and at
     the half-power frequencies are full ones.
@@ -221,9 +221,9 @@ def full_evaluation(
     if gradient and lengths:
         parsed = [ParameterName.parse(n) for n in lengths]
         if moved.is_profiled:
-            problem = flexible_within(problem, moved, {n: about(moved, n) for n in lengths})
+            problem = parametrised_within(problem, moved, {n: about(moved, n) for n in lengths})
         else:
-            problem = flexible(problem, moved, [str(n) for n in parsed if n.is_radius],
+            problem = parametrised(problem, moved, [str(n) for n in parsed if n.is_radius],
                                {str(n): about(moved, str(n)) for n in parsed if n.is_shape})
     unknown = sorted(n for n in others if ParameterName.parse(n).key not in problem.values)
     if unknown:

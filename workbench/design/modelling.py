@@ -17,10 +17,10 @@ from materials.registry import Registry
 from workbench.design.boxes import Box, TrustRegion, middle, variables_in_box
 from workbench.design.evaluation import OF_FIELD, Evaluation
 from workbench.design.goal import TOLERANCE, Goal, Robust
+from workbench.design.input_uncertainty import stated_uncertainty
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
-from workbench.design.programme import Programme
-from workbench.design.spread import Spread
-from workbench.design.stated import stated_uncertainty
+from workbench.design.nonlinear_programme import NonlinearProgramme
+from workbench.design.scenarios import ScenarioSample
 from workbench.design.variables import Selection, changed, first_name
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
@@ -33,7 +33,7 @@ from workbench.reduced.ranges import NotCovered, Progress
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
-#: The same within one row.
+#: Called with what is done within one row, and the share of it that is done.
 Say = Callable[[str, float], None]
 
 #: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
@@ -47,7 +47,7 @@ DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
 class Solver(Protocol):
-    """What gives the figures of chips: models of boxes, and full solves."""
+    """Models of boxes of chips, and full solves of single chips."""
 
     def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> Evaluator:
         """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
@@ -69,7 +69,7 @@ class ChipSolver:
     accuracy: float | Discretisation
 
     def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> DesignModel:
-        """As of :class:`Solver`.
+        """The model of a box; see :class:`Solver`.
 
         Raises:
             InputError: the goal has figures of fields, and no chip with these lengths has any.
@@ -131,14 +131,14 @@ class Known:
 class Modelling:
     """A model and the programme on it.
 
-    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``reach`` how far boxes extend; ``seconds``
-    what the model took.
+    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``trust_region`` the extent of boxes;
+    ``seconds`` the time to make the model.
     """
 
     chip: Chip
     box: Box
-    reach: TrustRegion
-    programme: Programme
+    trust_region: TrustRegion
+    programme: NonlinearProgramme
     seconds: float
 
     @property
@@ -152,12 +152,13 @@ class Modelling:
 
 
 def modelled(
-    goal: Goal, selection: Selection, about: Mapping[str, float], reach: TrustRegion, solver: Solver, say: Say,
-    spread: Spread | None = None,
+    goal: Goal, selection: Selection, about: Mapping[str, float], trust_region: TrustRegion, solver: Solver, say: Say,
+    scenarios: ScenarioSample | None = None,
 ) -> Modelling:
-    """The programme of a goal on a model about the lengths `about` (m), as wide as `reach` and the bounds let it.
+    """The programme of a goal on a model about the lengths `about` (m), as wide as the trust region and the bounds let
+    it.
 
-    With a `spread` the model covers that too; the programme is still that of the nominal chip.
+    With `scenarios` the model covers those too; the programme is still that of the nominal chip.
 
     Raises:
         NotCovered: no model, even of a box halved :data:`HALVED` times.
@@ -165,31 +166,32 @@ def modelled(
     started = time.perf_counter()
     chosen = changed(goal.chip, selection.stock, selection.materials)
     for turn in range(HALVED + 1):
-        box = reach.about(about, goal.unknowns)
+        box = trust_region.about(about, goal.unknowns)
         chip = changed(chosen, middle(box))
-        ranges = _widened(box, chip, spread)
+        ranges = _with_scenarios(box, chip, scenarios)
         say("model", 0.0)
         try:
             model = solver.model(chip, ranges, partial(say, "model")) if ranges else Known(solver.full(chip))
         except NotCovered:
             if turn == HALVED:
                 raise
-            reach = reach.halved()
+            trust_region = trust_region.halved()
             continue
         lengths = {name: each.value for name, each in chip.dimensions().items()}
-        programme = Programme(model, variables_in_box(goal.unknowns, box), goal.objectives[0], goal.bounds, lengths)
-        return Modelling(chip, box, reach, programme, time.perf_counter() - started)
+        variables = variables_in_box(goal.unknowns, box)
+        programme = NonlinearProgramme(model, variables, goal.objectives[0], goal.bounds, lengths)
+        return Modelling(chip, box, trust_region, programme, time.perf_counter() - started)
     raise AssertionError("unreachable")
 
 
-def _widened(box: Box, chip: Chip, spread: Spread | None) -> Box:
-    """The box with what samples move its lengths by, and with the numbers that only samples move."""
+def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> Box:
+    """The box widened by the offsets of the scenarios, with the numbers that they alone move."""
     found = dict(box)
-    if spread is None:
+    if scenarios is None:
         return found
     dimensions = chip.dimensions()
-    for name in spread.names:
-        values = [each[name] for each in spread.samples]
+    for name in scenarios.names:
+        values = [each[name] for each in scenarios.samples]
         present = dimensions[name].value if name in dimensions else 0.0
         low, high = box.get(name, (present, present))
         found[name] = (low + min(0.0, *values), high + max(0.0, *values)) if name in dimensions else (
@@ -197,8 +199,8 @@ def _widened(box: Box, chip: Chip, spread: Spread | None) -> Box:
     return found
 
 
-def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
-    """Samples of what is uncertain of a goal's chip; None where the goal is not a robust one.
+def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSample | None:
+    """The scenario sample of the uncertainty of a goal's chip; None where the goal is not a robust one.
 
     Raises:
         InputError: nothing is uncertain, or a tolerance or a posterior cannot be used.
@@ -214,12 +216,13 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
         raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}
     points = stated.draw(robust.samples, goal.search.seed).points
-    return Spread(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
+    return ScenarioSample(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
                         for point in points), robust.quantile, stated.covariance)
 
 
-def reach_of(goal: Goal) -> TrustRegion:
-    """How far the models of a goal extend at first: a share of the present lengths, or of the nearest within bounds."""
+def trust_region_of(goal: Goal) -> TrustRegion:
+    """The first trust region of the models of a goal: a share of the present lengths, or of the nearest within bounds.
+    """
     return TrustRegion.relative(present_of(goal), goal.search.reach)
 
 

@@ -19,11 +19,11 @@ from functools import partial
 from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.candidate import Confirmed, RoundedDesign, confirmed
-from workbench.design.choice import Keep, Searched, search_choice
+from workbench.design.choice import ChoiceResult, Keep, search_choice
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
-from workbench.design.modelling import ChipSolver, Solver, spread_of
-from workbench.design.programme import ProgrammePoint
+from workbench.design.modelling import ChipSolver, Solver, scenario_sample
+from workbench.design.nonlinear_programme import ProgrammePoint
 from workbench.design.variables import selections
 from workbench.jobs.progress import Progress, by_part, no_progress
 from workbench.jobs.workers import begin_workers
@@ -47,13 +47,13 @@ class Design(Brief):
     before: Evaluation
     best: Confirmed | None
     rejected: tuple[Confirmed, ...]
-    searched: tuple[Searched, ...]
+    searched: tuple[ChoiceResult, ...]
     front: tuple[Confirmed | RoundedDesign, ...] = ()
     why_not: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def chosen(self) -> Searched:
+    def chosen(self) -> ChoiceResult:
         """The choice that the best chip, or else the best candidate, is of.
 
         Raises:
@@ -88,7 +88,7 @@ def optimise(
     """
     started = time.perf_counter()
     solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
-    spread = spread_of(goal, registry)
+    spread = scenario_sample(goal, registry)
     report = by_part(progress)
     report("before", "full solve", 0.0)
     before = solver.full(goal.chip)
@@ -99,7 +99,7 @@ def optimise(
     with begin_workers(jobs or (1 if executor is None else goal.search.starts), executor) as workers:
         for index, selection in enumerate(choices):
             row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
-            searched.append(search_choice(goal, selection, solver, spread=spread, workers=workers,
+            searched.append(search_choice(goal, selection, solver, scenarios=spread, workers=workers,
                                           say=partial(report, row), keep=keep))
     spent = time.perf_counter() - started
     found = (_best if len(goal.objectives) == 1 else _front)(goal, searched, solver, partial(report, "confirm"))
@@ -123,7 +123,7 @@ def _improving(keep: Keep) -> Keep:
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """What full solves leave of the candidates."""
+    """The verdicts of full solves on the candidates."""
 
     best: Confirmed | None
     rejected: tuple[Confirmed, ...]
@@ -131,7 +131,7 @@ class _Outcome:
     why_not: str
 
 
-def _best(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
+def _best(goal: Goal, searched: Sequence[ChoiceResult], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
     """The best candidate that a full solve confirms."""
     candidates = sorted((each for one in searched for each in one.candidates), key=lambda each: each.point.rank)
     kept = [each for each in candidates if each.holds][:CONFIRMED_AT_MOST]
@@ -148,7 +148,7 @@ def _best(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callabl
     return _Outcome(None, (), (), _why_not(candidates))
 
 
-def _front(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
+def _front(goal: Goal, searched: Sequence[ChoiceResult], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
     """The front between two objectives over all choices, confirmed at its ends and at its knee, which is the best.
 
     The knee is nearest to having both objectives at their best, each counted over its extent on the front.

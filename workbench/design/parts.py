@@ -47,7 +47,7 @@ class StudyPart:
 
 
 class Models(Protocol):
-    """Where the models of a study come from. What is done by :meth:`confirmed` may be done in another process."""
+    """The source of the models of a study. :meth:`confirmed` may be called in another process."""
 
     def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
         """The model of a part, an `Evaluator` pickled: what the file `path` holds if there is one, and does once this
@@ -86,11 +86,11 @@ def ranges_of(study: Study, part: StudyPart) -> Ranges:
 
 @dataclass(frozen=True)
 class ReducedModels:
-    """Design models, kept on disk, and on the way the range models they are made from; confirmed by full solves on a
-    mesh of the chip's own.
+    """Design models, kept on disk with the range models they are made from; confirmed by full solves on a mesh of the
+    chip's own.
 
-    What is on the disk is used in any case, also right after it was made: arrays that are laid out otherwise in memory
-    give other last bits.
+    A model on the disk is used in any case, also right after it was made: arrays of another layout in memory give other
+    last bits.
     """
 
     def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:

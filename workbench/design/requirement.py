@@ -1,4 +1,4 @@
-"""What a chip must do, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
+"""A requirement on a chip, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
 
     <figure> within <margin> [of <centre>] [at <drive>]
     <figure> >= <number> [at <drive>]          or <=
@@ -106,7 +106,7 @@ def _within(text: str, named: Figure, drive: Drive | None, what: str, source: st
 
     centred = _CENTRED.fullmatch(what)
     written = what if centred is None else centred["margin"]
-    # A figure that is itself told in per cent has its margin in the same.
+    # A figure in per cent has its margin in per cent.
     relative = written.rstrip().endswith("%") and named.shown != "%"
     margin = number(written, "dimensionless" if relative else named.dimension)
     centre = None if centred is None else number(centred["centre"], named.dimension)

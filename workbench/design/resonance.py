@@ -157,14 +157,14 @@ def _inner(neighbour: float, f0: float, step: int) -> float:
 
 
 def _vertex(x: Real, y: Real) -> float:
-    """Where the parabola through three points has its minimum."""
+    """The place of the minimum of the parabola through three points."""
     centre, scale = x[1], x[2] - x[0]
     second, first, _ = np.polyfit((x - centre) / scale, y, 2)
     return float(centre - scale * first / (2.0 * second)) if second > 0.0 else float(centre)
 
 
 def _crossing(frequency: Real, level: Real, outer: int, step: int, half: float, at: LinearisedState) -> float:
-    """Where a straight line from one point inwards crosses `half`."""
+    """The place where a straight line from one point inwards crosses `half`."""
     inner = _inner(float(frequency[outer + step]), at.frequency, step)
     low = log_impedance(at) if inner == at.frequency else float(level[outer + step])
     share = (float(level[outer]) - half) / max(float(level[outer]) - low, 1e-300)

@@ -1,4 +1,4 @@
-"""Which points a study has: all combinations on a grid, the rows of a list, or a sample spread over the ranges."""
+"""Points of a study: all combinations on a grid, the rows of a list, or a sample spread over the ranges."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Sampling:
 
 
 def read_sampling(table: FileTable) -> Sampling:
-    """What the table [sample] says; a grid where there is none.
+    """The sampling that the table [sample] states; a grid where there is none.
 
     Raises:
         InputError: an unknown method, or points of a grid or a list.

@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import SearchOptions
-from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
 from workbench.jobs.workers import Workers, itself
 from workbench.search.optimum import distinct, is_same_optimum
 
@@ -50,7 +50,7 @@ class Attempt:
         return self.descents[0]
 
 
-def attempt(programme: Programme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
+def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
     """The start of that number; with `present` (n,) that point is descended from too."""
     size = len(programme.variables)
     sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
@@ -66,7 +66,7 @@ def attempt(programme: Programme, search: SearchOptions, number: int, present: R
 
 
 def search_all(
-    programme: Programme, search: SearchOptions, present: Real, *, workers: Workers,
+    programme: NonlinearProgramme, search: SearchOptions, present: Real, *, workers: Workers,
     finished: Callable[[Attempt], None] | None = None,
 ) -> list[Attempt]:
     """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
@@ -82,7 +82,7 @@ def search_all(
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
-    """The distinct optima, the best first; ends that are not stationary are told apart like the others.
+    """The distinct optima, the best first; ends that are not stationary are compared like the others.
 
     A start counts for the optimum that its best descent found.
     """
@@ -94,10 +94,10 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 
 
 def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether two points with figures are one optimum; what is known of an unknown beforehand is its range."""
+    """Whether two points with figures are one optimum; the scale of an unknown is its range."""
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
 def feasible(found: Iterable[Optimum]) -> list[Optimum]:
-    """Those that keep all bounds."""
+    """The optima that keep all bounds."""
     return [each for each in found if each.descent.feasible]

@@ -1,10 +1,11 @@
-"""What matters: how every figure of a chip changes with every number, at the chip as stated and over its uncertainty.
+"""Sensitivities: the change of every figure of a chip with every number, at the chip as stated and over its
+uncertainty.
 
-Derivatives are exact ones of full solves (`workbench.design.model.full_evaluation`); how far a figure moves is told for
-the standard uncertainty of each number, or for :data:`SHARE` of the number where none is stated. Sobol indices say
-which share of a figure's variance a number causes, alone (first order) and with all others (total).
+Derivatives are exact ones of full solves (`workbench.design.model.full_evaluation`); the change of a figure is given
+for the standard uncertainty of each number, or for :data:`SHARE` of the number where none is stated. Sobol indices give
+the share of a figure's variance that a number causes, alone (first order) and with all others (total).
 
-(`workbench sensitivity` is another question: which constants of a free disc its spectrum tells, as in the paper.)
+(`workbench sensitivity` is another question: which constants of a free disc its spectrum determines, as in the paper.)
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from workbench.model.numbers import Number
 Real = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-#: Change of a number whose uncertainty nobody states, relative: the unit that its influence is told in.
+#: Change of a number whose uncertainty nobody states, relative: the unit of its influence.
 SHARE = 0.01
 
 #: Confidence of the intervals of Sobol indices.
@@ -52,11 +53,11 @@ class Sensitivities:
     gradient: Mapping[str, Real]
 
     def changes(self, label: str) -> Real:
-        """By how much (k,) the figure changes where each number grows by its step, to first order."""
+        """The change (k,) of the figure as each number grows by its step, to first order."""
         return self.gradient[label] * self.steps
 
     def ranked(self, label: str) -> list[int]:
-        """The numbers by the size of what they change, largest first; those whose influence is unknown last."""
+        """The numbers by the size of their effect on the figure, largest first; those of unknown influence last."""
         size = np.abs(self.changes(label))
         return sorted(range(len(self.names)), key=lambda k: -size[k] if math.isfinite(size[k]) else math.inf)
 

@@ -35,7 +35,7 @@ from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
 
-#: What begun.json begins with; raise it where the layout changes.
+#: Number of the layout at the head of begun.json; raise it where the layout changes.
 FORMAT = 1
 
 _BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full.", ".lock"
@@ -72,12 +72,12 @@ class FinishedPoints:
         return together.chosen(order)
 
     def chosen(self, at: NDArray[np.int64]) -> FinishedPoints:
-        """Those at places (m,)."""
+        """The points at places (m,)."""
         return FinishedPoints(*(getattr(self, column.name)[at] for column in fields(self)))
 
 
 def _reasons(found: Evaluation) -> str:
-    """Why figures are missing: each reason once, behind the figures it is of."""
+    """Reasons why figures are missing, each once, behind the figures it is of."""
     reasons: dict[str, list[str]] = {}
     for name, reason in found.missing.items():
         reasons.setdefault(reason, []).append(name)
@@ -100,7 +100,7 @@ class StudyFolder:
         write_atomic(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
 
     def keep_full(self, rows: FinishedPoints) -> None:
-        """The same for one point by a full solve."""
+        """Put the full solve of one point on the disk."""
         write_atomic(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
 
     def rows(self) -> FinishedPoints:
@@ -137,13 +137,13 @@ def opened(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
 
 
 def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool) -> None:
-    begun, asked = path / _BEGUN, asked_of(study, parts)
+    begun, asked = path / _BEGUN, study_description(study, parts)
     if begun.exists() and overwrite:
         # First: points without it are nobody's, and are cleared away below.
         begun.unlink()
     if begun.exists():
         _check_same(json.loads(begun.read_text(encoding="utf-8")), asked, path, study)
-        # What a kill left of a file that was being written.
+        # Files that a kill left half written.
         for stray in (*(path / _MODELS).glob(".*"), *(path / _POINTS).glob(".*")):
             shutil.rmtree(stray)
         return
@@ -153,15 +153,16 @@ def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
     write_json(begun, asked)
 
 
-def _check_same(begun: dict[str, str], asked: dict[str, str], path: Path, study: Study) -> None:
-    for key in {**asked, **begun}:
-        if begun.get(key) != asked.get(key):
-            raise InputError(study.file, key, asked.get(key, "nothing"), f"{begun.get(key, 'nothing')!r}, with which "
-                             f"the study in {path} was begun; choose another folder, or overwrite it (--overwrite)")
+def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
+    for key in {**requested, **stored}:
+        if stored.get(key) != requested.get(key):
+            raise InputError(study.file, key, requested.get(key, "nothing"),
+                             f"{stored.get(key, 'nothing')!r}, with which the study in {path} was begun; choose "
+                             "another folder, or overwrite it (--overwrite)")
 
 
-def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
-    """All that decides the table of a study, as texts by the name of what they are of."""
+def study_description(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
+    """All settings that decide the table of a study, as texts by the name of the setting."""
     operation, sampling = study.operation, study.sampling
     found = {
         "format": str(FORMAT), "version": importlib.metadata.version("acoustofluidic-chip-workbench"),

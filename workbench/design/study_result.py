@@ -1,4 +1,5 @@
-"""What a study found: its table, as columns, as an xarray and as files; statistics; and how far full solves differ."""
+"""The result of a study: its table, as columns, as an xarray and as files; statistics; and the differences of full
+solves."""
 
 from __future__ import annotations
 
@@ -64,7 +65,7 @@ class Confirmation:
 
     @property
     def difference(self) -> float:
-        """Of the reduced model from the full solve, SI."""
+        """Difference of the reduced model from the full solve, SI."""
         return self.reduced - self.full
 
 
@@ -84,7 +85,7 @@ class StudyResult(Shown):
         states, count = np.array(plan.states, dtype=np.str_), len(plan.sample)
         found: dict[str, NDArray[Any]] = {STATE: np.repeat(states, count)}
         for axis, column in zip(plan.axes, plan.sample.T, strict=True):
-            found[axis.name] = np.tile(_told(axis, column), len(plan.states))
+            found[axis.name] = np.tile(_formatted(axis, column), len(plan.states))
         found |= dict(zip(plan.figures, self.rows.figures.T, strict=True))
         return {**found, FREQUENCY: self.rows.frequency, ERROR: self.rows.error, MISSING: self.rows.missing}
 
@@ -96,7 +97,7 @@ class StudyResult(Shown):
 
     @cached_property
     def statistics(self) -> tuple[Statistic, ...]:
-        """Of every figure in every state."""
+        """Statistics of every figure in every state."""
         states = self.columns[STATE]
         return tuple(_statistic(state, name, np.flatnonzero(states == state), self.columns[name])
                      for state in self.study.states for name in self.study.figures)
@@ -137,7 +138,7 @@ class StudyResult(Shown):
         coordinates: dict[str, Any] = {STATE: (STATE, list(plan.states))}
         for axis, column in zip(plan.axes, plan.sample.T, strict=True):
             attributes = {"long_name": axis.name} | ({"units": axis.unit} if isinstance(axis, VariedNumber) else {})
-            told = _told(axis, axis.levels() if grid else column)
+            told = _formatted(axis, axis.levels() if grid else column)
             coordinates[names[axis.name]] = (names[axis.name] if grid else "point",
                                              told if isinstance(axis, VariedNumber) else list(told), attributes)
         data: dict[str, Any] = {}
@@ -172,7 +173,7 @@ class StudyResult(Shown):
         write_json(folder / "study.json", self.record())
 
     def record(self) -> dict[str, Any]:
-        """What was asked, statistics and confirmations; numbers in SI, None where there is none."""
+        """The request, statistics and confirmations; numbers in SI, None where there is none."""
         plan = self.study
         return {
             "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
@@ -190,8 +191,8 @@ class StudyResult(Shown):
         }
 
 
-def _told(axis: Variable, column: Real) -> NDArray[Any]:
-    """A column of the sample as it is told: numbers, or names of materials."""
+def _formatted(axis: Variable, column: Real) -> NDArray[Any]:
+    """A column of the sample as it is shown: numbers, or names of materials."""
     return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
 
 

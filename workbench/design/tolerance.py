@@ -1,4 +1,5 @@
-"""Will it still work as it comes from the printer: yield, what limits it, and what to make more exactly.
+"""Yield of a chip as it is made: the share that meets its requirements, the numbers that limit it, and the tolerances
+to tighten.
 
     found = tolerance(read_chip("chip.toml"), "filled", ["f0 within 5 kHz", "e_ac >= 20 J/m^3 at 10 Vpp"])
     found.yields.together.sampled, found.yields.tightenings[0]
@@ -23,6 +24,7 @@ from workbench.design.centre import centred_chip
 from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
+from workbench.design.input_uncertainty import Statement, numbers_of, stated_uncertainty
 from workbench.design.model import design_model, full_evaluation
 from workbench.design.outcomes import PARCEL, Outcomes, evaluate
 from workbench.design.requirement import Requirement, parse_requirements
@@ -34,7 +36,6 @@ from workbench.design.sensitivity import (
     sensitivities,
     sobol,
 )
-from workbench.design.stated import Statement, numbers_of, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError
@@ -56,8 +57,8 @@ ALWAYS = ("f0", "z_min", "q")
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """What the samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds taken
-    to make it, and by how much each figure differs at the mean numbers from that of full solves, relative, by label."""
+    """The model that samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds
+    to make it, and the relative difference of each figure at the mean numbers from that of full solves, by label."""
 
     rank: int
     error: float
@@ -67,18 +68,18 @@ class ModelFacts:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerance(Shown):
-    """What tolerances and uncertainties leave of a chip in a ``state``.
+    """The figures of a chip in a ``state`` under its tolerances and uncertainties.
 
-    ``asked`` are the figures with their drives; ``frequency`` (Hz) is what it is driven at, None where the drive
+    ``requested`` are the figures with their drives; ``frequency`` (Hz) is the driving frequency, None where the drive
     follows f0. ``sensitivities`` are those at the mean numbers. ``outcomes`` holds the samples and their figures,
-    ``redrawn`` how many draws were not admissible, ``yields`` what became of the requirements (None without any),
-    ``sobol`` the indices if they were asked for. ``seconds`` is what all took.
+    ``redrawn`` how many draws were not admissible, ``yields`` those of the requirements (None without any), ``sobol``
+    the indices if they were requested. ``seconds`` is the time that all took.
     """
 
     chip: Chip
     state: str
     uncertainty: Uncertainty
-    asked: tuple[DrivenFigure, ...]
+    requested: tuple[DrivenFigure, ...]
     drive: Drive
     frequency: float | None
     sensitivities: Sensitivities
@@ -93,7 +94,7 @@ class Tolerance(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What there is to know beside the numbers, in words."""
+        """Further statements, in words."""
         found = [*self.uncertainty.notes]
         found += [f"the chip as stated does not meet {each.requirement.text!r} itself" for each in self.bounds
                   if not each.low <= each.nominal <= each.high]
@@ -155,7 +156,7 @@ def tolerance(
 
     Args:
         requirements: sentences as of `workbench.design.requirement`.
-        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.stated`).
+        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.input_uncertainty`).
         figures: further figures to look at.
         drive: of figures for which a requirement states none, 10 Vpp by default.
         thermal_resistance: K/W by region, for heating; "" for all regions not named.
@@ -183,7 +184,7 @@ def tolerance(
     asked = driven_figures(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
     check_tolerance_request(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
-    # What a fit says may lie far from what chip file and registry do: a model of both would be large for nothing.
+    # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
     there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(thermal_resistance=thermal_resistance or {})
     full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)
@@ -226,11 +227,11 @@ def check_tolerance_request(
 
 @dataclass(frozen=True, eq=False)
 class _Full:
-    """Full solves of one chip at the drives of what is asked."""
+    """Full solves of one chip at the drives of the requested figures."""
 
     chip: Chip
     state: str
-    asked: tuple[DrivenFigure, ...]
+    requested: tuple[DrivenFigure, ...]
     operation: Operation
     registry: Registry | None
     band: tuple[float, float] | None
@@ -241,7 +242,7 @@ class _Full:
         return merged_evaluations([(mine, full_evaluation(
             self.chip, self.state, values, figures=[each.figure.name for each in mine],
             operation=replace(self.operation, drive=mine[0].drive), registry=self.registry, band=self.band,
-            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.asked)])
+            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.requested)])
 
     def resonance(self, values: Mapping[str, float]) -> float:
         """f0 (Hz).
@@ -257,9 +258,9 @@ class _Full:
         return found.figures["f0"]
 
 
-def _bound(each: Requirement, asked: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
+def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
            chip: Chip) -> RequiredRange:
-    label = label_of(each, asked, drive)
+    label = label_of(each, requested, drive)
     if label in nominal.missing or not math.isfinite(nominal.figures[label]):
         raise InputError(chip.file, f'requirement "{each.text}"', nominal.missing.get(label, "no such figure"),
                          f"a chip that as stated has the figure {each.figure.name}")
@@ -272,13 +273,13 @@ def _sampled(
 ) -> Tolerance:
     """`found` with samples and yields, and with Sobol indices if asked for."""
     known = found.uncertainty
-    names = tuple(dict.fromkeys(each.figure.name for each in found.asked))
+    names = tuple(dict.fromkeys(each.figure.name for each in found.requested))
     started = time.perf_counter()
     made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
                         band=full.band, relative_error=relative_error, accuracy=full.accuracy, seed=found.seed,
                         progress=lambda _text, share: say("range model", share))
     spent = time.perf_counter() - started
-    model = Driven(made, found.asked, full.operation)
+    model = Driven(made, found.requested, full.operation)
     there = model(known.nominal()).figures
     nominal = found.sensitivities.figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}

@@ -2,7 +2,7 @@
 
 A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
 its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.
-What a registry or a fit calls an uncertainty is a standard uncertainty of a normal law. Normal laws are cut
+An uncertainty in a registry or a fit is a standard uncertainty of a normal law. Normal laws are cut
 at three standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
 """
 
@@ -104,13 +104,13 @@ class Uncertainty:
                             max(each.high, known.get(each.name, each.high))) for each in self.inputs}
 
     def without(self, names: Sequence[str]) -> Uncertainty:
-        """The same with the numbers called `names` at their means."""
+        """A copy with the numbers called `names` at their means."""
         kept = [k for k, each in enumerate(self.inputs) if each.name not in names]
         return replace(self, inputs=tuple(self.inputs[k] for k in kept),
                        correlation=self.correlation[np.ix_(kept, kept)])
 
     def draw(self, count: int, seed: int = 0) -> Samples:
-        """`count` samples; those outside of what is admissible are drawn again as a whole, which keeps the law.
+        """`count` samples; draws that are not admissible are drawn again as a whole, which keeps the law.
 
         Raises:
             InputError: hardly any draw is admissible (:data:`LEAST_ACCEPTED`).
@@ -121,9 +121,9 @@ class Uncertainty:
         drawn = 0
         while len(found) < count:
             scores = generator.standard_normal((count, len(self.inputs))) @ root.T
-            points = self._placed(scores, generator)
+            points = self._from_scores(scores, generator)
             good = points[self._admissible(points)]
-            # What is drawn beyond the last one that is needed was never looked at.
+            # Draws beyond the last one that is needed do not count.
             needed = count - len(found)
             drawn += count if len(good) <= needed else 1 + int(np.flatnonzero(self._admissible(points))[needed - 1])
             found = np.concatenate([found, good[:needed]])
@@ -132,7 +132,7 @@ class Uncertainty:
                                  "uncertainties that leave the chip a chip and its materials passive: smaller ones")
         return Samples(found, drawn - count)
 
-    def _placed(self, scores: Real, generator: np.random.Generator) -> Real:
+    def _from_scores(self, scores: Real, generator: np.random.Generator) -> Real:
         """Samples (n, k) of normal `scores` (n, k); uniform laws draw their own."""
         points = self.means + self.deviations * scores
         for k, each in enumerate(self.inputs):
@@ -162,11 +162,7 @@ def _root(correlation: Real) -> Real:
 
 
 def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> Number:
-    """A `number` that is known as `stated`, its range cut to the law, to what it can be, and to `ends`.
-
-    Raises:
-        InputError: a number that may be zero, or of the other sign, and must not.
-    """
+    """A `number` with the uncertainty `stated`, its range cut to the law, to the values it can have, and to `ends`."""
     low, high = number.value - stated.half_width, number.value + stated.half_width
     if number.low == 0.0 < number.value and low <= 0.0 and not number.is_loss:
         raise InputError(stated.origin, number.name, f"{number.value:g} within {stated.half_width:g}",

@@ -16,7 +16,7 @@ from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
 
-#: How the name of what fills a region ends, as something that varies.
+#: Tail of the name of a region's material as a variable.
 MATERIAL = ".material"
 
 #: To what lengths are rounded at the end (m): finer than any process, coarser than the noise of arithmetic.
@@ -133,7 +133,7 @@ def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Ite
 
 
 def first_name(chip: Chip, name: str) -> str:
-    """What a length is called: of radii that coincide, which change together, the first one's name."""
+    """The name of a length: of radii that coincide, which change together, the first one's name."""
     return canonical_names(chip).get(name, name)
 
 

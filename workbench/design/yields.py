@@ -1,8 +1,8 @@
-"""Which share of the chips that are made does what it must: by samples of a model, and by its linearisation.
+"""Yields: the share of the chips made that meets the requirements, by samples of a model, and by its linearisation.
 
 The linear estimate takes every figure as its value at the mean numbers and its exact derivatives there. On the same
-samples it says how far a chip is from linear within its tolerances; on many more it makes what is learnt from few
-samples sharper (control variates), such as what half a tolerance would buy.
+samples it shows how far a chip is from linear within its tolerances; on many more it sharpens estimates from few
+samples (control variates), such as the gain of half a tolerance.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ class RequirementYield:
 
 @dataclass(frozen=True)
 class Tightening:
-    """What half the uncertainty of the number ``name`` would add to the yield of all requirements together: ``gain``
-    with its standard ``error``; ``linear`` is the linear estimate of it."""
+    """The gain in the yield of all requirements together if the number ``name`` had half its uncertainty: ``gain`` with
+    its standard ``error``; ``linear`` is the linear estimate of it."""
 
     name: str
     gain: float
@@ -173,7 +173,7 @@ class _Met:
 
     @property
     def off(self) -> Real:
-        """What the model says and its linearisation does not (n,): 1, 0 or -1."""
+        """The model's verdict less the one of its linearisation (n,): 1, 0 or -1."""
         return self.model.astype(float) - self.linear
 
 
@@ -183,13 +183,13 @@ def _compared(of: RequiredRange | None, met: _Met) -> RequirementYield:
 
 
 def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: _Met) -> Tightening:
-    """What half the uncertainty of input `k` buys: the samples weighed as if they were of the narrower law.
+    """The gain of half the uncertainty of input `k`: the samples weighed as if they were of the narrower law.
 
     The linear estimate of the gain comes of many samples, and the few of the model correct it where they differ.
     """
     each = uncertainty.inputs[k]
     weights = halved_weights(each, many[:, k])
-    # What is cut off from the law is missing from the mean of the weights.
+    # The tails cut off from the law are missing from the mean of the weights.
     size = float(weights.mean())
     # Less the yield itself, which changes no mean and is known where all samples pass.
     gains = (weights / size - 1.0) * (met.many - met.many.mean())

@@ -1,1 +1,1 @@
-"""From a mismatch between model and recordings to the physics left out."""
+"""Diagnosis: the physics left out of a model, from its mismatch with recordings."""

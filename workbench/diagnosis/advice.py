@@ -1,7 +1,7 @@
-"""Advice on measurements that tell explanations apart: the number itself, and the line that states it.
+"""Advice on measurements that tell explanations apart: the number to measure, and the line that states it.
 
-Each of the parameters that an explanation moves can be measured by other means than a spectrum. What is measured so is
-stated in the campaign's [known], or in the chip's file; the spectra are the same.
+Each of the parameters that an explanation moves can be measured by other means than a spectrum. The result is stated in
+the campaign's [known], or in the chip's file; the spectra are the same.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.state import DeviceState
 from workbench.model.numbers import ParameterName, plain_words
 
-#: Of so many parameters it is said how to measure them.
+#: Parameters that advice is given on, at most.
 ADVISED = 3
 
-#: How exactly each element of the bench is told by open, short and load, as a campaign states it.
+#: Standard uncertainties that open, short and load leave of each element of the bench, as a campaign states them.
 BENCH_LINES = {"series_resistance": "20 mohm", "series_inductance": "3 nH", "parallel_capacitance": "0.2 pF",
                "gain": "0.2 %", "phase": "0.002 rad", "delay": "0.1 ns", "clock": "1 ppm"}
 
-#: How exactly a length is measured: with a microscope on a section, or a caliper.
+#: Standard uncertainties of a measured length: with a microscope on a section, and with a caliper.
 FILM, PART = "2 um", "10 um"
 
 

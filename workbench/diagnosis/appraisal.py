@@ -1,4 +1,4 @@
-"""From a campaign to its diagnosis: the search, the decision, and what both come to."""
+"""From a campaign to its diagnosis: the search, the decision, and the diagnosis that follows."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from workbench.diagnosis.conclusion import Conclusion, conclude, explained_share
 from workbench.diagnosis.decision import HINT
 from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.findings import Found, Settled
+from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.local_models import ROUGH
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.outcome import Diagnosis, Established, Left, SuspectPlace, estimates
+from workbench.diagnosis.outcome import Diagnosis, Established, Remainder, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
-from workbench.fitting.seen import log_ratio
+from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.workers import Processes, Workers
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -89,11 +89,11 @@ def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     fitted = search.models.bare()
     if search.models.are_inaccurate(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
-        fitted = Likelihood.bare(model, model.fitted.near(x, {}, ROUGH, only=()))
+        fitted = Likelihood.noise_only(model, model.fitted.near(x, {}, ROUGH, only=()))
     impedances = fitted.impedances(x)
     if model.held_out is not None:
         held = model.held_out.near(x, {}, ROUGH, only=())
-        impedances += Likelihood.bare(model, held).impedances(x)
+        impedances += Likelihood.noise_only(model, held).impedances(x)
     return tuple(_fit(state, impedance) for state, impedance in
                  zip((*model.campaign.fitted, *model.campaign.held_out), impedances, strict=True))
 
@@ -101,9 +101,11 @@ def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
 def appraised(
     model: Model, found: Found, stated: tuple[StateFit, ...], *, criteria: Criteria | None = None, started: float
 ) -> Diagnosis:
-    """The diagnosis that a search comes to; `stated` as of :func:`as_stated`, `started` (s) when it was begun.
+    """The diagnosis that follows from a search; `stated` as from :func:`as_stated`, `started` (s) is when the search
+    began.
 
-    Of a search that was cut short it says what the known parameters alone do, and keeps what else was found apart.
+    After a search that was cut short it describes the known parameters alone, and keeps other results apart as
+    provisional.
     """
     criteria = criteria or Criteria()
     conclusion = conclude(model, found, criteria)
@@ -111,53 +113,53 @@ def appraised(
     if not found.undone:
         return whole
     cut = _of(model, found, stated, not_finished(model, found, conclusion), criteria, started)
-    return replace(cut, left=replace(cut.left, region=""), provisional=whole)
+    return replace(cut, remainder=replace(cut.remainder, region=""), provisional=whole)
 
 
 def _of(
     model: Model, found: Found, stated: tuple[StateFit, ...], conclusion: Conclusion, criteria: Criteria, started: float
 ) -> Diagnosis:
-    # What is outside the catalogue moves nothing that predicts: the known parameters do.
-    settled = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
-    best = settled.explanation
-    likelihood = Likelihood(model, model.fitted, settled.columns, settled.anything)
-    location, alive = suspect_places(settled, found), _alive(found, conclusion, criteria)
+    # A hypothesis outside the catalogue moves no parameter of a prediction: the known parameters do.
+    refit = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
+    best = refit.explanation
+    likelihood = Likelihood(model, model.fitted, refit.columns, refit.region_discrepancy)
+    location, alive = suspect_places(refit, found), _alive(found, conclusion, criteria)
     further = options(likelihood, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
     released = {name for effect in best.hypothesis.effects for name in effect.releases}
     return Diagnosis(
-        model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, settled),
-        established(model, found, best), _left(likelihood, best, location, criteria), location,
+        model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, refit),
+        established(model, found, best), _remainder(likelihood, best, location, criteria), location,
         estimates(model, best, [p.name for p in model.parameters[:model.known] if p.name not in released]),
         found.base.scores, tuple(each.explanation.hypothesis.name for each, _ in alive),
         tuple(further), time.perf_counter() - started)
 
 
 def established(model: Model, found: Found, best: Explanation) -> tuple[Established, ...]:
-    """The effects of an explanation; of two each takes away what it adds to those before it."""
+    """The effects of an explanation; the share of the second of two effects is the part that it adds to the first."""
     effects, result, before = best.hypothesis.effects, list[Established](), 0.0
     of = {each.explanation.hypothesis.effects: each.explanation for each in found.final} | {effects: best}
     for count, effect in enumerate(effects, 1):
         so_far = of.get(effects[:count])
         after = before if so_far is None else max(before, explained_share(model, found.base.explanation, so_far))
-        told = estimates(model, best, effect.names)
-        limits = [(effect.admissible[each.name], each.value) for each in told if each.name in effect.admissible]
+        parameters = estimates(model, best, effect.names)
+        limits = [(effect.admissible[each.name], each.value) for each in parameters if each.name in effect.admissible]
         inside = all(limit.lowest <= value <= limit.highest for limit, value in limits)
-        result.append(Established(effect, told, inside, after - before))
+        result.append(Established(effect, parameters, inside, after - before))
         before = after
     return tuple(result)
 
 
-def suspect_places(settled: Settled, found: Found) -> tuple[SuspectPlace, ...]:
-    """Regions that may have anything in them, and modes, beside an explanation, by their evidences, best first.
+def suspect_places(refit: Refitted, found: Found) -> tuple[SuspectPlace, ...]:
+    """Regions with a change of any kind, and modes, that improve an explanation, by their evidences, best first.
 
-    Those that the search settled come before those that were weighed beside it.
+    Those that the search refitted come before those that were evaluated as alternatives of the explanation.
     """
-    best = settled.explanation
-    # What was looked for from a place of its own is known better, and was decided on.
+    best = refit.explanation
+    # A place that was refitted is known better, and was decided on.
     first = [(e.hypothesis, e.log_evidence) for e in (each.explanation for each in found.final)
              if e.hypothesis.is_outside and e.hypothesis.effects == best.hypothesis.effects]
     names = {each.name for each, _ in first}
-    ordered = [*first, *(each for each in settled.beside if each[0].name not in names)]
+    ordered = [*first, *(each for each in refit.alternatives if each[0].name not in names)]
     return tuple(_place(each, worth - best.log_evidence) for each, worth in ordered)
 
 
@@ -172,24 +174,26 @@ def _fit(state: DeviceState, impedance: Complex) -> StateFit:
     return state_fit(state.name, log_ratio(impedance, state.measured.impedance), impedance, state.noise)
 
 
-def _fits(model: Model, settled: Settled) -> tuple[StateFit, ...]:
+def _fits(model: Model, refit: Refitted) -> tuple[StateFit, ...]:
     """All states by an explanation, those held out last."""
-    impedances = (*settled.explanation.residual.impedance, *settled.seen)
+    impedances = (*refit.explanation.residual.impedance, *refit.held_out_impedances)
     states = (*model.campaign.fitted, *model.campaign.held_out)
     return tuple(_fit(state, impedance) for state, impedance in zip(states, impedances, strict=True))
 
 
-def _left(likelihood: Likelihood, best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria) -> Left:
+def _remainder(
+    likelihood: Likelihood, best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria
+) -> Remainder:
     count = 0.5 * likelihood.noise.size
     noise, allowed = (math.sqrt(float(np.sum(each**2)) / count)
                       for each in (likelihood.noise, best.accuracy * likelihood.columns))
     evident = [place.region for place in location[:1] if place.evidence > math.log(criteria.accepted)]
-    return Left(math.sqrt(mismatch(best) / count), noise, best.accuracy, allowed, evident[0] if evident else "")
+    return Remainder(math.sqrt(mismatch(best) / count), noise, best.accuracy, allowed, evident[0] if evident else "")
 
 
-def _alive(found: Found, conclusion: Conclusion, criteria: Criteria) -> list[tuple[Settled, float]]:
-    """The explanations that measurements have to tell apart, with their log odds: the best one and its rivals, or what
-    a hint may be of; none where nothing is open."""
+def _alive(found: Found, conclusion: Conclusion, criteria: Criteria) -> list[tuple[Refitted, float]]:
+    """The explanations that measurements have to tell apart, with their log odds: the best one and its rivals, or those
+    that a hint may be of; none where nothing is open."""
     decision, every = conclusion.decision, [conclusion.chosen, *conclusion.rivals]
     if decision.verdict == HINT:
         every += [each for each in found.final if each is not conclusion.chosen and

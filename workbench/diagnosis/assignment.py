@@ -10,7 +10,7 @@ import numpy as np
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.state import DeviceState, StateFit
 from workbench.files.errors import InputError
-from workbench.fitting.seen import log_ratio
+from workbench.fitting.measurement_model import log_ratio
 
 #: Two recordings are exchanged where that leaves less than this share of the rms residual of either state.
 EXCHANGED = 0.5

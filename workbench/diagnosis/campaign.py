@@ -22,7 +22,7 @@
     "couplant.thickness" = "5 um"
     "bench.series_resistance" = "0.05 ohm"
 
-    [states.empty.known]            # the same of what this state alone adds
+    [states.empty.known]            # likewise, of what this state alone adds
     "couplant.thickness" = "2 um"
 
     [between]                       # and of what every state adds that has the number
@@ -38,9 +38,9 @@
     inhomogeneity = "0.2 %"         # of the smooth relative changes of stiffness, mass and loss within parts that no
                                     # model gets right; "0" for none, left out for what the recordings say of it
 
-One device: what has one name is one number in all states. What is not named is exact. Percentages are of the stated
-value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each other,
-except that a number in [known] goes before what its own file says of it, correlations included.
+One device: a name stands for one number in all states. Numbers that are not named are exact. Percentages are of the
+stated value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each
+other, except that a number in [known] goes before what its own file says of it, correlations included.
 """
 
 from __future__ import annotations
@@ -63,20 +63,19 @@ from workbench.files.tables import FileTable
 from workbench.model.numbers import Number, ParameterName
 from workbench.results.brief import Brief
 
-#: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
+#: Knowledge beside the numbers that the campaign names: that of the files of chip and materials, or none.
 STATED, NAMED = "stated", "named"
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Campaign(Brief):
-    """A device, its states, and what is known of it.
+    """A device, its states, and the knowledge of its numbers.
 
     ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
     states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
     that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
-    the names of two shared numbers, each pair once. ``inhomogeneity`` is the
-    standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
-    None if the data are to say it.
+    the names of two shared numbers, each pair once. ``inhomogeneity`` is the standard deviation of the smooth relative
+    changes of stiffness, mass and loss within parts that no model gets right, None if the data are to say it.
     """
 
     name: str
@@ -206,7 +205,7 @@ def _inhomogeneity(table: FileTable) -> float | None:
 
 
 def _check_one_device(states: Sequence[DeviceState], source: str) -> None:
-    """All states must agree on what they share: one name, one length."""
+    """Refuse states that differ in a length or a material of one name."""
     for name, first, other in _pairs(states):
         a, b = first.chip.dimensions()[name].value, other.chip.dimensions()[name].value
         if abs(a - b) > 1e-9:

@@ -1,4 +1,4 @@
-"""The hypotheses: what may be wrong with a device or its model, and where.
+"""The hypotheses about a device or its model: errors and effects that may be there, and where.
 
 A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
 term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
@@ -79,8 +79,8 @@ SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
     "dome": (1e-5, "lapped discs are sold as plane-parallel to 10 um, and no more than four tenths of the gel on them"),
 }
 
-#: Of the thinnest layer beside a face that is bent, so much is taken up at most; half would leave none beside a mistake
-#: of its thickness.
+#: Share of the thinnest layer beside a bent face that the bend takes up at most; half would leave nothing where its
+#: thickness is mistaken too.
 TAKEN_UP = 0.4
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
@@ -90,7 +90,7 @@ GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 #: leaves no cavity to work with.
 NOT_FULL = (0.04, 0.1, 0.18, 0.28)
 
-#: Of a joint that has come off, so much is open at most.
+#: Largest share of a joint that is open.
 HELD = 0.9
 
 #: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
@@ -98,7 +98,7 @@ STEP = 5.0
 
 
 def effects(device: Device) -> tuple[Effect, ...]:
-    """All hypotheses that make sense for a device; none that moves what is fixed."""
+    """All hypotheses that a device can have; none that moves a fixed number."""
     return effects_and_others(device)[0]
 
 
@@ -142,7 +142,7 @@ def _profiled(device: Device, effect: Effect) -> str:
 
 
 def cavity_fluid(device: Device) -> Iterator[Effect]:
-    """What a liquid in the cavity may be or hold."""
+    """Other properties of the liquid in the cavity, and bubbles or gas in it."""
     states = device.filled
     fluid = states[0].fluid if states else None
     if fluid is None:
@@ -252,7 +252,7 @@ def _swollen(device: Device, material: IsotropicSolid, region: str) -> Effect:
 
 
 def top(device: Device) -> Iterator[Effect]:
-    """What lies on the stack, or holds it from above."""
+    """A load on the stack, or a hold from above."""
     for region in dict.fromkeys(_highest(state) for state in device.states):
         if region != TRANSDUCER:
             yield _loaded(device, region)
@@ -273,7 +273,7 @@ def _highest(state: DeviceState) -> str:
 
 
 def couplant(device: Device) -> Iterator[Effect]:
-    """What a gel between transducer and substrate may be."""
+    """Other properties of a gel between transducer and substrate."""
     found: dict[str, Fluid] = {}
     for state in device.states:
         for region, material in state.materials.items():
@@ -322,7 +322,7 @@ def _springs(device: Device, region: str, material: str, *, upper: bool) -> Iter
 
 
 def joints(device: Device) -> Iterator[Effect]:
-    """Superstrates that are not held everywhere, by a bond or where they touch what is below."""
+    """Superstrates that are held in a part of their area only, by a bond or where they touch the layer below."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "superstrate"):
         state = device.holding(region)[0]
         below, _ = neighbours(state, region)
@@ -390,7 +390,7 @@ def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effe
 
 
 def shapes(device: Device) -> Iterator[Effect]:
-    """Layers that are no discs with plane faces and upright sides, or others than stated."""
+    """Layers that are no discs with plane faces and upright sides, or are shaped otherwise than stated."""
     chips = {layer.region: state.chip for state in device.states for layer in state.chip.layers}
     materials = {region: material for state in device.states for region, material in state.materials.items()}
     for region, chip in chips.items():
@@ -404,12 +404,12 @@ def shapes(device: Device) -> Iterator[Effect]:
 
 
 def mistaken_shape(chip: Chip, name: str) -> Admissible:
-    """What the shape ``<region>.<what>`` of a layer may be, about what the chip's file states, if anything."""
+    """The range of the shape ``<region>.<what>`` of a layer, about the one that the chip's file states, if any."""
     region, _, shape = name.rpartition(".")
     most, source = SHAPE_LIMITS[shape]
     layers = [layer.region for layer in chip.layers]
     at = layers.index(region)
-    # What is beside a face that is bent takes it up.
+    # The layer beside a bent face takes the bend up.
     beside = {"bow": (at - 1, at + 1), "dome": (at + 1,)}.get(shape, ())
     thinnest = min((chip.layers[k].thickness.value for k in beside if 0 <= k < len(layers)), default=math.inf)
     most = min(most, TAKEN_UP * thinnest)
@@ -434,7 +434,7 @@ def lengths(device: Device) -> Iterator[Effect]:
 
 
 def mistaken_length(name: str, value: float) -> Admissible:
-    """What the dimension ``<region>.<what>`` may be, where a chip's file states `value` (m)."""
+    """The range of the dimension ``<region>.<what>``, where a chip's file states `value` (m)."""
     parsed = ParameterName.parse(name)
     low, high = MISTAKEN_THICKNESS if parsed.is_shape else MISTAKEN_RADIUS
     if parsed.is_thickness:
@@ -448,7 +448,7 @@ def mistaken_length(name: str, value: float) -> Admissible:
 
 
 def bench(device: Device) -> Iterator[Effect]:
-    """What stands between the electrodes and the instrument."""
+    """Elements between the electrodes and the instrument."""
     for element, known in BENCH_ELEMENTS.items():
         limit = Admissible(known.low, known.high, known.unit, "leads, contacts and probes of a laboratory bench")
         yield other_than_stated(device, known.text, "bench", "bench", "between the electrodes and the instrument",

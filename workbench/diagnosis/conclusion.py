@@ -1,4 +1,4 @@
-"""From what a search found to its evidences, and the decision on them."""
+"""From the explanations of a search to their evidences, and the decision on them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.diagnosis.decision import NOT_FINISHED, Decision, Evidence, decide
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.findings import Found, Settled
+from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import Criteria
 
@@ -21,12 +21,12 @@ class Conclusion:
     """A decision, the explanation that it names, and those it cannot rule out."""
 
     decision: Decision
-    chosen: Settled
-    rivals: tuple[Settled, ...]
+    chosen: Refitted
+    rivals: tuple[Refitted, ...]
 
 
 def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Conclusion:
-    """The decision on what a search found."""
+    """The decision on the results of a search."""
     # Noise that goes together from point to point says less than as much that does not.
     best = max(found.final, key=lambda each: each.explanation.log_evidence)
     points = best.explanation.correlation
@@ -39,32 +39,33 @@ def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Co
 
 
 def not_finished(model: Model, found: Found, so_far: Conclusion) -> Conclusion:
-    """What a search that was cut short comes to: no verdict on anything, whatever it found `so_far`."""
+    """The conclusion of a search that was cut short: no verdict on anything, whatever it found `so_far`."""
     nothing = evidence(model, found.base, found.base.explanation)
     decision = replace(so_far.decision, verdict=NOT_FINISHED, chosen=nothing, rivals=())
     return Conclusion(decision, found.base, ())
 
 
-def evidence(model: Model, settled: Settled, base: Explanation, points: float = 1.0) -> Evidence:
-    """What the recordings say of an explanation, those held out among them, where so many `points` count as one.
+def evidence(model: Model, refit: Refitted, base: Explanation, points: float = 1.0) -> Evidence:
+    """The evidence of an explanation, of all recordings, those held out included; `points` count as one independent
+    point.
 
-    `base` says that nothing is wrong.
+    `base` is the explanation of the null hypothesis.
     """
-    found = settled.explanation
+    found = refit.explanation
     hypothesis = found.hypothesis
-    away = {}
+    z_scores = {}
     for effect in hypothesis.effects:
         for name in effect.names:
             i = model.index(name)
             error = found.error(i)
-            away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
+            z_scores[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence / points, tuple(effect.name for effect in hypothesis.effects),
-                    hypothesis.is_outside, away, settled.held_out / points, found.accuracy,
+                    hypothesis.is_outside, z_scores, refit.held_out / points, found.accuracy,
                     explained_share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:
-    """Value, and low and high end of the 95 % interval, of a parameter within what it may be, SI."""
+    """Value, and low and high end of the 95 % interval, of a parameter within its range, SI."""
     i = model.index(name)
     parameter, value, error = model.parameters[i], float(found.x[i]), found.error(i)
     return (value, float(max(value - DEVIATIONS * error, parameter.low)),
@@ -77,24 +78,25 @@ def mismatch(found: Explanation) -> float:
 
 
 def explained_share(model: Model, base: Explanation, found: Explanation) -> float:
-    """The share of the mismatch, beyond noise, that an explanation takes away from where nothing is wrong.
+    """The share of the mismatch beyond noise that an explanation takes away from the one of the null hypothesis.
 
-    That is of chi-square, of the recordings and of what is known: a part that known parameters only take up where they
-    leave what is known of them is no less a mismatch.
+    It is a share of chi-square, with the rows of the recordings and of the priors: a mismatch that known parameters
+    take up by leaving their priors is still one.
     """
     before, after = (float(np.sum(each.residual.vector**2)) + _pull(model, each) for each in (base, found))
-    # Noise leaves as much as there are data, or what it is seen to leave.
+    # Noise leaves a chi-square of the number of data, or the one it is seen to leave.
     beyond = before - min(after, base.residual.vector.size)
     return float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
 
 
 def _is_as_stated(model: Model, base: Explanation) -> bool:
-    """Whether no known parameter had to leave what is stated, in units of what is known of it."""
+    """Whether all known parameters stay within their priors."""
     return _pull(model, base) < 1.0
 
 
 def _pull(model: Model, found: Explanation) -> float:
-    """How far the known parameters had to leave what is stated: a sum of squares in units of what is known of them."""
+    """The prior pull: the sum of squares of the known parameters' distances from their priors, in standard
+    uncertainties."""
     released = model.free(found.hypothesis.effects)[1]
     return float(sum(((found.x[i] - p.start) / p.prior) ** 2 for i, p in enumerate(model.parameters[:model.known])
                      if p.prior and i not in released))

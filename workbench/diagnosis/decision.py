@@ -27,31 +27,31 @@ VERDICTS = (NO_MISMATCH, EXPLAINED, HINT, MISSING, AMBIGUOUS, UNEXPLAINED, NOT_F
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the recordings say of one hypothesis.
+    """The evidence of one hypothesis.
 
-    ``effects`` of the catalogue that it has, none where nothing is wrong; ``outside`` whether it says that the
-    catalogue does not have it; ``log_evidence`` natural, of the recordings that were fitted, and ``held_out`` the log
-    of the density that it predicted for the others, both up to what all hypotheses share; ``away`` how many standard
-    deviations each parameter that it moves is from where nothing is wrong, by name; ``accuracy`` of the model that it
-    needs, relative; ``share`` of the mismatch that it takes away.
+    ``effects`` of the catalogue that it has, none for the null hypothesis; ``outside`` whether it is outside the
+    catalogue; ``log_evidence`` natural, of the fitted recordings, and ``held_out`` the log of the density predicted for
+    the others, both up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of the parameters that
+    it moves from the null hypothesis, in standard deviations; ``accuracy`` (relative) is the one of the model that it
+    needs; ``share`` the part of the mismatch that it takes away.
     """
 
     name: str
     log_evidence: float
     effects: tuple[str, ...] = ()
     outside: bool = False
-    away: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    z_scores: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     held_out: float = 0.0
     accuracy: float = 0.0
     share: float = 0.0
 
     @property
-    def of_all(self) -> float:
+    def total(self) -> float:
         """The log evidence of all recordings."""
         return self.log_evidence + self.held_out
 
     @property
-    def is_nothing(self) -> bool:
+    def is_null(self) -> bool:
         return not self.effects and not self.outside
 
 
@@ -81,17 +81,17 @@ def decide(
         ValueError: nothing being wrong is not among them once, or there are more single ones than `hypotheses`.
     """
     criteria = criteria or Criteria()
-    nothing = [each for each in evidences if each.is_nothing]
-    single = [each for each in evidences if not each.is_nothing and len(each.effects) < 2]
+    nothing = [each for each in evidences if each.is_null]
+    single = [each for each in evidences if not each.is_null and len(each.effects) < 2]
     if len(nothing) != 1 or len(single) > hypotheses:
         raise ValueError(f"received {len(nothing)} evidences that nothing is wrong and {len(single)} of single "
                          f"hypotheses; expected one, and at most {hypotheses}")
     share = math.log1p(-criteria.nothing_wrong) - math.log(max(hypotheses, 1))
-    none = math.log(criteria.nothing_wrong) + nothing[0].of_all
-    log_odds = {each.name: (0.0 if each.is_nothing else
-                            share * max(len(each.effects), 1) + each.of_all - none) for each in evidences}
-    # An effect of which no number is away from nothing says that nothing is wrong, whatever else fits better beside it.
-    others = sorted((each for each in evidences if not each.is_nothing and not _is_idle(each, criteria.spare)),
+    none = math.log(criteria.nothing_wrong) + nothing[0].total
+    log_odds = {each.name: (0.0 if each.is_null else
+                            share * max(len(each.effects), 1) + each.total - none) for each in evidences}
+    # An effect whose numbers are all consistent with zero is the null hypothesis, whatever else fits better with it.
+    others = sorted((each for each in evidences if not each.is_null and not _moves_nothing(each, criteria.redundant)),
                     key=lambda each: -log_odds[each.name])
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
@@ -102,25 +102,25 @@ def decide(
         return Decision(verdict, nothing[0], (), log_odds)
     close = [each for each in (*others, nothing[0])
              if log_odds[others[0].name] - log_odds[each.name] < math.log(criteria.rival)]
-    # Of those that say the same, the one that says least.
-    best = min((each for each in close if each is others[0] or _says_the_same(others[0], each, criteria.spare)),
-               key=lambda each: len(each.away))
-    rivals = tuple(each for each in close if each is not best and not _says_the_same(each, best, criteria.spare))
+    # Of hypotheses that differ by redundant parameters, the one of fewest parameters.
+    best = min((each for each in close if each is others[0] or _extends(others[0], each, criteria.redundant)),
+               key=lambda each: len(each.z_scores))
+    rivals = tuple(each for each in close if each is not best and not _extends(each, best, criteria.redundant))
     if best.outside:
         return Decision(UNEXPLAINED, best, rivals, log_odds)
     if best.accuracy > criteria.inaccurate and best.share < criteria.most:
-        # What it leaves is no inaccuracy, and no trace.
+        # The remainder is neither an inaccuracy of the model nor a trace.
         return Decision(UNEXPLAINED, nothing[0], (), log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
 
 
-def _is_idle(each: Evidence, spare: float) -> bool:
-    """Whether an explanation by effects has all their parameters consistent with nothing."""
-    return bool(each.away) and not each.outside and all(abs(sigmas) < spare for sigmas in each.away.values())
+def _moves_nothing(each: Evidence, redundant: float) -> bool:
+    """Whether all parameters of an explanation by effects are redundant."""
+    return bool(each.z_scores) and not each.outside and all(abs(z) < redundant for z in each.z_scores.values())
 
 
-def _says_the_same(other: Evidence, best: Evidence, spare: float) -> bool:
-    """Whether one explanation is the best one with further parameters that are consistent with nothing."""
-    if not best.away or other.outside or not set(best.away) <= set(other.away):
+def _extends(other: Evidence, best: Evidence, redundant: float) -> bool:
+    """Whether one explanation is the best one with redundant parameters added."""
+    if not best.z_scores or other.outside or not set(best.z_scores) <= set(other.z_scores):
         return False
-    return all(abs(other.away[name]) < spare for name in set(other.away) - set(best.away))
+    return all(abs(other.z_scores[name]) < redundant for name in set(other.z_scores) - set(best.z_scores))

@@ -1,7 +1,7 @@
-"""Descents of the diagnosis: from places that the prior allows, with the weight of the data raised in a few stages.
+"""Descents of the diagnosis: from points of the prior, with the weight of the data raised in a few stages.
 
 Where points weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few optima. The distinct
-ones are kept on the way, as long as they are not far behind the best.
+ones are kept from stage to stage, as long as they are not far behind the best.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import WrongEvidence
-from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
+from workbench.diagnosis.likelihood import Hypothesis, LaplaceApproximation, Likelihood
 from workbench.diagnosis.odds import CLOSE
 from workbench.fitting.search import NO_END, FitSearch, Optimum
 from workbench.search.continuation import ContinuationStage, Schedule, tempered
@@ -43,7 +43,7 @@ KEPT = 3
 #: Chi-square relative to noise from which on other basins are looked at.
 EXCESS = 1.5
 
-#: What ends one start of several.
+#: Errors that end one start of several.
 REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 
 
@@ -75,7 +75,7 @@ End = TypeVar("End", bound=OptimumFound)
 
 
 def distinct_ends(model: Model, ends: Iterable[End], rank: Callable[[End], float]) -> list[End]:
-    """The best end of every distinct optimum, of least `rank` first; what is known beforehand are the priors."""
+    """The best end of every distinct optimum, of least `rank` first; the priors give the scale of each parameter."""
     known = np.array([parameter.prior or 0.0 for parameter in model.parameters])
     return [best for best, *_ in distinct(
         ends, lambda end, best: is_same_optimum(end.x, best.x, best.errors, known), rank)]
@@ -83,37 +83,37 @@ def distinct_ends(model: Model, ends: Iterable[End], rank: Callable[[End], float
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A hypothesis where it leads with the data weighing little.
+    """A hypothesis with its optima at little weight of the data.
 
-    ``ends`` those that are left, best first.
+    ``ends`` are the distinct optima that are left, best first, each by its Laplace approximation.
     """
 
     hypothesis: Hypothesis
-    ends: tuple[Weighed, ...]
+    ends: tuple[LaplaceApproximation, ...]
 
     @classmethod
-    def of(cls, model: Model, hypothesis: Hypothesis, ends: Iterable[Weighed]) -> Candidate | None:
+    def of(cls, model: Model, hypothesis: Hypothesis, ends: Iterable[LaplaceApproximation]) -> Candidate | None:
         """The best ends of the distinct optima that are not far behind the best one; None without ends."""
         kept = distinct_ends(model, ends, lambda each: -each.log_evidence)
         kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - CLOSE][:KEPT]
         return cls(hypothesis, tuple(kept)) if kept else None
 
     @property
-    def weighed(self) -> Weighed:
+    def laplace(self) -> LaplaceApproximation:
         return self.ends[0]
 
     @property
     def x(self) -> Real:
-        return self.weighed.x
+        return self.laplace.x
 
     @property
     def log_evidence(self) -> float:
-        return self.weighed.log_evidence
+        return self.laplace.log_evidence
 
     @property
     def fits(self) -> bool:
-        """Whether it leaves little more than noise and an accuracy that models have."""
-        return self.weighed.left < EXCESS
+        """Whether little more is left than noise and a usual inaccuracy of the model."""
+        return self.laplace.reduced_chi_square < EXCESS
 
 
 def refit_from(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate:
@@ -125,12 +125,12 @@ def refit_from(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[
     """
     search = likelihood.search(hypothesis)
     for i in (likelihood.model.index(name) for effect in hypothesis.effects for name in effect.names):
-        # What is admissible may be a million times what is there.
+        # The admissible range may be a million times the value.
         moved = max(abs(float(start[i]) - search.centre[i]) for start in starts)
         search.scale[i] = moved or search.scale[i]
     stage = replace(STAGE, deviation=level)
     trials = multistart([StartPoint(hypothesis.name, start) for start in starts],
-                        lambda start: likelihood.descended(hypothesis, search, start.x, stage), refused=REFUSED)
+                        lambda start: likelihood.stage_optimum(hypothesis, search, start.x, stage), refused=REFUSED)
     found = Candidate.of(likelihood.model, hypothesis, (trial.end for trial in trials if trial.end is not None))
     if found is None:
         refused = next((trial.error for trial in reversed(trials) if trial.error is not None), None)

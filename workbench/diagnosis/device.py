@@ -27,7 +27,7 @@ from workbench.fitting.parameter import (
     ranges_of_dimensions,
     stretchable,
 )
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
@@ -38,31 +38,31 @@ from workbench.physics.term import Term
 Real = NDArray[np.float64]
 
 
-#: How far a known parameter may move in any case, in its standard uncertainties. Doubled, nothing changes: the prior
+#: Range of a known parameter to either side, in its standard uncertainties. Doubled, nothing changes: the prior
 #: admits no more.
 REACH = 5.0
 
-#: What an offset leaves of a number that is above zero, relative: of nothing no spectrum can be made.
+#: Least share of a positive number that an offset leaves: a number of zero has no spectrum.
 LEAST = 0.05
 
 
-#: How well forms follow shapes, which most devices do not have: exactly where all are as stated. A tenth of the error
-#: takes half as many nodes more, and every node of every shape is another matrix. What a shape does to the terms
-#: of another hypothesis is of second order, and right to a few hundredths: as well as the rest it took 1.8 times as
-#: many integrals over a chip.
+#: Accuracy with which forms follow shapes, which most devices do not have: exact where all are as stated. A tenth of
+#: the error takes half as many nodes more, and every node of every shape is another matrix. The effect of a shape on
+#: the terms of another hypothesis is of second order, and right to a few hundredths: as well as the rest it took 1.8
+#: times as many integrals over a chip.
 HYPOTHETICAL = Interpolation(1e-4, 1.25, True, 0.03)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All parameters of a campaign, the first ``known`` of them what is known to be uncertain, and its objectives.
+    """All parameters of a campaign, and the objectives over its states.
 
-    Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
-    ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
-    held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``;
-    they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given, at those of the rims that
-    are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a layer; ``refusals`` says of every
-    step of a search that could not be taken why not.
+    The first ``known`` parameters are the known numbers, those that all states share and then the offsets of single
+    states; all of these have a prior. ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those
+    over either kind (None without states held out); ``effects`` the hypotheses, whose parameters follow the known ones.
+    Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
+    given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
+    layer; ``refusals`` holds the reason of every step of a search that could not be taken.
     """
 
     campaign: Campaign
@@ -79,9 +79,9 @@ class Model:
     _made: list[Model] = field(default_factory=list)
 
     def about(self, chosen: Sequence[Effect], x: Real) -> Model:
-        """The same with lines of nodes at the edges of the rims that some hypotheses have at x (p,).
+        """The model with lines of nodes at the edges of the rims of some hypotheses at x (p,).
 
-        This one where there are none, or one made before whose edges are where they should be (`rim.FOUND`).
+        This model where there are no rims, or one made before whose edges are right (`rim.FOUND`).
         """
         sizes = {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
@@ -102,11 +102,11 @@ class Model:
 
     @property
     def hypotheses(self) -> int:
-        """How many single hypotheses there are: of the catalogue, something in any region, and modes."""
+        """The number of single hypotheses: those of the catalogue, a change in each region, and modes."""
         return len(self.effects) + len({region for state in self.campaign.fitted for region in state.materials}) + 1
 
     def index(self, name: str) -> int:
-        """Where the parameter of that name is in :attr:`parameters`."""
+        """The index of the parameter of that name in :attr:`parameters`."""
         return self._places[name]
 
     def bounds(self, indices: Iterable[int]) -> tuple[Real, Real]:
@@ -139,13 +139,13 @@ def device_model(
     found, others = effects_and_others(device)
     hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
     problems: list[Problem] = []
-    asides = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
+    neutral = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
               for state in campaign.states}
-    asked = {state.name: _lines(state, asides[state.name], widths) for state in campaign.states}
+    requested = {state.name: _lines(state, neutral[state.name], widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         # States of one chip have one mesh.
-        alike = [asked[each.name] for each in campaign.states if each.device.section == state.device.section]
+        alike = [requested[each.name] for each in campaign.states if each.device.section == state.device.section]
         skins = {region: skin for own, _ in alike for region, skin in own.items()}
         radii = {radius for _, own in alike for radius in own}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
@@ -172,8 +172,8 @@ def device_model(
         shapes = [name for p in parameters for name in p.names if name in possible(state.chip)]
         chips.append(with_shapes(state.chip, shapes))
         ranges = ranges_of_dimensions(parameters, chips[-1].dimensions())
-        flexed.append(flexible_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
-                                      asides=asides[state.name]))
+        flexed.append(parametrised_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
+                                      neutral=neutral[state.name]))
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
@@ -207,7 +207,7 @@ def _radius(chip: Chip, region: str) -> float:
 
 
 def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
-    """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
+    """The parameter of a known number, with its prior; a hypothesis may release the prior."""
     name, parsed, value, error, stated = number.name, number.parsed, number.value, number.deviation, number.stated
     if number.is_bench:
         found = bench_parameter(name)
@@ -227,7 +227,7 @@ def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> P
     found = material_parameter(problem, parsed.owner, parsed.local)
     low, high = found.low, found.high
     if found.is_loss:
-        # What is stated is where it begins, however little: a fit would begin with more of it.
+        # A loss starts as stated, however small: a fit would start with more.
         low, high = min(low, value), max(high, value)
     else:
         low, high = min(low, value - REACH * error), max(high, value + REACH * error)
@@ -241,7 +241,7 @@ def _is_fluid(problem: Problem, material: str) -> bool:
 def _offset(
     number: Number, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
 ) -> Parameter:
-    """What one state adds to a number, by as much as is known of that, and no further than the number makes sense."""
+    """The offset of one state from a shared number: with its own uncertainty, within the range of the number."""
     parsed, unit, error = number.parsed, number.unit, number.deviation
     (state,) = (each for each in campaign.states if each.name == parsed.state)
     value = DeviceNumbers(campaign.states).number(parsed.shared, state).value

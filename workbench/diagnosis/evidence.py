@@ -5,8 +5,9 @@ At an optimum x of the posterior with residuals r (in units of the noise) and ta
     r ~ N(0, Sigma),  Sigma = 1 + B diag(scale^2) B^T,   theta ~ N(centre, P^-1),   phi uniform over its ranges,
 
 and the average over theta and phi is a Gaussian integral (Laplace's approximation; MacKay 2003, Information Theory,
-Inference, and Learning Algorithms, chapter 28). B holds what deviates beside the noise: the inaccuracy of the model
-(`inaccuracy`), that of a hypothesis' own term. Its scales are averaged over in turn, each as likely in every decade.
+Inference, and Learning Algorithms, chapter 28). The columns of B are deviations beside the noise: the discrepancy of
+the model (`discrepancy`), and the error of a hypothesis' own term. Their scales are averaged over, each as likely in
+every decade.
 """
 
 from __future__ import annotations
@@ -68,9 +69,9 @@ def checked(evidence: float, likelihood: float, size: float = 0.0) -> float:
 class Average:
     """A linearised problem averaged over its parameters at given scales.
 
-    ``log_evidence`` up to what all hypotheses share; ``step`` (p,) to the optimum of the linearised problem;
-    ``covariance`` (p, p) of the posterior; ``occam`` what the ranges of those without a prior cost of it;
-    ``chi_square`` left there, with what the parameters moved by.
+    ``log_evidence`` up to a constant of all hypotheses; ``step`` (p,) to the optimum of the linearised problem;
+    ``covariance`` (p, p) of the posterior; ``occam`` the part of the evidence that the ranges of parameters without a
+    prior cost; ``chi_square`` at the optimum, with the rows of the priors.
     """
 
     log_evidence: float
@@ -99,7 +100,7 @@ class LinearisedProblem:
     @classmethod
     def of(cls, tangents: Real, residual: Real, deviations: Real, *, precision: Real, offset: Real, widths: Real,
            below: Real, above: Real) -> LinearisedProblem:
-        """From tangents (m, p), residual (m,) and deviations (m, k)."""
+        """A problem from its tangents (m, p), residual (m,) and deviations (m, k)."""
         every = np.column_stack([tangents, residual, deviations])
         return cls(every.T @ every, precision, offset, widths, below, above)
 
@@ -122,9 +123,9 @@ class LinearisedProblem:
         return self._integrated(hessian, slope, square, log_determinant)
 
     def added(self, scales: Real, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
-        """What each of some `blocks` of further deviations adds to the log evidence at some `sizes`: (blocks, sizes).
+        """The log evidence that each of some `blocks` of further deviations adds at some `sizes`: (blocks, sizes).
 
-        Beside the parameters and the deviations of these `scales` (k,), zero for those of the blocks. A range counts as
+        Parameters and deviations are those of the given `scales` (k,), which are zero for the blocks. A range counts as
         a normal distribution of its variance.
         """
         p = self.offset.size
@@ -175,7 +176,7 @@ class LinearisedProblem:
         learnt = np.linalg.slogdet(hessian[known])[1] - np.linalg.slogdet(self.precision[known])[1]
         chi_square = square + float(2.0 * slope @ step + step @ hessian @ step)
         worth = -0.5 * (chi_square + log_determinant + float(learnt)) - occam
-        # What is left is a sum of squares, and so is the determinant of what is 1 or more.
+        # The remainder is a sum of squares; the determinant is that of a matrix with eigenvalues of at least 1.
         best = -0.5 * (max(chi_square, 0.0) + max(log_determinant, 0.0))
         return Average(checked(worth, best, square), step, covariance, occam, chi_square)
 
@@ -206,7 +207,8 @@ class LinearisedProblem:
 
 
 def _inverse(matrix: Real) -> Real:
-    """The inverse of a positive matrix (p, p) whose units differ; what it cannot tell apart stays undetermined."""
+    """The inverse of a positive matrix (p, p) whose units differ; directions that rounding cannot tell apart stay
+    undetermined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
 
@@ -226,7 +228,7 @@ def _cut_off(slope: float, curvature: float, width: float) -> float:
 
 
 def occam_factor(covariance: Real, widths: Real) -> float:
-    """What the ranges of parameters cost: twice the logarithm of their volume over that of the posterior.
+    """The cost of the ranges of parameters: twice the logarithm of their volume over that of the posterior.
 
     Args:
         covariance: (k, k) of the posterior; none of its axes counts as longer than a range.
@@ -237,7 +239,8 @@ def occam_factor(covariance: Real, widths: Real) -> float:
 
 
 def over_scales(problem: LinearisedProblem, settings: Sequence[Real]) -> tuple[float, int, Average]:
-    """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and what it gives."""
+    """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and the average at it.
+    """
     found = [problem.averaged(setting) for setting in settings]
     logs = np.array([each.log_evidence for each in found])
     best = int(np.argmax(logs))

@@ -1,4 +1,4 @@
-"""What a hypothesis is, what the catalogue looks at, and how a term or a stated number becomes one."""
+"""A hypothesis of the catalogue, the device it is about, and hypotheses made of terms or of stated numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, FreeParameter, Term
 
-#: How far a real coefficient may lie from what is stated.
+#: Largest relative error of a stated real coefficient.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
 
 
@@ -25,9 +25,8 @@ class Effect:
     """One hypothesis.
 
     ``region`` is where it sits: a region, ``<region>|<region>`` or "bench"; ``kind`` stiffness, mass, loss, geometry,
-    coupling or bench. ``parameters`` are what it brings in; ``releases`` names known parameters that it lets go further
-    than what is known of them. ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by
-    the name of the state.
+    coupling or bench. ``parameters`` are new ones; ``releases`` names known parameters whose priors it releases.
+    ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by the name of the state.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Effect:
                                    if isinstance(term, OfRim)))
 
     def with_rings(self, widths: Mapping[str, float]) -> Effect:
-        """The same with rings about the edges of those rims of which `widths` by name are given."""
+        """A copy with rings about the edges of those rims whose `widths` by name are given."""
         def own(term: Any) -> Term:
             known = isinstance(term, OfRim) and term.rim.number in widths
             return replace(term, rim=term.rim.about(widths[term.rim.number])) if known else term
@@ -62,7 +61,8 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """What the catalogue looks at: the states of a device, what is known of it, and the materials there are."""
+    """The device as the catalogue sees it: its states, the uncertainties of its numbers, and the registry of materials.
+    """
 
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
@@ -119,7 +119,7 @@ def with_terms(
     terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
     *, free: tuple[FreeParameter, ...] | None = None,
 ) -> Effect:
-    """The hypothesis that brings `terms` into `states`: nothing yet, all numbers where they are neutral.
+    """The hypothesis that brings `terms` into `states`, with all numbers neutral at first.
 
     `values` are what the terms need beyond what they state themselves and what a state does (its lengths, its drive);
     `free` stands in place of what the terms say is free of them. States to which no term is given are left out.
@@ -146,7 +146,7 @@ def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
 
 
 def as_parameter(free: FreeParameter) -> Parameter:
-    """A number as a parameter without a prior: anywhere within what is admissible, the neutral value included."""
+    """A number as a parameter without a prior: anywhere within its admissible range, the neutral value included."""
     limit, start = free.admissible, free.neutral
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
@@ -161,7 +161,7 @@ def other_than_stated(
     device: Device, label: str, region: str, kind: str, about: str, limits: Mapping[str, Admissible], *,
     relative: bool = False,
 ) -> Effect:
-    """The hypothesis that numbers the model has already are not what is stated, or known, of them."""
+    """The hypothesis that numbers of the model differ from the stated ones; priors of known numbers are released."""
     parameters = []
     for name, limit in limits.items():
         start = 1.0 if relative else float(min(max(stated_number(name, device.states), limit.lowest), limit.highest))

@@ -1,4 +1,4 @@
-"""What is known of the numbers of a device before its recordings are looked at: of all states together, and of each.
+"""Knowledge of the numbers of a device before its recordings are looked at: of all states together, and of each.
 
 Standard uncertainties come from the campaign's tables, from the files of the chip and its materials (a tolerance is the
 limit of a uniform law, `workbench.design.uncertainty`), and from what any bench does between two recordings
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from workbench.design.stated import uncertainty_of_files
+from workbench.design.input_uncertainty import uncertainty_of_files
 from workbench.diagnosis.numbers import SAME_NUMBER, DeviceNumbers, names, stated_number
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
@@ -21,10 +21,11 @@ from workbench.files.tables import FileTable
 from workbench.model.device_numbers import ASSUMED, assumed_by_role
 from workbench.model.numbers import BENCH, STATE, STATE_END, Number, ParameterName, Stated
 
-#: What any bench does between two recordings: how much, as a standard uncertainty in SI, and why. An instrument repeats
-#: a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact resistance, by
-#: some 20 mohm; data sheets of generators give 1 to 50 in a million for the clock, most of which is of one generator
-#: for good, and some 5 its temperature and age. Doubled, differences between states of that size would count for half.
+#: Changes of any bench between two recordings, as standard uncertainties in SI, with their reasons. An instrument
+#: repeats a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact
+#: resistance, by some 20 mohm; data sheets of generators give 1 to 50 in a million for the clock, most of which is of
+#: one generator for good, and some 5 its temperature and age. Doubled, differences between states of that size would
+#: count for half.
 BETWEEN_RECORDINGS: Mapping[str, tuple[float, str]] = {
     "gain": (2e-3, "repeatability of instruments"),
     "series_resistance": (0.02, "contact resistance of clips"),
@@ -66,7 +67,7 @@ class _Statement:
 
 
 def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from_files: bool = True) -> Knowledge:
-    """What the tables of a `campaign` say of its `states`, and the states' own files if `from_files`.
+    """The knowledge that the tables of a `campaign` state of its `states`, and the states' own files if `from_files`.
 
     Raises:
         InputError: a name that no state has, an uncertainty that is none, or statements that contradict each other.
@@ -97,7 +98,7 @@ def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from
 
 
 def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
-    """What [states.NAME.known] says the state adds, of numbers that it has."""
+    """The statements of [states.NAME.known] about the numbers that the state has."""
     table = campaign.table("states").table(state.name).table("known", expected=f"a table [states.{state.name}.known]")
     yield from _stated(table, numbers, lambda _: ((state.name, (state,)),), of=(state,))
 
@@ -183,9 +184,9 @@ def _fixed(table: FileTable, numbers: DeviceNumbers) -> Iterator[str]:
 def _harvested(
     numbers: DeviceNumbers, closed: Iterable[str]
 ) -> tuple[list[_Statement], dict[tuple[str, str], float]]:
-    """What the files of the states say of numbers that are not `closed`, and the correlations between these.
+    """The statements of the states' files about numbers that are not `closed`, and the correlations between these.
 
-    Of a number that is another one in another state each state says it alone.
+    A number that differs between states is stated by each state alone.
 
     Raises:
         InputError: two chip files give one length two tolerances.
@@ -232,7 +233,7 @@ def _together(
         number = numbers.number(name)
         found[name, state] = replace(number, stated=stated) if not state else Number(
             str(number.parsed.of_state(state)), 0.0, stated=stated, unit=number.unit, tied=number.tied)
-    # What a state adds is independent of the rest, and takes its share of the correlation away.
+    # The offset of a state is independent of the rest, and takes its share of the correlation away.
     shares = {name: said[name, ""][0].stated.deviation / number.deviation
               for (name, state), number in found.items() if not state}
     return Knowledge(tuple(found.values()), fixed, {

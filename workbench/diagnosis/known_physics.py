@@ -1,4 +1,4 @@
-"""Effects with known constants: part of every model and never fitted. What each changes in a spectrum."""
+"""Effects with known constants, part of every model and never fitted, and the change of a spectrum by each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ KNOWN_PHYSICS = {"viscous boundary layer": "shear_viscosity", "thermal boundary 
 UNNEEDED = 1e-5
 
 class Contribution(NamedTuple):
-    """What an effect with known constants changes in a state: f0 (Hz) and Q (None: no resonance), and ln Z, rms."""
+    """The change of a state's f0 (Hz) and Q (None: no resonance), and of ln Z (rms), by an effect with known constants.
+    """
 
     effect: str
     state: str
@@ -29,7 +30,7 @@ class Contribution(NamedTuple):
 
     @classmethod
     def of(cls, effect: str, state: str, there: Spectrum, without: Spectrum) -> Contribution:
-        """From the spectra with the effect and without it."""
+        """The contribution of an effect, from the spectra with it and without it."""
         (one, _), (other, _) = measured_figures(there), measured_figures(without)
         f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
         changed = np.abs(np.log(there.impedance / without.impedance))
@@ -37,7 +38,7 @@ class Contribution(NamedTuple):
 
 
 def contributions(found: Diagnosis) -> list[Contribution]:
-    """What every effect with known constants changes in every fitted state, at the parameters found."""
+    """The change of every fitted state by every effect with known constants, at the parameters found."""
     model: Model = found.model
     x = found.conclusion.chosen.explanation.x
     objective = model.fitted.near(x, {}, UNNEEDED, only=(), enriches=False)

@@ -4,9 +4,9 @@ With r = ln(Z_measured / Z_model) of all recordings stacked, real parts and imag
 
     r ~ Normal(0, W + tau^2 K K^T + R),    theta ~ what is known of it,    phi ~ anywhere within its range,
 
-W is the noise of the points, K what smooth changes within the parts do (`inaccuracy`) and tau the accuracy of the
-model, stated or averaged over; R what a hypothesis allows besides: changes of any size within one region, and the error
-of its own term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one frequency.
+W is the noise of the points, K the discrepancy modes (`discrepancy`) and tau the accuracy of the model, stated or
+averaged over; R holds the deviations of a hypothesis: changes of any size within one region, and the error of its own
+term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one frequency.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.discrepancy import DiscrepancyModes, discrepancy_modes
 from workbench.diagnosis.evidence import Average, LinearisedProblem, checked, over_scales
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.inaccuracy import Patterns, patterns
 from workbench.diagnosis.modes import Mode, columns, strongest
 from workbench.diagnosis.odds import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.state import DeviceState
@@ -61,8 +61,8 @@ ENOUGH, STEPS = 1e-3, 25
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What may be wrong: some ``effects`` of the catalogue, a ``region`` with anything in it, or ``modes`` that the
-    model does not have; none of these, if nothing is."""
+    """A hypothesis: some ``effects`` of the catalogue, a ``region`` with changes of any kind, or ``modes`` that the
+    model does not have. The null hypothesis has none of these."""
 
     effects: tuple[Effect, ...] = ()
     region: str = ""
@@ -77,13 +77,13 @@ class Hypothesis:
 
     @property
     def is_outside(self) -> bool:
-        """Whether it says that the catalogue does not have it."""
+        """Whether it is outside the catalogue."""
         return bool(self.region or self.modes)
 
 
 class Scales(NamedTuple):
-    """How large what deviates beside the noise is: the ``accuracy`` of the model, the ``size`` of what is outside the
-    catalogue, and whether a hypothesis' ``term`` is right to :data:`TERM` only (1), or exact (0)."""
+    """Sizes of the deviations beside the noise: the ``accuracy`` of the model, the ``size`` of changes outside the
+    catalogue, and whether the ``term`` of a hypothesis is right to :data:`TERM` only (1), or exact (0)."""
 
     accuracy: float
     size: float
@@ -91,10 +91,9 @@ class Scales(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Local:
-    """A problem that is linear near a place: its ``data`` there, the ``settings`` that are averaged over, and the
-    ``counts`` of columns that deviate: of the parts, of what is outside the catalogue, of the term, and further ones.
-    """
+class LocalProblem:
+    """A problem linearised at a point: its ``data`` there, the ``settings`` of the scales that are averaged over, and
+    the ``counts`` of columns of the deviations: of the parts, outside the catalogue, of the term, and further ones."""
 
     problem: LinearisedProblem
     settings: tuple[Scales, ...]
@@ -109,12 +108,13 @@ class Local:
         return self.problem.averaged(self._expanded(scales))
 
     def over_scales(self) -> tuple[float, Scales, Average]:
-        """ln of the mean evidence over all settings, the best of these and what it gives."""
+        """ln of the mean evidence over all settings, the best of these and the average at it."""
         worth, best, average = over_scales(self.problem, [self._expanded(each) for each in self.settings])
         return worth, self.settings[best], average
 
     def over_blocks(self, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
-        """The same with each of some blocks of the further columns, of any of these `sizes`: (blocks,)."""
+        """ln of the mean evidence over all settings with each of some blocks of the further columns, averaged over
+        their `sizes`: (blocks,)."""
         every = []
         for each in self.settings:
             scales = self._expanded(each)
@@ -125,17 +125,17 @@ class Local:
         return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])
 
 
-class Weighed(NamedTuple):
-    """What data are worth at a place ``x`` (p,): ``log_evidence``, the standard deviations ``errors`` (p,), the
-    ``accuracy`` of the model there; chi-square relative to what noise would leave (``left``), with no more than
-    :data:`INACCURATE`; the estimated relative error of Z (``model_error``)."""
+class LaplaceApproximation(NamedTuple):
+    """Laplace's approximation of a posterior at ``x`` (p,), where a search goes on from: ``log_evidence``, standard
+    deviations ``errors`` (p,), ``accuracy`` of the model there, ``reduced_chi_square`` at an accuracy of
+    :data:`INACCURATE` at most, and the ``error_estimate`` of Z (relative)."""
 
     x: Real
     log_evidence: float
     errors: Real
     accuracy: float
-    left: float
-    model_error: float
+    reduced_chi_square: float
+    error_estimate: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +143,9 @@ class Explanation:
     """A hypothesis at its optimum.
 
     ``x`` (p,) all parameters; ``free`` the indices of those that move and ``covariance`` of them; ``log_evidence`` up
-    to what all hypotheses share; ``scales`` of what deviates, of the largest evidence; ``residual`` the data there, in
-    units of the noise; ``occam`` what the ranges of its parameters cost of the evidence; ``model_error`` the estimated
-    relative error of Z.
+    to a constant of all hypotheses; ``scales`` of the deviations, of the largest evidence; ``residual`` the data there,
+    in units of the noise; ``occam`` the part of the evidence that the ranges of its parameters cost; ``error_estimate``
+    of Z, relative.
     """
 
     hypothesis: Hypothesis
@@ -156,12 +156,12 @@ class Explanation:
     scales: Scales
     occam: float
     residual: Residual
-    model_error: float
+    error_estimate: float
     correlation: float = 1.0
 
     @property
     def accuracy(self) -> float:
-        """Of the model, relative."""
+        """Accuracy of the model, relative."""
         return self.scales.accuracy
 
     def error(self, index: int) -> float:
@@ -176,55 +176,58 @@ class Explanation:
         return found
 
     @property
-    def weighed(self) -> Weighed:
-        """What the data are worth there, from where a search goes on."""
-        return Weighed(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.model_error)
+    def laplace(self) -> LaplaceApproximation:
+        """The Laplace approximation there, for a search that goes on from it."""
+        return LaplaceApproximation(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.error_estimate)
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The recordings, the models that predict them about a point, and what these do not get right.
+    """The recordings, the models that predict them within some ranges, and the discrepancy of these models.
 
-    ``columns`` (m, k) what the smooth changes within all parts (``smooth``) do to ln Z at a relative size of one;
-    ``anything`` the same of every region, with losses of any size, for hypotheses of a region.
+    ``columns`` (m, k) are changes of ln Z by the fields within all parts, of covariance equal to that of
+    ``discrepancy`` at a relative size of one; ``region_discrepancy`` holds the modes of each region by itself, with
+    losses of any size, for hypotheses of a region.
     """
 
     model: Model
     objective: Objective
     columns: Real
-    anything: Patterns | None = None
-    smooth: Patterns | None = None
+    region_discrepancy: DiscrepancyModes | None = None
+    discrepancy: DiscrepancyModes | None = None
 
     @classmethod
-    def bare(cls, model: Model, objective: Objective) -> Likelihood:
-        """Of noise alone."""
+    def noise_only(cls, model: Model, objective: Objective) -> Likelihood:
+        """A likelihood without discrepancy."""
         return cls(model, objective, np.zeros((sum(2 * r.measured.frequency.size for r in objective.recordings), 0)))
 
-    def on(self, objective: Objective) -> Likelihood:
-        """The same, predicted by other models."""
+    def with_objective(self, objective: Objective) -> Likelihood:
+        """A copy with the predictions of another objective."""
         return replace(self, objective=objective)
 
-    def with_patterns(self, x: Real) -> Likelihood:
-        """The same with what the model does not get right at x (p,)."""
-        return self._within(*patterns(self.objective, x))
+    def with_discrepancy(self, x: Real) -> Likelihood:
+        """A copy with the discrepancy of the model at x (p,)."""
+        return self._with_modes(*discrepancy_modes(self.objective, x))
 
-    def _within(self, smooth: Patterns, anything: Patterns) -> Likelihood:
+    def _with_modes(self, discrepancy: DiscrepancyModes, region_discrepancy: DiscrepancyModes) -> Likelihood:
         sizes = self.noise[:, None] / ACCURACIES[-1]
-        directions, lengths = principal(smooth.columns / sizes, NEGLIGIBLE)
-        return replace(self, columns=directions * lengths * sizes, anything=anything, smooth=smooth)
+        directions, lengths = principal(discrepancy.columns / sizes, NEGLIGIBLE)
+        return replace(self, columns=directions * lengths * sizes, region_discrepancy=region_discrepancy,
+                       discrepancy=discrepancy)
 
     def joined(self, other: Likelihood) -> Likelihood:
-        """Of these recordings and others, both with what their models do not get right."""
-        assert self.smooth is not None
-        assert self.anything is not None
-        assert other.smooth is not None
-        assert other.anything is not None
-        both = Likelihood.bare(self.model, self.objective.joined(other.objective))
-        return both._within(self.smooth.followed_by(other.smooth), self.anything.followed_by(other.anything))
+        """The likelihood of these recordings and others, both with their discrepancies."""
+        assert self.discrepancy is not None
+        assert self.region_discrepancy is not None
+        assert other.discrepancy is not None
+        assert other.region_discrepancy is not None
+        both = Likelihood.noise_only(self.model, self.objective.joined(other.objective))
+        return both._with_modes(self.discrepancy.stacked(other.discrepancy),
+                                self.region_discrepancy.stacked(other.region_discrepancy))
 
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
-        """What was recorded."""
+        """The states of the recordings."""
         of = {state.name: state for state in self.model.campaign.states}
         return tuple(of[recording.name] for recording in self.objective.recordings)
 
@@ -240,12 +243,12 @@ class Likelihood:
 
     @cached_property
     def places(self) -> list[slice]:
-        """Where each recording is among the data."""
+        """The rows of each recording among the data."""
         ends = np.cumsum([0, *(2 * each.frequency.size for each in self.measured)]).tolist()
         return [slice(low, high) for low, high in pairwise(ends)]
 
     def strongest_modes(self, hypothesis: Hypothesis, x: Real, accuracy: float) -> tuple[Mode, ...]:
-        """The modes that the model seems to lack beside a hypothesis at x (p,), one at most in every body recorded."""
+        """The modes that the model seems to lack under a hypothesis at x (p,), one at most for every body recorded."""
         search = self.search(hypothesis)
         data = self.data(hypothesis, x)
         whiten = Covariance.of(self.columns / self.noise[:, None] * accuracy).whitened
@@ -266,46 +269,48 @@ class Likelihood:
         return strongest(self.measured, self.places, list(bodies.values()), self.noise, project, residual,
                          REGION_SIZES)
 
-    def spreads(self, level: float = 0.0, every: Sequence[int] | None = None) -> list[Real]:
-        """Deviations (n,) of every recording's points that weigh less by a further deviation `level`."""
+    def point_deviations(self, level: float = 0.0, every: Sequence[int] | None = None) -> list[Real]:
+        """Deviations (n,) of every recording's points with a further deviation `level`."""
         steps = every or [1] * len(self.objective.recordings)
         return [np.sqrt(state.noise[::step] ** 2 + level**2)
                 for state, step in zip(self.states, steps, strict=True)]
 
     def search(self, hypothesis: Hypothesis) -> FitSearch:
-        """The least-squares problem under a hypothesis, with noise alone."""
+        """The least-squares problem under a hypothesis, without discrepancy."""
         free, released = self.model.free(hypothesis.effects)
         return FitSearch(self.objective, free=free, released=released, refusals=self.model.refusals)
 
     def solve(self, search: FitSearch, stage: ContinuationStage, x: Real, *, accuracy: float = 0.0) -> Optimum:
-        """The end of a stage from x (p,), on few of the points; `accuracy` is that of the model."""
+        """The optimum of a stage from x (p,), on few of the points; `accuracy` is that of the model."""
         every = [own.step(SEARCHED) for own in search.objective.recordings]
-        spreads = self.spreads(stage.deviation, every)
-        thin = search.on(search.objective.thinned(SEARCHED))
+        spreads = self.point_deviations(stage.deviation, every)
+        thin = search.with_objective(search.objective.thinned(SEARCHED))
         if accuracy > 0.0 and self.columns.size:
             rows = np.concatenate([np.concatenate([np.arange(place.start, middle, step),
                                                    np.arange(middle, place.stop, step)])
                                    for place, step in zip(self.places, every, strict=True)
                                    for middle in [(place.start + place.stop) // 2]])
             deviation = np.concatenate([np.tile(each, 2) for each in spreads])
-            thin = thin.under(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
+            thin = thin.with_covariance(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
         return thin.solve(stage, x, spreads)
 
-    def descended(self, hypothesis: Hypothesis, search: FitSearch, x: Real, stage: ContinuationStage) -> Weighed:
-        """The optimum of a stage near x (p,), where the model is as accurate as it seems to be there."""
+    def stage_optimum(
+        self, hypothesis: Hypothesis, search: FitSearch, x: Real, stage: ContinuationStage
+    ) -> LaplaceApproximation:
+        """The optimum of a stage near x (p,), with the accuracy of the model of largest evidence there."""
         level = stage.deviation
 
-        def again(best: Weighed, strictness: float) -> Weighed:
+        def again(best: LaplaceApproximation, strictness: float) -> LaplaceApproximation:
             end = self.solve(search, stage, best.x, accuracy=strictness * best.accuracy)
-            return self.weighed(hypothesis, end.x, level)
+            return self.laplace(hypothesis, end.x, level)
 
-        return _improved(self.weighed(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS,
+        return _improved(self.laplace(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS,
                          lambda each: each.accuracy > level)
 
     def linearised(
         self, hypothesis: Hypothesis, search: FitSearch, x: Real, level: float = 0.0, further: Real | None = None
-    ) -> Local:
-        """The problem at x (p,); `further` columns (m, k) that deviate may be there, at a scale of nothing."""
+    ) -> LocalProblem:
+        """The problem linearised at x (p,), with `further` columns (m, k) of deviations of scale zero."""
         free = search.free
         data = self.data(hypothesis, x, level)
         parameters = [self.model.parameters[i] for i in free]
@@ -323,12 +328,13 @@ class Likelihood:
         settings = itertools.product(
             ACCURACIES if stated is None else (stated,), REGION_SIZES if hypothesis.is_outside else (0.0,),
             (0.0, 1.0) if counts[2] else (0.0,))
-        return Local(problem, tuple(Scales(*map(float, each)) for each in settings), counts, data)
+        return LocalProblem(problem, tuple(Scales(*map(float, each)) for each in settings), counts, data)
 
-    def _term(self, hypothesis: Hypothesis, tangents: Real, x: Real) -> Real:
-        """What an error of a hypothesis' own terms does (m, k): of each parameter, along the band, state by state.
+    def _term_errors(self, hypothesis: Hypothesis, tangents: Real, x: Real) -> Real:
+        """The change of the data (m, k) by errors of a hypothesis' own terms: of each parameter, along the band, state
+        by state.
 
-        What only moves a number that the model has already brings no term, and no error of one.
+        A hypothesis that only moves numbers of the model brings no term, and no error of one.
         """
         own = [self.model.index(name) for effect in hypothesis.effects if effect.terms for name in effect.names]
         if not own:
@@ -347,7 +353,7 @@ class Likelihood:
         return np.stack(columns, axis=1)
 
     def whitening(self, explanation: Explanation) -> Covariance:
-        """What deviates beside the noise where an explanation ended."""
+        """The covariance of the deviations beside the noise at the optimum of an explanation."""
         hypothesis, x = explanation.hypothesis, explanation.x
         return self._covariance(self.deviations(hypothesis, self.data(hypothesis, x), x), explanation.scales)
 
@@ -355,8 +361,8 @@ class Likelihood:
     def _covariance(deviations: Sequence[Real], scales: Scales) -> Covariance:
         return Covariance.of(np.column_stack([part * size for part, size in zip(deviations, scales, strict=True)]))
 
-    def settled(self, hypothesis: Hypothesis, x: Real, *, rounds: int = ROUNDS, limit: int = STEPS) -> Explanation:
-        """The optimum of the posterior near x (p,), with all data in full, and the evidence there.
+    def refit(self, hypothesis: Hypothesis, x: Real, *, rounds: int = ROUNDS, limit: int = STEPS) -> Explanation:
+        """The optimum of the posterior near x (p,), with all data at full weight, and the evidence there.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near x can be predicted, or is
@@ -365,22 +371,23 @@ class Likelihood:
         search = self.search(hypothesis)
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
 
-        def at(x: Real) -> tuple[Real, Local, float, Scales, Average]:
+        def at(x: Real) -> tuple[Real, LocalProblem, float, Scales, Average]:
             local = self.linearised(hypothesis, search, x)
             return x, local, *local.over_scales()
 
         def again(
-            best: tuple[Real, Local, float, Scales, Average], strictness: float
-        ) -> tuple[Real, Local, float, Scales, Average]:
+            best: tuple[Real, LocalProblem, float, Scales, Average], strictness: float
+        ) -> tuple[Real, LocalProblem, float, Scales, Average]:
             x, local, _, scales, average = best
             for i, deviation in zip(search.free, np.sqrt(np.diag(average.covariance)), strict=True):
                 if i in own:
-                    # What is admissible may be a million times what the data see.
+                    # The admissible range may be a million times the one that the data determine.
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
             deviations = self.deviations(hypothesis, local.data, x)
-            under = search.under(self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy)))
-            return at(under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x)
+            covariance = self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy))
+            whitened = search.with_covariance(covariance)
+            return at(whitened.minimise(x, self.point_deviations(), limit=limit, tolerance=ENOUGH).x)
 
         x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
         worth -= sum(mode.cost for mode in hypothesis.modes)
@@ -390,7 +397,7 @@ class Likelihood:
                            self._correlation(covariance.whitened(covariance.whitened(local.data.vector))))
 
     def _correlation(self, noise: Real) -> float:
-        """How many neighbouring points carry the information of one where that much noise (m,) is left."""
+        """The number of neighbouring points that carry the information of one, for a residual of `noise` (m,)."""
         parts = [np.split(noise[place], 2) for place in self.places]
         lengths = [correlation_length(real + 1j * imaginary) for real, imaginary in parts]
         return float(np.average(lengths, weights=[real.size for real, _ in parts]))
@@ -398,25 +405,27 @@ class Likelihood:
     def deviations(
         self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
     ) -> tuple[Real, Real, Real]:
-        """What deviates beside the noise (m, k), at a size of one: within all parts, within one, and of the term."""
+        """Columns (m, k) of the deviations beside the noise, of size one: within all parts, within one region, and of
+        the term."""
         noise = np.sqrt(self.noise**2 + level**2)[:, None]
         outside = np.zeros((self.noise.size, 0))
-        if hypothesis.region and self.anything is not None:
-            outside = compressed_columns(self.anything.within(hypothesis.region) / noise, REGION_SIZES[-1])
+        if hypothesis.region and self.region_discrepancy is not None:
+            outside = compressed_columns(self.region_discrepancy.of_region(hypothesis.region) / noise, REGION_SIZES[-1])
         elif hypothesis.modes:
             outside = columns(self.measured, self.places, hypothesis.modes, self.noise.size) / noise
-        return self.columns / noise, outside, self._term(hypothesis, data.jacobian, x)
+        return self.columns / noise, outside, self._term_errors(hypothesis, data.jacobian, x)
 
     def data(self, hypothesis: Hypothesis, x: Real, level: float = 0.0) -> Residual:
-        """The data at x (p,) and what all that moves under a hypothesis does to them."""
-        return self.objective(x, deviation=self.spreads(level), free=frozenset(self.model.free(hypothesis.effects)[0]))
+        """The data at x (p,) with their derivatives by the parameters of a hypothesis."""
+        free = frozenset(self.model.free(hypothesis.effects)[0])
+        return self.objective(x, deviation=self.point_deviations(level), free=free)
 
     def impedances(self, x: Real) -> list[Complex]:
         """Impedance (n,) ohm of every recording as predicted at x (p,)."""
         return [self.objective.predict(x, index, ())[0] for index in range(len(self.objective.recordings))]
 
-    def weighed(self, hypothesis: Hypothesis, x: Real, level: float) -> Weighed:
-        """What the data are worth at x (p,) with points that weigh less, by a further deviation `level`."""
+    def laplace(self, hypothesis: Hypothesis, x: Real, level: float) -> LaplaceApproximation:
+        """The Laplace approximation at x (p,), with points of a further deviation `level`."""
         search = self.search(hypothesis)
         local = self.linearised(hypothesis, search, x, level)
         worth, best, average = local.over_scales()
@@ -425,21 +434,21 @@ class Likelihood:
         if self.model.campaign.inhomogeneity is None and best.accuracy > INACCURATE:
             average = local.averaged(best._replace(accuracy=INACCURATE))
         expected = float(np.sum(self.noise**2 / (self.noise**2 + level**2)))
-        return Weighed(x, worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
-                       average.chi_square / expected, local.data.error)
+        return LaplaceApproximation(x, worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
+                                    average.chi_square / expected, local.data.error)
 
-    def beside(
+    def alternatives(
         self, hypothesis: Hypothesis, x: Real, level: float, accuracy: float
     ) -> list[tuple[Hypothesis, float]]:
-        """What is outside the catalogue beside a hypothesis at x (p,), and the log evidence with it, best first.
+        """Hypotheses outside the catalogue added to a hypothesis at x (p,), with their log evidences, best first.
 
-        Something in a region, for every region, and the modes that a model of that `accuracy` seems to lack.
+        They are a change in each region, and the modes that a model of that `accuracy` seems to lack.
         """
-        assert self.anything is not None
+        assert self.region_discrepancy is not None
         noise = np.sqrt(self.noise**2 + level**2)[:, None]
-        found = {replace(hypothesis, region=region): compressed_columns(self.anything.within(region) / noise,
-                                                                        REGION_SIZES[-1])
-                 for region in dict.fromkeys(self.anything.regions)}
+        free = self.region_discrepancy
+        found = {replace(hypothesis, region=each): compressed_columns(free.of_region(each) / noise, REGION_SIZES[-1])
+                 for each in dict.fromkeys(free.regions)}
         if modes := self.strongest_modes(hypothesis, x, accuracy):
             found[replace(hypothesis, modes=modes)] = columns(
                 self.measured, self.places, modes, self.noise.size) / noise
@@ -454,11 +463,11 @@ def _improved(
     best: T, again: Callable[[T, float], T], worth: Callable[[T], float], rounds: int,
     is_lenient: Callable[[T], bool] = lambda _best: True,
 ) -> T:
-    """The best of so many rounds that each begin `again` from it, with an accuracy of the model times a factor.
+    """The best of at most `rounds` rounds that each begin `again` from it, with a factor on the accuracy of the model.
 
-    That is one as long as it helps, and then :data:`STRICTER` if it `is_lenient`: where little is asked of the model,
-    much stays that it could explain. What the first round begins from is not an optimum, and far from one the tangents
-    promise too much: its worth does not count.
+    The factor is one as long as that helps, and then :data:`STRICTER` if the best one `is_lenient`: an inaccurate model
+    leaves much that it could explain. The worth of the start does not count: it is no optimum, and far from one the
+    tangents predict too large a gain.
     """
     strictness = 1.0
     best = again(best, strictness) if rounds else best
@@ -478,6 +487,6 @@ NEGLIGIBLE = 0.03
 
 
 def compressed_columns(columns: Real, size: float) -> Real:
-    """Fewer columns (m, k) of the same covariance, but for what is negligible at that size."""
+    """Fewer columns (m, k) of equal covariance, up to negligible parts at that size."""
     directions, lengths = principal(columns * size, NEGLIGIBLE)
     return np.asarray(directions * lengths / size)

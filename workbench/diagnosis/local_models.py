@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import Belief, multimodal, smallest_body
 from workbench.diagnosis.descent import LEVELS, Candidate
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smallest_body
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
@@ -55,19 +55,19 @@ class LocalModels:
         return np.array([p.start for p in self.model.parameters])
 
     @cached_property
-    def belief(self) -> Belief:
+    def belief(self) -> GaussianPrior:
         """Where the known numbers are, by the smallest body of several."""
-        prior = Belief.prior(self.model)
+        prior = GaussianPrior.prior(self.model)
         first = smallest_body(self.model.fitted)
-        return prior if first is None else prior.given(
-            Likelihood.bare(self.model, self.around(prior.x, prior, first)))
+        return prior if first is None else prior.updated(
+            Likelihood.noise_only(self.model, self.around(prior.x, prior, first)))
 
     @cached_property
     def known_reach(self) -> dict[str, float]:
         """How far models reach, by name."""
         return self.belief.reach(self.model, FAR)
 
-    def around(self, x: Real, belief: Belief, recordings: Objective, *, enriches: bool = False) -> Objective:
+    def around(self, x: Real, belief: GaussianPrior, recordings: Objective, *, enriches: bool = False) -> Objective:
         """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
         return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known), enriches=enriches)
 
@@ -89,7 +89,7 @@ class LocalModels:
     @cached_property
     def multimodal(self) -> list[int]:
         """Indices of the known numbers along which there are several optima."""
-        return multimodal(Likelihood.bare(self.model, self.narrow), self.belief)
+        return multimodal(Likelihood.noise_only(self.model, self.narrow), self.belief)
 
     @property
     def _made(self) -> tuple[bytes, Objective, dict[bytes, Likelihood]]:
@@ -103,14 +103,14 @@ class LocalModels:
 
     def bare(self) -> Likelihood:
         """Of noise alone, all over what is known."""
-        return Likelihood.bare(self.model, self.wide)
+        return Likelihood.noise_only(self.model, self.wide)
 
     def likelihood(self, x: Real) -> Likelihood:
         """All over what is known, with what the model does not get right at x (p,)."""
         known = self._made[2]
         if (key := x.tobytes()) not in known:
             known.clear()
-            known[key] = self.bare().with_patterns(x)
+            known[key] = self.bare().with_discrepancy(x)
         return known[key]
 
     def near(
@@ -143,14 +143,15 @@ class LocalModels:
         """
         hypothesis, every, seen = found.hypothesis, found, list[NDArray[np.complex128]]()
         for _ in range(PLACES if rounds else 1):
-            held = Likelihood.bare(self.model, self.near(
-                hypothesis, every.x, found.errors, held_out=True)).with_patterns(every.x)
+            held = Likelihood.noise_only(self.model, self.near(
+                hypothesis, every.x, found.errors, held_out=True)).with_discrepancy(every.x)
             if seen:
-                likelihood = likelihood.on(self.near(hypothesis, every.x, found.errors)).with_patterns(every.x)
+                near = self.near(hypothesis, every.x, found.errors)
+                likelihood = likelihood.with_objective(near).with_discrepancy(every.x)
             else:
                 seen = held.impedances(found.x)
-            every = likelihood.joined(held).settled(hypothesis, every.x, rounds=rounds, limit=limit)
-            if not self.are_inaccurate(every.model_error, every.accuracy):
+            every = likelihood.joined(held).refit(hypothesis, every.x, rounds=rounds, limit=limit)
+            if not self.are_inaccurate(every.error_estimate, every.accuracy):
                 break
         return every.log_evidence - found.log_evidence, seen
 
@@ -185,5 +186,5 @@ class LocalModels:
             for name in effect.names:
                 i = self.model.index(name)
                 reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
-        return likelihood.on(self.model.fitted.near(candidate.x, reach, ROUGH,
+        return likelihood.with_objective(self.model.fitted.near(candidate.x, reach, ROUGH,
                                                     only=self.moving(candidate.hypothesis), enriches=False))

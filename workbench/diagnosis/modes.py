@@ -29,7 +29,7 @@ QUALITIES = (60.0, 150.0, 400.0)
 
 @dataclass(frozen=True)
 class Mode:
-    """A resonance at a ``frequency`` (Hz) of a ``quality`` in some ``recordings``, one of so many ``tried``."""
+    """A resonance at a ``frequency`` (Hz) of a ``quality`` in some ``recordings``, one of ``tried`` candidates."""
 
     recordings: tuple[int, ...]
     frequency: float
@@ -50,7 +50,8 @@ def mode_slopes(measured: Spectrum, centre: Real, quality: float) -> Complex:
 
 
 def columns(recordings: Sequence[Spectrum], places: Sequence[slice], modes: Sequence[Mode], size: int) -> Real:
-    """What the two parts of every mode's amplitude do to the data (size, 2 modes), ln Z, at `places` of recordings."""
+    """The change of the data (size, 2 modes), ln Z at `places` of recordings, by the two parts of every mode's
+    amplitude."""
     found = np.zeros((size, 2 * len(modes)))
     for k, mode in enumerate(modes):
         for index in mode.recordings:
@@ -70,7 +71,7 @@ def strongest(
     recordings: Sequence[Spectrum], places: Sequence[slice], bodies: Sequence[Sequence[int]], noise: Real,
     project: Callable[[Real], Real], residual: Real, sizes: Real,
 ) -> tuple[Mode, ...]:
-    """Of every body (indices of its recordings) the mode with the largest evidence, where there is some for one.
+    """The mode with the largest evidence of every body (indices of its recordings), where there is evidence for one.
 
     Args:
         noise: (m,) of the data; `project` brings columns (m, k) over their noise to where known parameters cannot
@@ -88,9 +89,9 @@ def strongest(
                 slope = mode_slopes(recordings[index], centre, quality)
                 for part, turned in enumerate((slope, 1j * slope)):
                     whole[places[index], part] = np.concatenate([turned.real, turned.imag])
-            seen = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
+            signal = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
                 -1, 2, centre.size), -1, 0)
-            worth = _worth(seen, residual, sizes)
+            worth = _worth(signal, residual, sizes)
             at = int(np.argmax(worth))
             if best is None or worth[at] > best[0]:
                 best = float(worth[at]), Mode(tuple(body), float(centre[at]), quality, tried)
@@ -99,9 +100,9 @@ def strongest(
     return tuple(found)
 
 
-def _worth(seen: Real, residual: Real, sizes: Real) -> Real:
+def _worth(signal: Real, residual: Real, sizes: Real) -> Real:
     """Largest log evidence (k,) over the `sizes` for amplitudes of columns (k, m', 2) in a residual (m',)."""
-    gram, along = seen.swapaxes(1, 2) @ seen, seen.swapaxes(1, 2) @ residual
+    gram, along = signal.swapaxes(1, 2) @ signal, signal.swapaxes(1, 2) @ residual
     values, vectors = np.linalg.eigh(gram)
     squares = np.einsum("kij,ki->kj", vectors, along) ** 2
     ratio = sizes[:, None, None] ** 2 * np.maximum(values, 0.0)

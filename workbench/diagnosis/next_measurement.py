@@ -33,22 +33,22 @@ Real = NDArray[np.float64]
 #: Numbers of recordings that are looked at, and drives, relative to that of a state. More than the last is no plan.
 TIMES, DRIVES = (1, 2, 4, 8, 16, 32, 64), (0.5, 2.0)
 
-#: What open, short and load tell of the bench, as standard uncertainties in SI: clips repeat to 20 mohm, which is 3 nH
+#: Standard uncertainties in SI that open, short and load leave of the bench: clips repeat to 20 mohm, which is 3 nH
 #: at 1 MHz and 0.2 pF against 1 Mohm, and instruments to 0.2 %.
 STANDARDS = {"series_resistance": 0.02, "series_inductance": 3e-9, "parallel_capacitance": 2e-13, "gain": 2e-3,
              "phase": 2e-3}
 
-#: What takes predictions that a diagnosis does not make.
+#: Measurements that need predictions which a diagnosis does not make.
 NOT_COMPARED = "another temperature of the liquid, a wider band, the states held out"
 
-#: What a hypothesis predicts for so many recordings: a mean (m,), and columns (m, k) of its covariance 1 + C C^T.
-#: Of it, and of what deviates under it.
+#: The prediction for so many recordings of an explanation with its deviations: a mean (m,), and columns (m, k) of its
+#: covariance 1 + C C^T.
 Predicted = Callable[[Explanation, Covariance, int], tuple[Real, Real]]
 
 
 @dataclass(frozen=True)
 class Option:
-    """Something to measure: the ``share`` of what is open that doing it once settles, and the ``odds`` expected between
+    """A measurement: the ``share`` of the open question that doing it once settles, and the ``odds`` expected between
     the two best hypotheses after ``times`` of it."""
 
     name: str
@@ -58,9 +58,10 @@ class Option:
 
 
 def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], wanted: float) -> list[Option]:
-    """What may be measured, best first, until explanations with their log odds are told apart by odds of `wanted`.
+    """Measurements, best first, with their number until explanations with their log odds are told apart by odds of
+    `wanted`.
 
-    What the model does not get right is that of a `likelihood`, wherever its place is.
+    The discrepancy of the model is that of a `likelihood`, at whatever point it was computed.
     """
     weights = np.exp([odds - max(odds for _, odds in alive) for _, odds in alive])
     weights /= weights.sum()
@@ -68,15 +69,15 @@ def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], 
     systematic = [(each, _systematic(likelihood, each)) for each, _ in alive]
     for name, predicted in _predictions(likelihood, [each for each, _ in alive]):
         distances = {n: _distances([predicted(*each, n) for each in systematic]) for n in TIMES}
-        settled = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
+        share = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
         times = next((n for n in TIMES if distances[n][0, 1] > 2.0 * math.log(wanted)), TIMES[-1])
         odds = math.exp(min(0.5 * float(distances[times][0, 1]), 50.0))
-        found.append(Option(name, max(0.0, float(settled)), odds, times))
+        found.append(Option(name, max(0.0, float(share)), odds, times))
     return sorted(found, key=lambda option: (-option.share, option.times))
 
 
 def next_measurement_text(found: Sequence[Option], alive: Sequence[str], wanted: float) -> str:
-    """What to measure next, and what it is expected to tell; empty without options."""
+    """The next measurement, and the information expected of it, in words; empty without options."""
     if not found:
         return ""
     best = found[0]
@@ -101,10 +102,10 @@ def _distances(every: Sequence[tuple[Real, Real]]) -> Real:
 
 
 def _systematic(likelihood: Likelihood, found: Explanation) -> Covariance:
-    """What deviates beside the noise under an explanation: within all parts, in its region, and as its modes."""
+    """The deviations beside the noise under an explanation: within all parts, in its region, and as its modes."""
     hypothesis, parts = found.hypothesis, [likelihood.columns * found.accuracy]
-    if hypothesis.region and likelihood.anything is not None:
-        parts.append(likelihood.anything.within(hypothesis.region) * found.scales.size)
+    if hypothesis.region and likelihood.region_discrepancy is not None:
+        parts.append(likelihood.region_discrepancy.of_region(hypothesis.region) * found.scales.size)
     if hypothesis.modes:
         modes = columns(likelihood.measured, likelihood.places, hypothesis.modes, likelihood.noise.size)
         parts.append(modes * found.scales.size)
@@ -128,11 +129,11 @@ def _predictions(likelihood: Likelihood, alive: Sequence[Explanation]) -> Iterat
 def _recorded(
     model: Model, state: str, rows: slice, drive: float, found: Explanation, systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
-    """Of a fitted state, its drive times a factor."""
+    """The prediction for recordings of a fitted state, its drive times a factor."""
     tangents, free = found.residual.jacobian[rows], np.array(found.free)
     is_new = np.array([model.parameters[i].offset and model.parameters[i].recordings == (state,) for i in free])
     new, own = free[is_new], _driven(model, found, state)
-    # What the recordings there are say of the deviations, and leave open of them.
+    # The posterior of the deviations from the recordings there are.
     said = systematic.variances / (1.0 + systematic.variances)
     vector, directions = found.residual.vector, systematic.directions
     mean = (vector - directions @ (said * (directions.T @ vector)))[rows]
@@ -156,7 +157,8 @@ def _driven(model: Model, found: Explanation, state: str) -> list[int]:
 def _bench(
     model: Model, bench: Sequence[int], found: Explanation, _systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
-    """Of elements, by their indices, in units of what the standards tell of them."""
+    """The prediction for elements of the bench, by their indices, in units of the uncertainties that the standards
+    leave."""
     errors = np.array([STANDARDS[model.parameters[i].name.removeprefix(BENCH)] for i in bench])
     return (math.sqrt(times) * found.x[list(bench)] / errors,
             math.sqrt(times) * np.diag([found.error(i) if i in found.free else 0.0 for i in bench]) / errors[:, None])

@@ -47,7 +47,7 @@ class DeviceNumbers:
         return self.first.get(name, name)
 
     def together(self, name: str) -> tuple[str, ...]:
-        """The names of what is one number under that `name`."""
+        """All names of the number that has this `name`."""
         return (name, *(other for other, chosen in self.first.items() if chosen == name and other != name))
 
     def having(self, name: str) -> tuple[DeviceState, ...]:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: What the accuracy of a model may be where nobody states it (relative changes of stiffness, mass and loss), and how
-#: large changes within a region may be of which nothing is known: each as likely in every decade.
+#: Accuracies of a model where nobody states one (relative changes of stiffness, mass and loss), and sizes of changes
+#: within a region of which nothing is known: each as likely in every decade.
 ACCURACIES = np.logspace(-4.0, -1.5, 11)
 REGION_SIZES = np.logspace(-3.0, 0.0, 7)
 
 #: Nothing else is looked for where nothing being wrong leaves noise by a model of the first accuracy: what a larger one
 #: hides no tangent shows. Beyond the second the search goes on for a better explanation: hardly a part is that
-#: different from place to place. What a verdict asks for is :attr:`Criteria.inaccurate`.
+#: different from place to place. The bound of a verdict is :attr:`Criteria.inaccurate`.
 INCONSPICUOUS, INACCURATE = 0.001, 0.005
 
 #: Log evidences that are further behind the best are given up on the way: odds of 160000, where a final optimum has
@@ -26,18 +26,18 @@ TERM = 0.02
 
 @dataclass(frozen=True)
 class Criteria:
-    """What a verdict asks for.
+    """The criteria of a verdict.
 
     Attributes:
-        accepted: posterior odds of something being wrong against nothing, from which it is said. Doubled, half as many
+        accepted: posterior odds against the null hypothesis from which an effect is named. Doubled, half as many
             of the campaigns in which nothing is wrong are blamed, and effects have to be a twentieth of a standard
             deviation larger.
         hinted: the same, from which a hint is mentioned.
         looked_at: the same of one hypothesis, as its score promises them, from which it is tried at all.
         rival: odds of the best explanation against another, up to which the data cannot rule the other out.
         nothing_wrong: prior probability that nothing is.
-        spare: standard deviations from nothing within which a further parameter is spare: an explanation that has the
-            best one's parameters, and beside these only spare ones, says the same.
+        redundant: standard deviations from its neutral value within which a further parameter is redundant: an
+            explanation that has the best one's parameters and redundant ones is no rival of it.
         inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which what is left is no
             inaccuracy: neither nothing being wrong nor an effect explains all then. No part is a per cent different
             from place to place. Doubled, mismatches twice as large pass for inaccuracy.
@@ -52,13 +52,13 @@ class Criteria:
     looked_at: float = 0.1
     rival: float = 20.0
     nothing_wrong: float = 0.5
-    spare: float = 2.0
+    redundant: float = 2.0
     inaccurate: float = 0.01
     most: float = 0.9
     at_odds: float = 3.5
 
     def __post_init__(self) -> None:
-        if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.spare > 0.0):
+        if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.redundant > 0.0):
             raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
                              "1")
         if not (self.inaccurate > 0.0 and 0.0 < self.most <= 1.0 and self.at_odds > 0.0):

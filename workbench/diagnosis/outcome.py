@@ -1,4 +1,4 @@
-"""What a diagnosis comes to: a verdict, what is established and how much it explains, what is left, what to do next."""
+"""A diagnosis as a value: verdict, established effects and their shares, the remainder, the next measurement."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import NOT_FINISHED, VERDICTS
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.findings import Found, Settled
+from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Scales
 from workbench.diagnosis.next_measurement import Option, next_measurement_text
@@ -38,9 +38,9 @@ NAMED = 6
 
 
 class FoundNumber(NamedTuple):
-    """A parameter, SI: its ``value``, the ends of its 95 % interval, and what is ``stated``, or was where nothing is
-    wrong; ``sigmas`` it left that by, in standard uncertainties of what is known of it (None if nothing is). A
-    ``relative`` one is a factor of what each state has stated."""
+    """A parameter, SI: its ``value``, the ends of its 95 % interval, and the ``stated`` one, or the optimum where
+    nothing is wrong. ``sigmas`` is the distance between the two in standard uncertainties of the prior, None without a
+    prior. A ``relative`` number is a factor of the one stated in each state."""
 
     name: str
     value: float
@@ -53,24 +53,24 @@ class FoundNumber(NamedTuple):
 
     @property
     def shown(self) -> tuple[float, float, float, float]:
-        """Value, ends and what is stated in the unit that numbers are shown in."""
+        """Value, ends and stated value in the unit that numbers are shown in."""
         factor = shown_factor(self.unit)
         return self.value * factor, self.low * factor, self.high * factor, self.stated * factor
 
     @property
     def in_words(self) -> str:
-        """Value and interval in that unit."""
+        """Value and interval in the unit that numbers are shown in."""
         value, low, high, _ = self.shown
         if self.relative:
-            told = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
-            return "{} ({} to {}) of what is stated".format(*told)
+            formatted = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
+            return "{} ({} to {}) of what is stated".format(*formatted)
         return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Established(Brief):
-    """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
-    noise, of what the known parameters leave, that it takes away."""
+    """An effect, its parameters, whether all of these are ``admissible``, and its ``share`` of the mismatch beyond
+    noise that the known parameters leave."""
 
     effect: Effect
     estimates: tuple[FoundNumber, ...]
@@ -79,10 +79,10 @@ class Established(Brief):
 
 
 @dataclass(frozen=True)
-class Left:
-    """What an explanation leaves: ``rms`` of ln(Z / Z_measured) over all fitted states, of which ``noise`` is that
-    much; ``accuracy`` of the model, relative changes within parts, which ``allows`` that much; the ``region`` that
-    there is evidence for, empty if for none."""
+class Remainder:
+    """The mismatch that an explanation leaves: ``rms`` of ln(Z / Z_measured) over all fitted states, and the part of it
+    that is ``noise``. ``accuracy`` of the model, relative changes within parts, ``allows`` that much of it; ``region``
+    is the one that there is evidence for, empty if there is none."""
 
     rms: float
     noise: float
@@ -103,13 +103,13 @@ class SuspectPlace(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
-    """What was found.
+    """The verdict on a campaign, and all that it rests on.
 
-    Of all states, those held out last: ``stated`` as they are stated, ``base`` with the known parameters fitted,
-    ``best`` with what is ``established`` (the base itself if nothing is). ``location`` best first; ``known`` the known
-    parameters, but for those that effects release; ``scores`` of all hypotheses; ``next_options`` what may be measured
-    to tell apart what is ``alive``, best first. ``provisional`` is what a search that was cut short would come to by
-    what it looked at; None of one that was not.
+    All states are given three times, those held out last: ``stated`` as they are stated, ``base`` with the known
+    parameters fitted, ``best`` with the ``established`` effects (the base itself if there are none). ``location`` lists
+    suspect places, best first; ``known`` the known parameters except those that effects release; ``scores`` those of
+    all hypotheses; ``next_options`` measurements that tell the ``alive`` explanations apart, best first.
+    ``provisional`` is the diagnosis that a search that was cut short would come to so far, None after a whole search.
     """
 
     model: Model
@@ -120,7 +120,7 @@ class Diagnosis(Shown):
     base: tuple[StateFit, ...]
     best: tuple[StateFit, ...]
     established: tuple[Established, ...]
-    left: Left
+    remainder: Remainder
     location: tuple[SuspectPlace, ...]
     known: tuple[FoundNumber, ...]
     scores: tuple[Score, ...]
@@ -153,7 +153,7 @@ class Diagnosis(Shown):
 
     @property
     def shares(self) -> tuple[tuple[tuple[Established, ...], float], ...]:
-        """What is established, with the share of the mismatch that it takes away.
+        """Established effects in groups, with the share of the mismatch that each group takes away.
 
         Effects of one kind on one thing (two losses of a material) belong together: which of them takes how much
         depends on which is asked first.
@@ -165,19 +165,19 @@ class Diagnosis(Shown):
 
     @property
     def at_odds(self) -> tuple[FoundNumber, ...]:
-        """The known parameters that left what is known of them, furthest first."""
+        """The known parameters that left their priors, furthest first."""
         found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
         return tuple(sorted(found, key=lambda each: -abs(each.sigmas or 0.0)))
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The regions of what is established, all that a material fills among them, or the one that there is evidence
-        for."""
-        found = [name for each in self.effects for name in self._regions(each)] or [self.left.region]
+        """The regions of the established effects, all regions of a material included, or else the one that there is
+        evidence for."""
+        found = [name for each in self.effects for name in self._regions(each)] or [self.remainder.region]
         return tuple(dict.fromkeys(filter(None, found)))
 
     def _regions(self, effect: Effect) -> list[str]:
-        """Where an effect acts: a number of a material does wherever that is."""
+        """The regions where an effect acts: all regions of its material, if it has one."""
         owner = ParameterName.parse(effect.names[0]).owner
         within = {getattr(term, "region", "") for held in effect.terms.values() for term in held}
         filled = [region for state in self.states for region, material in state.materials.items()
@@ -188,16 +188,17 @@ class Diagnosis(Shown):
     def states(self) -> tuple[DeviceState, ...]:
         return (*self.campaign.fitted, *self.campaign.held_out)
 
-    def estimates_of(self, settled: Settled) -> tuple[FoundNumber, ...]:
+    def estimates_of(self, refit: Refitted) -> tuple[FoundNumber, ...]:
         """The parameters of an explanation's effects."""
-        effects = settled.explanation.hypothesis.effects
-        return estimates(self.model, settled.explanation, [name for each in effects for name in each.names])
+        effects = refit.explanation.hypothesis.effects
+        return estimates(self.model, refit.explanation, [name for each in effects for name in each.names])
 
     def posterior(self, name: str = "", *, scales: Scales | None = None) -> Posterior:
-        """The posterior of the hypothesis of that name ("nothing" for none), of what was chosen by default.
+        """The posterior of the hypothesis of that name ("nothing" for the null hypothesis), by default of the chosen
+        one.
 
-        It is made when it is asked for, with reduced models about the optimum. A hypothesis of the
-        catalogue that the search did not settle is followed to its optimum first. `scales` as of a `Posterior`.
+        It is made on request, with reduced models for the neighbourhood of the optimum. A hypothesis of the catalogue
+        that the search did not refit is followed to its optimum first. `scales` as in `Posterior`.
 
         Raises:
             ValueError: no hypothesis of that name, or nothing near its place is admissible.
@@ -208,7 +209,7 @@ class Diagnosis(Shown):
     @property
     def headline(self) -> str:
         """The sentence to read first."""
-        decision, left = self.conclusion.decision, self.left
+        decision, remainder = self.conclusion.decision, self.remainder
         match self.verdict:
             case "missing_physics" | "ambiguous":
                 text = (f"{'; '.join(_in_words(each) for each in self.established)}; this explains "
@@ -216,12 +217,12 @@ class Diagnosis(Shown):
                 if decision.rivals:
                     text += f", but {' or '.join(plain_words(each.name) for each in decision.rivals)} would too"
             case "no_mismatch":
-                text = f"the model as stated explains the recordings: {_left_in_words(left)}"
+                text = f"the model as stated explains the recordings: {_remainder_in_words(remainder)}"
             case "parameters_explain":
                 most = max(self.known, key=lambda each: abs(each.sigmas or 0.0))
                 text = (f"the known parameters, within what is known of them, explain the recordings: "
-                        f"{_left_in_words(left)}; the {ParameterName.parse(most.name).in_words} moves most, by "
-                        f"{most.sigmas:+.1f} standard uncertainties")
+                        f"{_remainder_in_words(remainder)}; the {ParameterName.parse(most.name).in_words} moves most, "
+                        f"by {most.sigmas:+.1f} standard uncertainties")
             case "below_detection":
                 name, odds = self._likeliest()
                 text = (f"something may be missing, {plain_words(name)} most likely, at odds of {odds:.2g}: not "
@@ -231,17 +232,17 @@ class Diagnosis(Shown):
             case "unexplained":
                 name = self._likeliest()[0] if decision.chosen.outside else ""
                 which = "that could be tried " if self.found.not_tried else ""
-                text = (f"nothing in the catalogue {which}explains what is left: {_left_in_words(left)}"
+                text = (f"nothing in the catalogue {which}explains what is left: {_remainder_in_words(remainder)}"
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
         return f"{_capital(text)}."
 
     def _not_looked_at(self) -> str:
-        """What a search that was cut short has still to look at."""
+        """The steps that a search that was cut short left out, in words."""
         undone = Counter(self.found.undone)
-        told = [plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
-        listed = _listed([*told[:NAMED], *([f"{len(told) - NAMED} more"] if len(told) > NAMED else [])])
+        formatted = [plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
+        listed = _listed([*formatted[:NAMED], *([f"{len(formatted) - NAMED} more"] if len(formatted) > NAMED else [])])
         if not self.tried:
             return f"none of the {len(self.model.effects)} hypotheses has been tried; still to be looked at: {listed}"
         return f"still to be looked at: {listed}"
@@ -262,13 +263,14 @@ class Diagnosis(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What else is to be said, one sentence each."""
+        """Further statements, one sentence each."""
         decision, result = self.conclusion.decision, list[str]()
         if self.provisional is not None:
             result += self._so_far(self.provisional)
         if self.established:
-            result.append(f"Beside that, {_left_in_words(self.left)}"
-                          + (f"; it looks like something in the {self.left.region}." if self.left.region else "."))
+            result.append(f"Beside that, {_remainder_in_words(self.remainder)}"
+                          + (f"; it looks like something in the {self.remainder.region}."
+                             if self.remainder.region else "."))
         result += [f"{_capital(_listed([plain_words(each.effect.name) for each in group]))} "
                    f"{'takes' if len(group) == 1 else 'together take'} {100.0 * share:.3g} % of the mismatch."
                    for group, share in self.shares if len(self.shares) > 1]
@@ -279,8 +281,8 @@ class Diagnosis(Shown):
                    f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
                    for each in decision.rivals]
         if self.at_odds:
-            told = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
-            result.append(f"In standard uncertainties, at odds with what is known: {told}.")
+            formatted = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
+            result.append(f"In standard uncertainties, at odds with what is known: {formatted}.")
         count = len(self.campaign.fitted)
         result += [f"{after.name}, held out: a reduced chi-square of {before.reduced:.3g} by the known parameters"
                    + (f", {after.reduced:.3g} with what was found." if self.established else ".")
@@ -292,13 +294,13 @@ class Diagnosis(Shown):
         return (*result, *refused_steps(self.model.refusals))
 
     def _so_far(self, found: Diagnosis) -> Iterator[str]:
-        """Of a search that was cut short: what it found so far, which the rest may overturn."""
-        yield (f"Provisional: with the known parameters alone, {100.0 * self.left.rms:.2g} % of Z is left so far "
-               f"(rms of both parts; {_noise_in_words(self.left)}).")
+        """Results of a search that was cut short, which the rest of it may overturn."""
+        yield (f"Provisional: with the known parameters alone, {100.0 * self.remainder.rms:.2g} % of Z is left so far "
+               f"(rms of both parts; {_noise_in_words(self.remainder)}).")
         tried = ", ".join(map(plain_words, self.tried))
         if found.established:
-            told = "; ".join(_in_words(each) for each in found.established)
-            yield (f"Provisional: of what was tried ({tried}), best so far is {told}. What was not "
+            formatted = "; ".join(_in_words(each) for each in found.established)
+            yield (f"Provisional: of what was tried ({tried}), best so far is {formatted}. What was not "
                    "looked at may explain as much, or more.")
         elif self.tried:
             yield f"Provisional: of what was tried ({tried}), nothing explains it so far."
@@ -309,14 +311,15 @@ class Diagnosis(Shown):
 
     @property
     def next_measurement(self) -> str:
-        """What to measure next and what it is expected to tell; empty where nothing is open, or not all looked at."""
+        """The next measurement and the information expected of it; empty where nothing is open, or after a search cut
+        short."""
         if self.verdict == NOT_FINISHED:
             return ""
         alive = {each.explanation.hypothesis.name: each.explanation.hypothesis.effects for each in self.found.final}
-        told = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
+        formatted = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
         compared = next_measurement_text(self.next_options, [plain_words(name) for name in self.alive],
                                          self.criteria.rival)
-        return " ".join(filter(None, (*told, compared)))
+        return " ".join(filter(None, (*formatted, compared)))
 
     def summary(self) -> Summary:
         """Headline, effects with their numbers, and findings, for a notebook."""
@@ -353,10 +356,10 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[F
 
 def _in_words(found: Established) -> str:
     """An effect with the values of its parameters."""
-    told = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
+    formatted = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
             f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
             + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
-    return f"{plain_words(found.effect.name)}: {_listed(told)}"
+    return f"{plain_words(found.effect.name)}: {_listed(formatted)}"
 
 
 def _capital(text: str) -> str:
@@ -364,7 +367,7 @@ def _capital(text: str) -> str:
 
 
 def _short(name: str) -> str:
-    """What of a thing a parameter is, in words."""
+    """The quantity of a parameter in words, without the thing it belongs to."""
     return plain_words(name.partition(".")[2]).replace(".", " ") or name
 
 
@@ -372,12 +375,12 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def _left_in_words(left: Left) -> str:
-    return (f"{100.0 * left.rms:.2g} % of Z is left (rms of both parts); {_noise_in_words(left)}, and changes of "
-            f"{100.0 * left.accuracy:.2g} % within parts, the accuracy of the model, may make "
-            f"{100.0 * left.allows:.2g} %")
+def _remainder_in_words(remainder: Remainder) -> str:
+    return (f"{100.0 * remainder.rms:.2g} % of Z is left (rms of both parts); {_noise_in_words(remainder)}, and "
+            f"changes of {100.0 * remainder.accuracy:.2g} % within parts, the accuracy of the model, may make "
+            f"{100.0 * remainder.allows:.2g} %")
 
 
-def _noise_in_words(left: Left) -> str:
+def _noise_in_words(remainder: Remainder) -> str:
     """The noise as it is stated, of the real and of the imaginary part, and what both leave together."""
-    return f"a noise of {100.0 * left.noise / math.sqrt(2.0):.2g} % leaves {100.0 * left.noise:.2g} %"
+    return f"a noise of {100.0 * remainder.noise / math.sqrt(2.0):.2g} % leaves {100.0 * remainder.noise:.2g} %"

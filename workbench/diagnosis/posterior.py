@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.findings import Found, Settled
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Local, Scales
+from workbench.diagnosis.findings import Found, Refitted
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, LocalProblem, Scales
 from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.starts import start
 from workbench.files.errors import nearest_names
@@ -45,7 +45,7 @@ from workbench.search.constrained import STRICT
 Real = NDArray[np.float64]
 
 
-class Laplace(NamedTuple):
+class NormalApproximation(NamedTuple):
     """Laplace's approximation: the ``log_evidence``, and the ``mean`` (k,) and ``covariance`` (k, k) of the normal
     distribution, SI, at the scales of the largest evidence."""
 
@@ -54,7 +54,7 @@ class Laplace(NamedTuple):
     covariance: Real
 
 
-class _Weighing(NamedTuple):
+class _InverseCovariance(NamedTuple):
     """The inverse of one Sigma: 1 less the square of ``root`` (q, q) on the deviations that are ``acting`` (q,)."""
 
     acting: NDArray[np.int64]
@@ -68,7 +68,7 @@ class Posterior(Brief):
 
     Everywhere theta (k,) are the free parameters alone, those of :attr:`names`, in SI units (that of a ``relative``
     parameter is 1). All else stays at the place ``x`` (p,), of which also the deviations B are. Reduced models predict
-    the recordings; they are made about x, and :meth:`model_error` estimates their error elsewhere.
+    the recordings; they are made about x, and :meth:`error_estimate` estimates their error elsewhere.
 
     ``scales`` are those of the deviations, averaged over as in the diagnosis if None.
     """
@@ -82,31 +82,32 @@ class Posterior(Brief):
     def of(
         cls, model: Model, hypothesis: Hypothesis, x: Real, *, errors: Real | None = None, scales: Scales | None = None
     ) -> Posterior:
-        """On reduced models made about x (p,), with what the model does not get right there.
+        """The posterior on reduced models made for the neighbourhood of x (p,), with the discrepancy of the model
+        there.
 
-        `errors` (p,) are standard deviations that they have to reach (twice so far), zero of what does not move; those
-        of Laplace's approximation at x if None.
+        The models cover two standard deviations `errors` (p,), zero of parameters that do not move; by default those of
+        Laplace's approximation at x.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
         models = LocalModels(model)
         if errors is None:
-            there = Likelihood.bare(model, models.near(hypothesis, x, np.zeros(x.size)))
-            errors = there.with_patterns(x).weighed(hypothesis, x, 0.0).errors
-        own = Likelihood.bare(model, models.near(hypothesis, x, errors))
-        return cls(own.with_patterns(x), hypothesis, x, scales)
+            there = Likelihood.noise_only(model, models.near(hypothesis, x, np.zeros(x.size)))
+            errors = there.with_discrepancy(x).laplace(hypothesis, x, 0.0).errors
+        own = Likelihood.noise_only(model, models.near(hypothesis, x, errors))
+        return cls(own.with_discrepancy(x), hypothesis, x, scales)
 
     @classmethod
-    def of_settled(cls, model: Model, settled: Settled, *, scales: Scales | None = None) -> Posterior:
-        """Of an explanation at its own place, with the deviations that its evidence is of.
+    def of_refit(cls, model: Model, refit: Refitted, *, scales: Scales | None = None) -> Posterior:
+        """The posterior of an explanation at its own optimum, with the deviations of its evidence.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
-        found = settled.explanation
+        found = refit.explanation
         near = LocalModels(model).near(found.hypothesis, found.x, found.errors)
-        own = Likelihood(model, near, settled.columns, settled.anything)
+        own = Likelihood(model, near, refit.columns, refit.region_discrepancy)
         return cls(own, found.hypothesis, found.x, scales)
 
     @cached_property
@@ -189,7 +190,7 @@ class Posterior(Brief):
             ValueError: theta is not of (k,) numbers.
         """
         theta = self._checked(theta)
-        x = self._whole(theta)
+        x = self._all_parameters(theta)
         if not self._is_inside(theta) or any(each.margin(x) < -STRICT for each in self._search.inequalities):
             return -math.inf
         try:
@@ -198,7 +199,7 @@ class Posterior(Brief):
             return -math.inf
         square, along = float(residual @ residual), self._deviations.T @ residual
         logs = [float(np.sum((own.root @ along[own.acting]) ** 2)) - square - own.log_determinant
-                for own in self._weighings]
+                for own in self._inverse_covariances]
         cost = sum(mode.cost for mode in self.hypothesis.modes)
         return float(logsumexp(0.5 * np.array(logs))) - math.log(len(logs)) - cost
 
@@ -211,18 +212,18 @@ class Posterior(Brief):
         prior = self.log_prior(theta)
         return prior if prior == -math.inf else prior + self.log_likelihood(theta)
 
-    def model_error(self, theta: Real) -> float:
+    def error_estimate(self, theta: Real) -> float:
         """The estimated relative error of Z of the reduced models at theta (k,): a bound, some hundred times the error.
 
         Raises:
             ValueError: theta is not of (k,) numbers.
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
-        x, objective = self._whole(self._checked(theta)), self.likelihood.objective
+        x, objective = self._all_parameters(self._checked(theta)), self.likelihood.objective
         predictions = (objective.predict(x, index, ())[2] for index in range(len(objective.recordings)))
         return max(float(each.error.max()) for each in predictions)
 
-    def laplace(self) -> Laplace:
+    def laplace(self) -> NormalApproximation:
         """The approximation by tangents at x, which a diagnosis decides by; samplers begin with it.
 
         Raises:
@@ -235,10 +236,10 @@ class Posterior(Brief):
             average = local.averaged(self.scales)
             worth = average.log_evidence
         cost = sum(mode.cost for mode in self.hypothesis.modes)
-        return Laplace(worth - cost, self.place + average.step, average.covariance)
+        return NormalApproximation(worth - cost, self.place + average.step, average.covariance)
 
     @cached_property
-    def _local(self) -> Local:
+    def _local(self) -> LocalProblem:
         return self.likelihood.linearised(self.hypothesis, self._search, self.x)
 
     @cached_property
@@ -247,25 +248,25 @@ class Posterior(Brief):
         return np.column_stack(self.likelihood.deviations(self.hypothesis, self._local.data, self.x))
 
     @cached_property
-    def _weighings(self) -> list[_Weighing]:
+    def _inverse_covariances(self) -> list[_InverseCovariance]:
         settings = self._local.settings if self.scales is None else (self.scales,)
-        return [self._weighing(each) for each in settings]
+        return [self._inverse_covariance(each) for each in settings]
 
-    def _weighing(self, scales: Scales) -> _Weighing:
+    def _inverse_covariance(self, scales: Scales) -> _InverseCovariance:
         # By Woodbury: Sigma^-1 = 1 - C (1 + C^T C)^-1 C^T with C = B diag(s).
         every = np.repeat([*scales, 0.0], self._local.counts)
         acting = np.flatnonzero(every)
         columns = self._deviations[:, acting] * every[acting]
         factor = np.linalg.cholesky(columns.T @ columns + np.eye(acting.size))
         root = scipy.linalg.solve_triangular(factor, np.diag(every[acting]), lower=True)
-        return _Weighing(acting, root, 2.0 * float(np.log(np.diag(factor)).sum()))
+        return _InverseCovariance(acting, root, 2.0 * float(np.log(np.diag(factor)).sum()))
 
     def _residual(self, x: Real) -> Real:
         """r (m,) at x (p,), without derivatives."""
-        data = self.likelihood.objective(x, deviation=self.likelihood.spreads(), free=())
+        data = self.likelihood.objective(x, deviation=self.likelihood.point_deviations(), free=())
         return data.vector
 
-    def _whole(self, theta: Real) -> Real:
+    def _all_parameters(self, theta: Real) -> Real:
         x = self.x.copy()
         x[list(self.free)] = theta
         return x
@@ -282,18 +283,18 @@ class Posterior(Brief):
 
 
 def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None = None) -> Posterior:
-    """The posterior of the hypothesis of that name, where a search found its best place.
+    """The posterior of the hypothesis of that name, at the best optimum that a search found.
 
-    One that the search did not settle is followed to its optimum first, from where the search left it, or from where
-    its score says.
+    One that the search did not refit is followed to its optimum first, from its last candidate, or from the start that
+    its score predicts.
 
     Raises:
         ValueError: no hypothesis of that name, or nothing near its place is admissible.
         NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
     """
-    for settled in found.final:
-        if settled.explanation.hypothesis.name == name:
-            return Posterior.of_settled(model, settled, scales=scales)
+    for refit in found.final:
+        if refit.explanation.hypothesis.name == name:
+            return Posterior.of_refit(model, refit, scales=scales)
     best = found.base.explanation.x
     begins = {score.effect.name: (Hypothesis((score.effect,)), start(model, score.effect, best, score))
               for score in found.base.scores}
@@ -303,10 +304,10 @@ def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None
         near = f"; did you mean {' or '.join(map(repr, like))}?" if (like := nearest_names(name, known)) else ""
         raise ValueError(f"unknown hypothesis {name!r}{near}; known: {', '.join(dict.fromkeys(known))}")
     hypothesis, x = begins[name]
-    explanation = _followed(model, hypothesis, x)
+    explanation = _refit(model, hypothesis, x)
     return Posterior.of(model, hypothesis, explanation.x, errors=explanation.errors, scales=scales)
 
 
-def _followed(model: Model, hypothesis: Hypothesis, x: Real) -> Explanation:
+def _refit(model: Model, hypothesis: Hypothesis, x: Real) -> Explanation:
     """The optimum near x (p,) at full weight."""
-    return Posterior.of(model, hypothesis, x).likelihood.settled(hypothesis, x)
+    return Posterior.of(model, hypothesis, x).likelihood.refit(hypothesis, x)

@@ -1,8 +1,8 @@
 """Profile scans: the cost that an effect leaves by its size, about the prior means of the known numbers.
 
-No tangent at nothing shows a large effect, and where the search ends without it, known numbers have moved to make up
-for some of it. A scan starts from what is known instead: every hypothesis is tried in several sizes, and the known
-numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
+The tangents at the null hypothesis do not show a large effect, and at the end of a search without it, known numbers
+have moved to make up for a part of it. A scan starts from the prior instead: every hypothesis is tried in several
+sizes, and the known numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Real = NDArray[np.float64]
 #: Sizes of the scan, as shares of a search direction.
 SIZES = (0.01, 0.03, 0.1, 0.3, 0.6, 0.95)
 
-#: Sizes that models are made for; their span serves between and beyond.
+#: Sizes that models are made for; the span of their states serves between and beyond.
 HELD = (0.1, 0.3, 0.6)
 
 #: A recording is scanned on about so many of its points.
@@ -51,7 +51,7 @@ def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
 
 
 def corners(model: Model, effect: Effect, x: Real) -> list[Real]:
-    """Places (p,) that models of an effect of any size at x (p,) are made for."""
+    """Points (p,) that models of an effect of any size at x (p,) are made for."""
     return [_sized(model, effect, x, direction, size)
             for direction in search_directions(model, effect) for size in HELD]
 
@@ -67,7 +67,8 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     hypothesis = Hypothesis((effect,))
     own = [model.index(name) for name in effect.names]
     search, every = likelihood.search(hypothesis), [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
-    thin, spreads = search.on(search.objective.thinned(LOOKED_AT)), likelihood.spreads(LEVELS[0], every)
+    thin = search.with_objective(search.objective.thinned(LOOKED_AT))
+    spreads = likelihood.point_deviations(LEVELS[0], every)
     free = np.setdiff1d(search.free, own)
     directions = list(search_directions(model, effect))
     refused: list[Exception] = []
@@ -76,12 +77,12 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         for size in sizes:
             place = _sized(model, effect, x, directions[direction], size)
             try:
-                seen = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
+                weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
             except NO_END as error:
                 refused.append(error)
                 continue
-            step = np.linalg.lstsq(seen.jacobian[:, free], -seen.vector, rcond=None)[0]
-            cost = 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2))
+            step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
+            cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
             found[direction, size] = InitialOptimum(place, cost, np.zeros(place.size))
 
     for direction in range(len(directions)):

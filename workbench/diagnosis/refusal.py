@@ -1,4 +1,4 @@
-"""What ends one hypothesis of a search without ending the others."""
+"""Errors that end one hypothesis of a search without ending the others."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from workbench.diagnosis.evidence import WrongEvidence
 from workbench.fitting.search import NO_END
 
-#: What a hypothesis may be refused by without ending the others: nothing can be predicted or is admissible where it
-#: leads, a matrix of it is singular, or its evidence is none. Anything else is a defect of the program, and ends all.
+#: Errors that refuse a hypothesis without ending the others: nothing can be predicted or is admissible where it leads,
+#: a matrix of it is singular, or its evidence is none. Anything else is a defect of the program, and ends all.
 EXPECTED: tuple[type[Exception], ...] = (*NO_END, np.linalg.LinAlgError, ArithmeticError)
 
 

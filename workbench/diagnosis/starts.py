@@ -1,4 +1,4 @@
-"""Where the descents of a hypothesis begin: where its score says."""
+"""Starts of the descents of a hypothesis, as its scores predict them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from workbench.diagnosis.ranking import Score
 
 Real = NDArray[np.float64]
 
-#: A hypothesis begins at so many of the ends without it.
+#: Ends of the null hypothesis that a hypothesis starts at.
 STARTS = 2
 
 
 def starts_of(
     model: Model, effect: Effect, ends: Sequence[InitialOptimum], scores: Sequence[Sequence[Score] | None]
 ) -> list[Real]:
-    """Where (p,) a hypothesis begins: at those ends where its score promises most, all told."""
+    """Starts (p,) of a hypothesis: at the ends of the null hypothesis where its score predicts the largest gain in
+    total."""
     found = []
     for end, scored in zip(ends, scores, strict=True):
         own = next((each for each in scored or () if each.effect.name == effect.name), None)
@@ -32,7 +33,8 @@ def starts_of(
 
 
 def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
-    """Where a hypothesis begins at x (p,): with what its score asks for, or its error where that is larger."""
+    """The start of a hypothesis at x (p,): its parameters as its score predicts them, or at their error where that is
+    larger."""
     indices = [model.index(name) for name in effect.names]
     low, high = model.bounds(indices)
     least = np.where(np.isfinite(score.error), np.minimum(score.error, 0.1 * (high - low)), 0.0)

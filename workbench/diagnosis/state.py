@@ -28,7 +28,7 @@ from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: What a campaign says of a state; ``known`` is read with what it says of the others.
+#: Keys of a state in a campaign file; ``known`` is read together with that of the other states.
 STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known")
 
 
@@ -68,12 +68,12 @@ class DeviceState:
 
     @property
     def materials(self) -> Mapping[str, Material]:
-        """What fills each region."""
+        """The material of each region."""
         return self.device.materials
 
     @property
     def fluid(self) -> Fluid | None:
-        """What fills the cavity, if it is a fluid."""
+        """The fluid in the cavity, if there is one."""
         found = self.materials.get(CAVITY)
         return found if isinstance(found, Fluid) else None
 

@@ -15,21 +15,21 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SearchTask:
-    """A piece of a search: its ``name``, a ``method`` of searches, and the arguments it is ``given``.
+    """A piece of a search: its ``name``, a ``method`` of searches, and its ``arguments``.
 
-    ``places`` (p,) are those that the models of the search have to reach.
+    ``places`` (p,) are points that the models of the search have to cover.
     """
 
     name: str
     method: Callable[..., Any]
-    given: tuple[Any, ...]
+    arguments: tuple[Any, ...]
     places: tuple[Real, ...] = ()
 
     @classmethod
-    def of(cls, name: str, method: Callable[..., Any], *given: Any) -> SearchTask:
-        """The task that does on any search what a bound `method` does on its own."""
-        return cls(name, cast(MethodType, method).__func__, given)
+    def of(cls, name: str, method: Callable[..., Any], *arguments: Any) -> SearchTask:
+        """The task that calls a bound `method` of one search on any search."""
+        return cls(name, cast(MethodType, method).__func__, arguments)
 
     def __call__(self, search: Any) -> Any:
-        """The result of the task on a search, or why it has none."""
-        return search.attempted(self)
+        """The result of the task on a search, or the refusal that ended it."""
+        return search.attempt(self)

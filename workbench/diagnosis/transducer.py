@@ -29,14 +29,14 @@ CERAMIC = "from none to a soft ceramic driven hard: data sheets state 0.1 to 2 %
 GAUGE = {**dict.fromkeys(("density", "c11", "c12", "c13", "c33", "c44"), 1.0),
          **dict.fromkeys(("e31", "e33", "e15"), 0.5)}
 
-#: How far the density that a ceramic's constants were fitted with may be off.
+#: Range of the density that a ceramic's constants were fitted with.
 MISTAKEN_GAUGE = Admissible(
     -0.08, 0.08, "1", "nearly twice the 4.8 % between the density stated in Acevedo-Espinosa et al. (RP-UEIS), "
     "7862 kg/m^3, and the 7500 with which their constants resonate where they measured")
 
 
 def transducer(device: Device) -> Iterator[Effect]:
-    """What a ceramic disc may be, beyond its constants."""
+    """Errors and effects of a ceramic disc."""
     states = device.holding(TRANSDUCER)
     material = states[0].materials[TRANSDUCER]
     assert isinstance(material, Piezoelectric)
@@ -65,7 +65,7 @@ def _is_live_on_top(state: DeviceState) -> bool:
 
 
 def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, Admissible]:
-    """What a loss may be: up to 5 % of the real part, of one sign, or (0) of either."""
+    """The range of a loss: up to 5 % of the real part, of one sign, or (0) of either."""
     size = 0.05 * abs(complex(getattr(material, coefficient)).real)
     low, high = sorted((0.0, sign * size)) if sign else (-size, size)
     name = f"{material.name}.{coefficient}{LOSS}"
@@ -90,7 +90,8 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
 
 
 def _gauge(material: str) -> Effect:
-    """A disc that was fitted with a wrong density: alone its spectrum is the same, and what it bears shows it."""
+    """A disc that was fitted with a wrong density: alone it has the spectrum of the right one, under a load it has not.
+    """
     name, limit = f"{TRANSDUCER}.gauge", MISTAKEN_GAUGE
     powers = tuple((f"{material}.{coefficient}", power) for coefficient, power in GAUGE.items())
     return Effect("density that the constants were fitted with", TRANSDUCER, "mass", "the disc's constants come from a "

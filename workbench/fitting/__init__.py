@@ -1,1 +1,1 @@
-"""From a measured spectrum to material parameters: the workbench's own fit, and the paper's algorithms beside it."""
+"""Fits of material parameters to measured spectra: the workbench's own, and the paper's algorithms."""

@@ -1,4 +1,4 @@
-"""What free parameters must satisfy to be a material: it stores energy, and never makes any."""
+"""Conditions on the free parameters of a material: it stores energy, and never makes any."""
 
 from __future__ import annotations
 

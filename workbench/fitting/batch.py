@@ -1,4 +1,4 @@
-"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and what they have in common.
+"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and their statistics.
 
     [batch]
     name = "four discs"
@@ -84,7 +84,7 @@ class BatchMember:
 
 @dataclass(frozen=True)
 class Job:
-    """What is fitted at once: one recording, or several that share parameters."""
+    """A fit of a batch: one recording, or several that share parameters."""
 
     name: str
     members: tuple[BatchMember, ...]
@@ -94,7 +94,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """What holds for every job: folders of materials, mesh, algorithm, further starts, and whether to insist."""
+    """Settings of every job: folders of materials, mesh, algorithm, further starts, and whether to insist."""
 
     materials: tuple[Path, ...] = ()
     accuracy: float | Discretisation = ACCURACY
@@ -239,7 +239,7 @@ class BatchColumn:
 
 
 def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[BatchColumn, ...]:
-    """What the fits of several devices have in common: by parameter, for those that two devices or more have.
+    """Statistics over the fits of several devices: by parameter, for those that two devices or more have.
 
     Args:
         records: ``fit.json`` by device. Materials are left out of the parameters' names, so that c33 of one disc stands

@@ -1,4 +1,4 @@
-"""Deviations of data that go together: the covariance 1 + sum_k c_k c_k^T of data in units of their noise."""
+"""Correlated deviations of data: the covariance 1 + sum_k c_k c_k^T of data in units of their noise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Covariance:
         return cls(directions, sizes**2)
 
     def scaled(self, factor: float) -> Covariance:
-        """The same with all deviations beyond the noise times a factor."""
+        """A copy with all deviations beyond the noise times a factor."""
         return Covariance(self.directions, factor**2 * self.variances)
 
     def whitened(self, columns: Real) -> Real:

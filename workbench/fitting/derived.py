@@ -1,4 +1,5 @@
-"""What follows from the moduli of a solid: the rows of Table 4 of Acevedo-Espinosa et al. (RP-UEIS), with intervals."""
+"""Quantities derived from the moduli of a solid: the rows of Table 4 of Acevedo-Espinosa et al. (RP-UEIS), with
+intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the thickness of the coupling gel does to the spectrum of a fitted sample: Fig. 6 of the paper.
+"""The change of the spectrum of a fitted sample with the thickness of the coupling gel: Fig. 6 of the paper.
 
 Acevedo-Espinosa et al. (RP-UEIS), section 4.3: nothing is fitted again, only the gel is made thicker or thinner.
 """
@@ -14,8 +14,8 @@ from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
+from workbench.fitting.measurement_model import CLOCK, through_bench
 from workbench.fitting.prepare import Prepared
-from workbench.fitting.seen import CLOCK, through_bench
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import placed
 from workbench.model.problem import build, fill
@@ -73,7 +73,7 @@ def gel_study(
                         accuracy=accuracy)
         model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
         solution = model.solve(frequency * (1.0 + bench.get(CLOCK, 0.0)), values)
-        seen, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)
-        spectrum = Spectrum(frequency, seen, origin=Origin("simulated"))
+        recorded, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)
+        spectrum = Spectrum(frequency, recorded, origin=Origin("simulated"))
         cases.append(GelCase(thickness, spectrum, compare(recording.measured, spectrum)))
     return tuple(cases)

@@ -9,7 +9,7 @@
    thickness of a film moved to its next optimum, with the stiffnesses that rule radial and shear overtones moved by
    about one overtone, together and apart, and from samples of the prior. A descent goes on for as long as it keeps up
    with the best; what ends about as low is refined, and leads where it leaves less.
-4. What the data say of every parameter is worked out at the minimum (see `uncertainty`), and the reduced model is
+4. The uncertainty of every parameter is worked out at the minimum (see `uncertainty`), and the reduced model is
    checked against full solves there.
 """
 
@@ -37,7 +37,7 @@ from workbench.fitting.multistart import (
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
-from workbench.fitting.uncertainty import BandLeftOut, Direction, Noise, ParameterEstimate
+from workbench.fitting.uncertainty import Direction, HeldOutBand, Noise, ParameterEstimate
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
@@ -50,7 +50,7 @@ Real = NDArray[np.float64]
 COARSE, FINE = 5e-2, 3e-4
 
 class FitError(RuntimeError):
-    """A fit that cannot be made: what is wrong with recording, geometry or parameters, in words."""
+    """A fit that cannot be made: the mistake in recording, geometry or parameters, in words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitResult(Brief):
-    """What a fit found, and how far to trust it.
+    """The result of a fit, with its uncertainty.
 
     ``estimates`` one for each free parameter, in their order; ``covariance`` (p, p) SI, prior included;
     ``undetermined`` the directions the data say less of than was known before; ``bands`` predictions of parts of the
@@ -85,7 +85,7 @@ class FitResult(Brief):
     covariance: Real
     undetermined: tuple[Direction, ...]
     starts: tuple[Start, ...]
-    bands: tuple[BandLeftOut, ...]
+    bands: tuple[HeldOutBand, ...]
     check: tuple[float, float]
     converged: bool
     improved: bool
@@ -135,14 +135,14 @@ def fit_parameters(
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
-    scout = FitSearch(Objective.of(searched, parameters, tolerance=COARSE), poisson=poisson)
-    before = _start_spectra(scout, recordings)
-    begins = [StartPoint("start", scout.centre),
+    coarse_search = FitSearch(Objective.of(searched, parameters, tolerance=COARSE), poisson=poisson)
+    before = _start_spectra(coarse_search, recordings)
+    begins = [StartPoint("start", coarse_search.centre),
               *(StartPoint(label, np.asarray(x, dtype=float)) for label, x in (starts or {}).items())]
 
     def from_start(start: StartPoint) -> FitEnd:
         before = begins.index(start)
-        return FitEnd(scout.descend(
+        return FitEnd(coarse_search.descend(
             start.x, progress=lambda text, share: show(text, 0.6 * (before + share) / len(begins))))
 
     found = multistart(begins, from_start, refused=NO_END)
@@ -155,39 +155,39 @@ def fit_parameters(
         show("refining", 0.6)
         return Refined(*reweighted_descent(search, x))
 
-    further = FitMultistart(scout, refine, min(ends, key=lambda end: end.cost), tries,
+    further = FitMultistart(coarse_search, refine, min(ends, key=lambda end: end.cost), tries,
                             lambda label, _share: show(f"searching, {label}", 0.6))
-    further.run(prior_samples(scout, PRIOR_SAMPLES, seed))
+    further.run(prior_samples(coarse_search, PRIOR_SAMPLES, seed))
     minimum, noise = further.refined.minimum, further.refined.noise
     show("judging", 0.85)
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
-                                                 coarser=None if coarse is None else scout.objective)
+                                                 coarser=None if coarse is None else coarse_search.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
     off, where, checks = uncertainty.reduced_model_error(search.objective, minimum.x)
     check = off, where
     matches = _matches(recordings, before, minimum, noise)
-    listed = listed_starts([*found, *further.trials], further.reached, scout, search)
+    listed = listed_starts([*found, *further.trials], further.reached, coarse_search, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
-    solves = search.objective.solves + scout.objective.solves + checks
+    solves = search.objective.solves + coarse_search.objective.solves + checks
     show("done", 1.0)
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
         (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
-         *refused_steps([*scout.refusals, *search.refusals])),
+         *refused_steps([*coarse_search.refusals, *search.refusals])),
         time.perf_counter() - started, solves,
     )
 
 
-def _start_spectra(scout: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
+def _start_spectra(coarse_search: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
     """The impedance of every recording's start, as it would be recorded, on the mesh of the search.
 
-    The search goes on with the models of that.
+    The search goes on with the models that predicted it.
     """
     found = []
     for index, recording in enumerate(recordings):
-        impedance, scout.objective = uncertainty.unrefined(
-            scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
+        impedance, coarse_search.objective = uncertainty.unrefined(
+            coarse_search.objective, coarse_search.centre, index, recording.measured.frequency, COARSE)
         found.append(impedance)
     return found
 
@@ -207,10 +207,10 @@ def reweighted_descent(search: FitSearch, x: Real) -> tuple[Optimum, tuple[Noise
         free = len(search.parameters) / max(1, len(levels))
         now = [float(np.sqrt(np.sum(np.abs(log / shape) ** 2) / max(1.0, 2.0 * log.size - free)))
                for log, shape in zip(data.log_ratio, shapes, strict=True)]
-        settled = all(abs(a / b - 1.0) < 0.02 for a, b in zip(levels, now, strict=True))
+        steady = all(abs(a / b - 1.0) < 0.02 for a, b in zip(levels, now, strict=True))
         # A fit without noise would weigh rounding.
         levels = [max(level, 0.1 * FINE) for level in now]
-        if settled:
+        if steady:
             break
     noise = tuple(
         uncertainty.noise(log, level * shape, r.measured.uncertainty is not None, level)
@@ -243,7 +243,7 @@ def _matches(
 
 def _findings(
     minimum: Optimum, improved: bool, starts: Sequence[Start], matches: Sequence[Match],
-    bands: Sequence[BandLeftOut], check: tuple[float, float],
+    bands: Sequence[HeldOutBand], check: tuple[float, float],
 ) -> list[str]:
     result = []
     if not minimum.converged:

@@ -22,16 +22,18 @@ Real = NDArray[np.float64]
 #: first would take an optimum beside the right one for it; the second is what an uncertainty may be mistaken by.
 STRUCTURED, NOISY = 1.2, 2.0
 
-#: The same of a recording that states no noise, as an rms of |ln ratio|: what instruments repeat to, if it is not
-#: white, and what is too large for any noise. On a sparse grid sharp overtones that miss each other look white.
+#: Bounds for a recording that states no noise, as an rms of |ln ratio|: the repeatability of instruments, if the
+#: residual is not white, and a size too large for any noise. On a sparse grid sharp overtones that miss each other look
+#: white.
 REPEATED, NO_NOISE = 0.003, 0.1
 
 #: Stiffnesses that rule one family of overtones each, and the factors that move it by so many overtones of some ten.
 OVERTONE_GROUPS: tuple[tuple[str, ...], ...] = (("c11", "c12"), ("c44",), ("shear_modulus", "bulk_modulus"))
 OVERTONE_FACTORS = {0: 1.0, -1: 0.88, 1: 1.13, -2: 0.78, 2: 1.27}
 
-#: The same of the thickness of a film. It is a spring between two resonators, and sharp overtones of both pass each
-#: other with it: optima stand 8 to 20 % apart, each in its own narrow valley, lower towards the right one.
+#: Factors that move the thickness of a film by so many optima. It is a spring between two resonators, and sharp
+#: overtones of both pass each other with it: optima stand 8 to 20 % apart, each in its own narrow valley, lower towards
+#: the right one.
 FILM_FACTORS = {0: 1.0, -1: 0.87, 1: 1.15, -2: 0.76, 2: 1.32}
 
 #: The last stage of the schedule.
@@ -48,7 +50,7 @@ CLOSE = 4.0
 #: Doubled, an optimum that leaves 2 % less is not taken for another.
 BETTER = 0.01
 
-#: How a start may have ended.
+#: Outcomes of a start.
 SAME, GIVEN_UP = "same optimum", "given up: worse than the best while still smoothed"
 
 
@@ -72,8 +74,8 @@ class Refined:
     noise: tuple[Noise, ...]
 
     @property
-    def explained(self) -> bool:
-        """Whether what is left of every recording is noise: that which it states, or no more than instruments show."""
+    def is_explained(self) -> bool:
+        """Whether the residual of every recording is noise: the stated noise, or no more than instruments show."""
         found = []
         for log, noise in zip(self.minimum.residual.data.log_ratio, self.noise, strict=True):
             rms, white = float(np.sqrt(np.mean(np.abs(log) ** 2))), noise.correlation == 1.0
@@ -84,7 +86,7 @@ class Refined:
         return all(found)
 
     @property
-    def left(self) -> float:
+    def log_deviation(self) -> float:
         """Mean logarithm of the deviations that recordings show: the smaller, the better explained together."""
         return float(np.mean([np.log(each.deviation) for each in self.noise]))
 
@@ -131,7 +133,7 @@ class FitMultistart:
     def __post_init__(self) -> None:
         self.refined = self.refine(self.best.x)
         self.reached = FitEnd(self.best, self.refined)
-        self._told_apart = [self.best]
+        self._distinct = [self.best]
 
     def run(self, samples: Sequence[StartPoint]) -> None:
         """Try offsets of the best end and `samples`, and offsets of films on the mesh asked for: the error of the mesh
@@ -143,9 +145,9 @@ class FitMultistart:
         end = self.search.descend(start.x, first=start.stage, rival=self.best)
         if not end.ended or end.cost > CLOSE * self.best.cost or any(
                 is_same_optimum(end.x, other.x, self.search.errors(other), self.search.scale)
-                for other in self._told_apart):
+                for other in self._distinct):
             return FitEnd(end)
-        self._told_apart.append(end)
+        self._distinct.append(end)
         return FitEnd(end, self.refine(end.x))
 
     def _on_mesh(self, start: StartPoint) -> FitEnd:
@@ -156,14 +158,15 @@ class FitMultistart:
     ) -> None:
         def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
             end = trial.end
-            if end is not None and end.refined is not None and end.refined.left < self.refined.left - BETTER:
+            if (end is not None and end.refined is not None
+                    and end.refined.log_deviation < self.refined.log_deviation - BETTER):
                 self.reached, self.refined, self.best = end, end.refined, end.descent or self.best
-                # What helped once may help again.
+                # A move that helped once may help again.
                 again = sorted(offsets_of(self.search, end.optimum.x), key=lambda each: each.label != trial.start.label)
                 waiting = [*again, *(each for each in waiting if each in samples)]
-            return () if self.refined.explained else waiting
+            return () if self.refined.is_explained else waiting
 
-        starts = () if self.refined.explained else (*offsets_of(self.search, x), *samples)
+        starts = () if self.refined.is_explained else (*offsets_of(self.search, x), *samples)
         self.trials += multistart(starts, attempt, refused=NO_END, tries=self.tries - len(self.trials),
                                   following=following, progress=self.progress)
 
@@ -253,7 +256,7 @@ def listed_starts(
 
 
 def where_they_ended(starts: Sequence[Start]) -> str:
-    """Where all descents ended, in one sentence."""
+    """The ends of all descents, in one sentence."""
     same = sum(s.outcome == SAME for s in starts)
     text = f"{same} of {len(starts)} descents reached the same optimum"
     given_up = sum(s.outcome == GIVEN_UP for s in starts)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.stretch import canonical_names
+from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
-from workbench.fitting.seen import CLOCK, log_ratio, lorentzian, through_bench
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
 from workbench.model.problem import Problem
 from workbench.reduced.about_point import TERMS, LocalBasis, local_basis
@@ -109,7 +109,7 @@ class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
     A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; dimensions
-    of the chip are put among them (`dimensions.flexible_within`). Recordings of one problem share a predictor. An
+    of the chip are put among them (`dimensions.parametrised_within`). Recordings of one problem share a predictor. An
     objective is a value: where its models do not predict within their tolerance, residuals come with predictions of
     enriched ones, which :meth:`holding` goes on with.
     """
@@ -470,7 +470,7 @@ def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], know
         return recording
     key = id(problem.mesh), problem.terms, tuple(ranges.items())
     if key not in known:
-        known[key] = flexible_within(problem, chip, ranges)
+        known[key] = parametrised_within(problem, chip, ranges)
     like = known[key]
     return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
                                               values={**like.values, **problem.values}))

@@ -1,4 +1,4 @@
-"""What a fit may move: real numbers with a start, bounds and what was known of them before.
+"""The free parameters of a fit: real numbers with a start, bounds and a prior.
 
 Their names are those of `workbench.model.numbers`.
 """
@@ -23,7 +23,7 @@ from workbench.model.problem import Problem
 #: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
 DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0.01}
 
-#: The same of a modulus or a sound speed of anything else.
+#: Relative standard uncertainty of a modulus or a sound speed of any other material.
 HANDBOOK = 0.2
 
 #: The loss a fit starts from where none is known, and how far it may lie off, relative to the real part. A ceramic
@@ -35,7 +35,7 @@ POLYMER_LOSS_REACH = 0.3
 #: Share of a size that a derivative by it needs on either side.
 NEARBY = 0.005
 
-#: What to do about a radius that would pass another (`geometry.stretch.admissible_range`).
+#: Remedy for a radius that would pass another (`geometry.stretch.admissible_range`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
 
 
@@ -86,14 +86,14 @@ class Parameter(Number):
 
     @property
     def scale(self) -> float:
-        """What a step is measured in: the prior, or a fifth of the admitted range."""
+        """The unit of its steps: the prior, or a fifth of the admitted range."""
         return self.prior if self.prior is not None else 0.2 * (self.high - self.low)
 
 
-#: What a fit of a transducer frees unless told otherwise: the ten of Acevedo-Espinosa et al. (RP-UEIS), Table 2.
+#: Free parameters of a transducer by default: the ten of Acevedo-Espinosa et al. (RP-UEIS), Table 2.
 TRANSDUCER_TEN = ("c11", "c13", "c33", "c44", "e15", "e33", "eps33", "c11.loss", "c13.loss", "c33.loss")
 
-#: What a fit of a polymer sample frees: section 3.5 of the paper.
+#: Free parameters of a polymer sample by default: section 3.5 of the paper.
 POLYMER_FOUR = ("bulk_modulus", "bulk_modulus.loss", "shear_modulus", "shear_modulus.loss")
 
 
@@ -128,7 +128,7 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
 
 
 def coefficients_of(problem: Problem, material: str) -> list[str]:
-    """What the values of a problem hold of a `material`, without its name."""
+    """The coefficients of a `material` among the values of a problem, without its name."""
     return [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
 
 
@@ -185,15 +185,15 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
-    """A range (m or rad) about a shape that the chip states, or another size of it: twice what is usual of such shapes,
-    or twice :data:`NEARBY` of the size, to either side."""
+    """A range (m or rad) about a shape that the chip states, or another size of it: twice the usual size of such
+    shapes, or twice :data:`NEARBY` of the size, to either side."""
     value = chip.dimensions()[name].value
     reach = 2.0 * SHAPE_UNCERTAINTY.get(ParameterName.parse(name).coefficient, NEARBY * abs(value))
     return admissible_range(chip, name, value - reach, value + reach)
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
-    """What is left of bounds (m) where the meshes of those `chips` that have the dimension keep their topology."""
+    """The part of bounds (m) within which the meshes of those `chips` that have the dimension keep their topology."""
     for chip in chips:
         if name in chip.dimensions():
             low, high = admissible_range(chip, name, low, high)
@@ -203,7 +203,7 @@ def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tu
 def ranges_of_dimensions(
     parameters: Iterable[Parameter], known: Mapping[str, Dimension]
 ) -> dict[str, tuple[float, float]]:
-    """How far (m or rad) `parameters` may take each of the `known` dimensions in any recording, by its name there."""
+    """The range (m or rad) of each of the `known` dimensions under `parameters` in any recording, by its name there."""
     shared: dict[str, tuple[float, float]] = {}
     own: dict[str, tuple[float, float]] = {}
     for p in parameters:

@@ -1,8 +1,9 @@
-"""From a chip and a recording to what is fitted: problems on two meshes, free parameters, starts - and a first look.
+"""From a chip and a recording to the input of a fit: problems on two meshes, free parameters, starts - and a first
+look.
 
 A search takes a minute, and on a recording of something else it ends somewhere too. `check_device` therefore compares
-what hardly depends on the ceramic - the static capacitance, where the strongly coupled resonance lies - with what the
-geometry gives, before anything is meshed.
+quantities that hardly depend on the ceramic - the static capacitance, the frequency of the strongly coupled resonance -
+with those of the geometry, before anything is meshed.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
-#: What may be fitted, and what each frees unless told otherwise.
+#: Kinds of fits, and the parameters that each frees by default.
 KINDS: Mapping[str, tuple[str, ...]] = {"pzt": TRANSDUCER_TEN, "polymer": POLYMER_FOUR}
 
 #: In a list of free parameters: those of the kind.
@@ -64,10 +65,10 @@ RADIAL_ROOT = 2.05
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prepared(Brief):
-    """All that `joint.fit` is asked, and what it is about.
+    """The input of `joint.fit_parameters`, and the device it is about.
 
-    ``material`` is the one whose coefficients are free, as it fills its region (with the chip's density for it), in
-    the state the fit starts from; ``coarse`` holds the same recordings on the mesh of the search.
+    ``material`` is the one whose coefficients are free, as it fills its region (with the chip's density for it), in the
+    state the fit starts from; ``coarse`` holds the same recordings on the mesh of the search.
     """
 
     kind: str
@@ -96,7 +97,7 @@ def prepare(
 ) -> Prepared:
     """One recording of a chip, ready to be fitted.
 
-    What all points of the recording share is a gain beside the parameters that are asked for.
+    A gain of all points of the recording is free beside the parameters that are asked for.
 
     Args:
         kind: "pzt" frees the transducer's material, "polymer" that of the sample.
@@ -105,7 +106,7 @@ def prepare(
         material: what the fit starts from, in place of the chip's material of that region.
         region: whose material is free, in place of the kind's own.
         free: names of parameters (see `parameter.parameters`); "default" stands for those of the kind.
-        band: in Hz; the chip's own by default. What of the recording lies in it is fitted.
+        band: in Hz; the chip's own by default. The part of the recording within it is fitted.
         accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
         check: refuse a recording that cannot be of this device.
 
@@ -212,7 +213,7 @@ def material_starts(prepared: Prepared, registry: Registry, names: Sequence[str]
 
 
 def prepare_together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
-    """Several recordings fitted at once: what has the same name is shared, what is named in `own` is each its own.
+    """Several recordings fitted at once: parameters of one name are shared, except those named in `own`.
 
     Bench elements are always each recording's own. `own` names dimensions or bench elements, on top of what every
     recording frees itself.
@@ -263,7 +264,7 @@ def check_device(measured: Spectrum, chip: Chip, materials: Mapping[str, Materia
     assert isinstance(transducer, Piezoelectric)
     merit = _resonance(measured, name)
     clamped, free = _capacitances(chip, transducer)
-    # How many times it is too small or too large; any one may be misled, by a mode beside the antiresonance for one.
+    # Factors by which it is too small or too large; any one may be misled, by a mode beside the antiresonance for one.
     off = {value: max(clamped / value, value / free) for value in _static_capacitances(measured, merit)}
     capacitance = min(off, key=lambda value: off[value])
     if off[capacitance] > CAPACITANCE_FACTOR:

@@ -1,6 +1,6 @@
 """The verdict whether to trust a fit, what follows from it, its sources, and its entry for the registry.
 
-What an algorithm does not say - the paper's give no intervals - is NaN in a :class:`FitResult`.
+A number that an algorithm does not give - those of the paper have no intervals - is NaN in a :class:`FitResult`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from workbench.results.spectrum import Origin, Spectrum
 #: a mean error of |Z| of 22 to 26 %.)
 LARGE_RATIO, LARGE_RESIDUAL = NOISY, 0.03
 
-#: What to do about a fit that leaves too much.
+#: Remedy for a fit that leaves too much.
 TRY_DIAGNOSE = "another optimum or missing physics: try `workbench diagnose`"
 
 
@@ -73,7 +73,7 @@ def software() -> str:
 
 
 def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
-    """What an algorithm of the paper found as the result of a fit: values without intervals, in its last window.
+    """The result of an algorithm of the paper as one of a fit: values without intervals, in its last window.
 
     Raises:
         NotEnriched: the spectrum of the start could not be predicted.
@@ -111,7 +111,7 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
 
 
 def refusals(result: FitResult) -> tuple[str, ...]:
-    """Why a fit is not to be believed, in words; empty if nothing speaks against it."""
+    """Reasons not to trust a fit, in words; empty if there are none."""
     found = []
     if not result.improved:
         found.append("The fit is not better than its start.")

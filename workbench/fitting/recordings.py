@@ -61,12 +61,12 @@ class MaterialFit(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is to be known of the fit, in plain statements."""
+        """Findings of the fit, in plain statements."""
         return self.result.findings
 
     @property
     def reasons_against(self) -> tuple[str, ...]:
-        """Why the fit is not to be believed; empty if nothing speaks against it."""
+        """Reasons not to trust the fit; empty if there are none."""
         return refusals(self.result)
 
     @property
@@ -171,7 +171,7 @@ def fit(
 
 
 def _source(measured: Spectrum, chip: Chip, findings: tuple[str, ...]) -> Source:
-    """The files behind a recording and a chip; of what has no file, the digest of what it says."""
+    """The files behind a recording and a chip; the digest of the content where there is no file."""
     content = np.concatenate([measured.frequency, measured.impedance.real, measured.impedance.imag]).tobytes()
     file = Path(chip.file)
     described = file_digest(file) if file.is_file() else hashlib.sha256(repr(chip).encode()).hexdigest()

@@ -39,7 +39,7 @@ WORSE = 2.0
 #: Where nothing can be predicted.
 REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
 
-#: What may end one start of several: nothing can be predicted, or nothing there is admissible.
+#: Errors that end one start of several: nothing can be predicted, or nothing there is admissible.
 NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
 
 
@@ -87,24 +87,24 @@ class FitSearch:
         found = (inequalities(problems, moving, recordings=names) if poisson is None
                  else inequalities(problems, moving, poisson=poisson, recordings=names))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
-        #: What deviates beside the noise of the points, if anything.
+        #: Covariance of the deviations beside the noise of the points, if there are any.
         self.covariance: Covariance | None = None
 
-    def on(self, objective: Objective) -> FitSearch:
-        """The same problem with its objective predicted in another way."""
+    def with_objective(self, objective: Objective) -> FitSearch:
+        """The problem with the predictions of another objective."""
         other = copy.copy(self)
         other.objective = objective
         return other
 
-    def under(self, covariance: Covariance | None) -> FitSearch:
-        """The same problem with deviations that go together."""
+    def with_covariance(self, covariance: Covariance | None) -> FitSearch:
+        """The problem with correlated deviations."""
         other = copy.copy(self)
         other.covariance = covariance
         return other
 
     def thinned(self) -> FitSearch:
-        """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
-        return self.on(self.objective.thinned(SEARCHED_POINTS))
+        """The problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
+        return self.with_objective(self.objective.thinned(SEARCHED_POINTS))
 
     def _among_all(self, inequality: Inequality) -> Inequality:
         """An inequality of the free parameters as one of all."""
@@ -148,7 +148,7 @@ class FitSearch:
         return replace(found, x=whole(found.x))
 
     def inside(self, x: Real) -> Real:
-        """Where :meth:`minimise` begins from x (p,): at x, or near it and strictly inside of what parameters may be."""
+        """The start of :meth:`minimise` from x (p,): x, or a point near it strictly inside the admissible set."""
         result, free = x.copy(), self.free
         result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
         return result
@@ -193,7 +193,8 @@ class FitSearch:
                         progress=progress)
 
     def errors(self, optimum: Optimum) -> Real:
-        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of what is not free."""
+        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of parameters that are not
+        free."""
         found = np.zeros(self.scale.size)
         found[self.free] = standard_errors(optimum.residual.jacobian, self.scale[self.free])
         return found

@@ -1,4 +1,4 @@
-"""Uncertainty of a fit: what the data say of each parameter at the minimum, and what they cannot say."""
+"""Uncertainty of a fit: intervals, correlations, and the directions that the data do not determine, at the minimum."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
+from workbench.fitting.measurement_model import CLOCK, log_ratio, through_bench
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import REFUSED, FitSearch, Optimum, Weighted
-from workbench.fitting.seen import CLOCK, log_ratio, through_bench
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison
 from workbench.results.spectrum import Spectrum
@@ -41,10 +41,10 @@ ACTIVE = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """How the residual of one recording is distributed.
+    """The distribution of the residual of one recording.
 
-    ``deviation`` relative standard deviation of a point (root mean square over the band), ``correlation`` how many
-    neighbouring points carry the information of one (1: white), ``stated`` whether the recording brought its own
+    ``deviation`` relative standard deviation of a point (root mean square over the band), ``correlation`` the number of
+    neighbouring points that carry the information of one (1: white), ``stated`` whether the recording brought its own
     uncertainties, and ``ratio`` the factor by which the residual exceeds them (1 where it brought none).
     """
 
@@ -90,7 +90,7 @@ class Direction:
 
 
 @dataclass(frozen=True)
-class BandLeftOut:
+class HeldOutBand:
     """A part of a recording's band (Hz): rms of |ln ratio| there when it was fitted and when it was left out."""
 
     recording: str
@@ -113,7 +113,7 @@ class FitUncertainty(Brief):
 def noise_shape(measured: Spectrum) -> Real:
     """Relative standard deviation (n,) of each point up to a common factor: the spectrum's own, or constant.
 
-    What all points share is left out: it is a number of the bench.
+    A deviation that all points share is left out: it is a number of the bench.
     """
     noise = measured.noise
     if noise is None:
@@ -128,7 +128,7 @@ def noise(log_ratio: Complex, deviation: Real, stated: bool, ratio: float) -> No
 
 
 def correlation_length(residual: Complex) -> float:
-    """How many neighbouring points carry the information of one: the integrated autocorrelation, at least 1.
+    """The number of neighbouring points that carry the information of one: the integrated autocorrelation, at least 1.
 
     1 + 2 sum rho_k, summed up to five times itself (Sokal 1997, Monte Carlo methods in statistical mechanics, section
     3); 1 where the first correlation does not stand out of what white noise of so many points shows.
@@ -160,8 +160,8 @@ def estimate_uncertainty(
     """Intervals, correlations and undetermined directions at a minimum.
 
     The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
-    What the spectrum at the minimum differs by on the meshes of `coarser` tells what the mesh's own error
-    moves the parameters by (Richardson); it is added to the covariance.
+    The difference of the spectrum at the minimum on the meshes of `coarser` gives the shift of the
+    parameters by the mesh's own error (Richardson); it is added to the covariance.
 
     Where an inequality holds a value, the interval also covers where the data alone would put it: a loss constant
     that noise or rounding has pushed out of passivity is inside.
@@ -170,8 +170,8 @@ def estimate_uncertainty(
     here = search.evaluate(minimum.x, deviation)
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
-    near = search.on(search.objective.truncated(_around(search, minimum.x, covariance)))
-    settled = near.evaluate(minimum.x, deviation) if profiles else here
+    near = search.with_objective(search.objective.truncated(_around(search, minimum.x, covariance)))
+    evaluated = near.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
         shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, minimum.x, deviation))
@@ -183,7 +183,7 @@ def estimate_uncertainty(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _not_quadratic(near, minimum.x, settled, covariance, i, deviation)):
+        if profiles and (held or _not_quadratic(near, minimum.x, evaluated, covariance, i, deviation)):
             ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))
@@ -207,7 +207,8 @@ def estimate_uncertainty(
 
 
 def _inverse(information: Real, search: FitSearch) -> Real:
-    """Covariance (p, p) of data and prior together; what has no prior is known to a fifth of its admitted range."""
+    """Covariance (p, p) of data and prior together; a parameter without a prior is known to a fifth of its admitted
+    range."""
     # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
     scale = np.outer(search.scale, search.scale)
     return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)
@@ -400,7 +401,7 @@ def _quantity(parameter: Parameter) -> str:
     return last
 
 
-def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
+def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[HeldOutBand, ...]:
     """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
     result = []
     base = deviations(search, noise)
@@ -416,7 +417,7 @@ def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise],
             without = [np.where(inside, np.inf, d) if i == index else d for i, d in enumerate(base)]
             found = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
             predicted = found.residual.data.log_ratio[index]
-            result.append(BandLeftOut(recording.name, float(low), float(high), _rms(logs[index][inside]),
+            result.append(HeldOutBand(recording.name, float(low), float(high), _rms(logs[index][inside]),
                                       _rms(predicted[inside])))
     return tuple(result)
 
@@ -441,7 +442,7 @@ def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tup
 
 
 def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
-    """What remains unexplained in one recording, and where."""
+    """The unexplained part of one recording, and where it lies, in words."""
     result = []
     residual = np.abs(after.log_residual)
     power = residual**2

@@ -17,7 +17,7 @@ T = TypeVar("T")
 #: Arguments larger than this (bytes) are sent to a Dask cluster once and not with every task.
 LARGE = 1_000_000
 
-#: How long (s) a Dask scheduler may take to answer.
+#: Time (s) that a Dask scheduler may take to answer.
 PATIENCE = 10.0
 
 
@@ -29,11 +29,12 @@ class DaskExecutor(Executor):
         self._sent: tuple[bytes, Any] = b"", None
 
     def submit(self, task: Callable[..., T], /, *arguments: Any, **named: Any) -> Future[T]:
-        placed = [self._placed(each) if isinstance(each, bytes) and len(each) > LARGE else each for each in arguments]
-        found: Future[T] = self._executor.submit(task, *placed, **named)
+        sent = [self._reference(each) if isinstance(each, bytes) and len(each) > LARGE else each
+                for each in arguments]
+        found: Future[T] = self._executor.submit(task, *sent, **named)
         return found
 
-    def _placed(self, argument: bytes) -> Any:
+    def _reference(self, argument: bytes) -> Any:
         """The reference to a large argument that the cluster holds."""
         if argument is not self._sent[0]:
             self._sent = argument, self._client.scatter(argument)

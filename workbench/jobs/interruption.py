@@ -40,7 +40,7 @@ class Stopped(BaseException):
 
 
 class Interruption:
-    """Whether Ctrl-C was pressed, and what a further press does.
+    """The state of an interruption by Ctrl-C, and the effect of a further press.
 
     ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
     while the command runs, and "closing" once that is over and the program about to end. ``since`` is when the command
@@ -52,22 +52,22 @@ class Interruption:
         self._presses, self._last = 0, 0.0
 
     @property
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """Whether it was pressed."""
         return self._presses > 0
 
     def handle(self, _number: int, _frame: FrameType | None) -> None:
-        """What Ctrl-C does; a handler of :func:`signal.signal`.
+        """Handle one press of Ctrl-C; a handler of :func:`signal.signal`.
 
         Raises:
             KeyboardInterrupt: while the command is at work, at the first press and the second.
         """
         now = time.monotonic()
-        if self.asked and now - self._last < SAME:
+        if self.requested and now - self._last < SAME:
             return
         self._presses, self._last = self._presses + 1, now
         if self.stage == "loading":
-            # What an exception does halfway through the loading of a library depends on that.
+            # The effect of an exception halfway through the loading of a library depends on the library.
             say("interrupted: nothing was begun" + (f", and nothing written to {self.output}" if self.output else ""))
             leave(STATUS)
         if self._presses > 2 or (self.stage == "closing" and self._presses > 1):
@@ -87,7 +87,7 @@ class Interruption:
 
 @contextmanager
 def heeded(*, stays: bool) -> Iterator[Interruption]:
-    """Ctrl-C, heeded while a command runs. If it `stays` so, what the interpreter does at its end is silent too.
+    """Ctrl-C, heeded while a command runs. If it `stays` so, the interpreter's own end is silent too.
 
     Where signals are somebody else's (a thread, or a program that ignores them) they stay theirs.
     """
@@ -163,8 +163,8 @@ def say(text: str) -> None:
 
 
 def on_disk(output: Path | None, since: float) -> str:
-    """What an interrupted command that writes to `output`, a folder or a file, leaves there, in words; `since` (s since
-    the epoch) is when it began."""
+    """The files that an interrupted command that writes to `output`, a folder or a file, leaves there, in words;
+    `since` (s since the epoch) is when it began."""
     if output is None:
         return "interrupted: the command writes no files"
     from workbench.files.writing import MARK

@@ -1,7 +1,7 @@
 """One process that does tasks for this one, and can be ended at any moment.
 
 It is begun as a program of its own, so a script that comes here needs no guard against being run again, and one thread
-of linear algebra is enough for it from its first moment on. What it is given is pickled: functions and classes lie in
+of linear algebra is enough for it from its first moment on. Its tasks are pickled: functions and classes lie in
 modules, not in the script itself.
 """
 
@@ -59,7 +59,7 @@ class WorkerProcess:
                 stderr=stream, env={**os.environ, **ONE_THREAD})
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._asked, self._answers = self._process.stdin, messages(self._process.stdout, lambda: None)
+        self._input, self._answers = self._process.stdin, messages(self._process.stdout, lambda: None)
         self._writing, self._ending = Lock(), Lock()
         self._processor = float("nan")
 
@@ -111,13 +111,13 @@ class WorkerProcess:
                 self._process.kill()
                 self._process.wait()
             with suppress(OSError):
-                self._asked.close()
+                self._input.close()
 
     def _send(self, kind: str, task: Callable[..., Any] | None) -> None:
         message = pickle.dumps((kind, task), protocol=pickle.HIGHEST_PROTOCOL)
         # Of a process that has ended who waits for its answer learns.
         with suppress(OSError, ValueError), self._writing:
-            write_message(self._asked, message)
+            write_message(self._input, message)
 
     def _answer(self, seconds: float | None) -> tuple[str, Any]:
         """The next message of the process.

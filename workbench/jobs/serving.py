@@ -61,17 +61,17 @@ def serve(nice: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(AttributeError, OSError):
         os.nice(nice)
-    # What libraries print must not get between the answers.
+    # Prints of libraries must not get between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    asked = messages(sys.stdin.buffer, lambda: signal.raise_signal(signal.SIGTERM))
+    requests = messages(sys.stdin.buffer, lambda: signal.raise_signal(signal.SIGTERM))
 
     def answer(kind: str, value: Any) -> None:
         write_message(answers, _pickled(kind, value))
 
     state: tuple[Any, ...] = ()
     failed: Exception | None = None
-    while (message := asked.get()) is not None:
+    while (message := requests.get()) is not None:
         try:
             kind, task = pickle.loads(message)
             if kind == STATE:

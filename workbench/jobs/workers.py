@@ -1,4 +1,4 @@
-"""Where tasks are done: in this process, in processes of this machine, or by an executor such as a Dask cluster's.
+"""Workers that do tasks: this process, processes of this machine, or an executor such as a Dask cluster's.
 
     with begin_workers(jobs) as workers:
         workers.share(read_model, path)                         # made once in every process
@@ -6,7 +6,7 @@
             kept[name] = done.result()                          # figures(model, at=point), as soon as it is there
 
 A task is a function that takes what :meth:`Workers.share` made in the process that does it, or nothing if nothing was
-shared. What is asked for at a time is small: whoever stops asking, or is interrupted, has all that was finished.
+shared. Each step of iteration is small: whoever stops iterating, or is interrupted, has all that was finished.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Task = Callable[..., T]
 
 
 class Workers:
-    """This process, which does one task after the other, as each is asked for.
+    """This process, which does one task after the other, each on request.
 
     Others do ``size`` tasks at a time beside it.
     """
@@ -42,12 +42,12 @@ class Workers:
     def __init__(self) -> None:
         self._state: tuple[Any, ...] = ()
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
         """Let every later task take ``make(*given)`` as its first argument, made once in every process.
 
         None lets tasks take nothing again. Nothing is at work meanwhile.
         """
-        self._state = () if make is None else (make(*given),)
+        self._state = () if make is None else (make(*arguments),)
 
     def submit(self, task: Task[T]) -> Future[T]:
         """Hand a task in."""
@@ -62,12 +62,12 @@ class Workers:
         them are taken for each process. With an `own` state this process works on them too, and gives them that.
         """
         waiting, given = iter(tasks), dict[Future[T], K]()
-        state, works = (self._state, not self.size) if own is None else ((own,), True)
+        state, shares = (self._state, not self.size) if own is None else ((own,), True)
         try:
             while True:
                 for key, task in islice(waiting, self.size * ahead - len(given)):
                     given[self.submit(task)] = key
-                mine = next(waiting, None) if works else None
+                mine = next(waiting, None) if shares else None
                 if mine is not None:
                     yield mine[0], _done_here(mine[1], state)
                 elif not given:
@@ -109,8 +109,8 @@ class Processes(Workers):
         # A thread waits for each process.
         self._threads = ThreadPoolExecutor(size)
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
-        self._make = None if make is None else partial(make, *given)
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
+        self._make = None if make is None else partial(make, *arguments)
         for number, process in enumerate(self._processes):
             if process is not None:
                 process.hold(self._make)
@@ -160,7 +160,7 @@ class Processes(Workers):
 class ExecutorWorkers(Workers):
     """Somebody else's executor, such as a Dask cluster's, given `size` tasks at a time.
 
-    What is shared is made for every task anew: threads of an executor may share a process.
+    The shared state is made for every task anew: threads of an executor may share a process.
     """
 
     def __init__(self, executor: Executor, size: int) -> None:
@@ -168,8 +168,8 @@ class ExecutorWorkers(Workers):
         self.size, self._executor = size, executor
         self._make: bytes | None = None
 
-    def share(self, make: Callable[..., Any] | None, *given: Any) -> None:
-        self._make = None if make is None else pickle.dumps(partial(make, *given), protocol=pickle.HIGHEST_PROTOCOL)
+    def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
+        self._make = None if make is None else pickle.dumps(partial(make, *arguments), protocol=pickle.HIGHEST_PROTOCOL)
 
     def submit(self, task: Task[T]) -> Future[T]:
         if self._make is None:
@@ -179,7 +179,7 @@ class ExecutorWorkers(Workers):
 
 @contextmanager
 def begin_workers(jobs: int, executor: Executor | None = None) -> Iterator[Workers]:
-    """Workers for so many tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
+    """Workers for `jobs` tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
 
     An executor stays open at the end of the block, the processes end.
     """

@@ -16,7 +16,7 @@ from geometry.stretch import Piece, admissible_range, canonical_names, split
 from workbench.files.errors import InputError, choose
 from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation
 from workbench.model.moved_parts import LayerShape, ShapedLayers, shapes_of
-from workbench.model.moved_sections import flexible_free
+from workbench.model.moved_sections import parametrised_free
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem
 from workbench.model.shaped_mesh import coordinates_of
@@ -26,10 +26,10 @@ from workbench.physics.term import Term
 
 Range = tuple[float, float]
 
-#: How far a radius may move unless told otherwise, relative.
+#: Range of a radius to either side by default, relative.
 RADIAL_RANGE = 0.1
 
-#: The same of a thickness where a layer has a shape.
+#: Range of a thickness to either side where a layer has a shape, relative.
 SHAPED_RANGE = 0.2
 
 
@@ -38,10 +38,10 @@ def thickness(layer: str) -> str:
     return f"{layer}.thickness"
 
 
-def flexible(
+def parametrised(
     problem: Problem, chip: Chip, radii: Mapping[str, Range] | Sequence[str] = (),
     shapes: Mapping[str, Range] = MappingProxyType({}), *, thicknesses: Mapping[str, Range] = MappingProxyType({}),
-    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
+    interpolation: Interpolation = TO_ROUNDING, neutral: Collection[Term] = (),
 ) -> Problem:
     """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters, and some `radii` (m) and
     `shapes` (m, or rad).
@@ -56,9 +56,9 @@ def flexible(
 
     Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
     side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
-    is refused, unless the `interpolation` carries it along. What leaves less than half of a cell, since a layer is thin
-    and what is beside it bent, is extrapolated (`workbench.model.moved_parts.LEFT`). `asides` are terms that are
-    nothing on the mesh.
+    is refused, unless the `interpolation` carries it along. Forms are extrapolated where less than half of a cell is
+    left, in a thin layer beside a bent one (`workbench.model.moved_parts.LEFT`). `neutral` are terms that are zero on
+    the mesh.
 
     Raises:
         InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
@@ -91,7 +91,7 @@ def flexible(
         return StretchedPart(piece.name, piece.layer, columns[piece.column])
 
     terms: dict[Term, Term] = {}
-    for group, each in interpolation.of(problem.terms, asides):
+    for group, each in interpolation.of(problem.terms, neutral):
         own = layers.following(each)
         integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.opposite) for found in integrals.values() for i in found)
@@ -111,20 +111,22 @@ def flexible(
     return replace(problem, mesh=mesh, terms=tuple(terms[term] for term in problem.terms), values=values)
 
 
-def flexible_within(
+def parametrised_within(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *,
-    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
+    interpolation: Interpolation = TO_ROUNDING, neutral: Collection[Term] = (),
 ) -> Problem:
-    """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
-    move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
+    """The problem :func:`parametrised` by the radii and shapes among `ranges` (m or rad) of dimensions by name, and by
+    thicknesses that move as far as these say. A chip with profiles is parametrised by the dimensions that `ranges`
+    names alone."""
     if chip.is_profiled:
         sizes = {name: each for name,
                  each in ranges.items() if ParameterName.parse(name).is_dimension}
-        return flexible_free(problem, chip, sizes, interpolation=interpolation, asides=asides)
+        return parametrised_free(problem, chip, sizes, interpolation=interpolation, neutral=neutral)
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.coefficient in SHAPES, lambda each: each.is_thickness))
-    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, asides=asides)
+    return parametrised(
+        problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, neutral=neutral)
 
 
 def _shaped_layers(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
@@ -148,7 +150,7 @@ def _shaped_layers(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], l
 
 
 def _thickness_ranges(nominal: Mapping[str, float], wanted: Mapping[str, Range]) -> dict[str, Range]:
-    """How far (m) every thickness may move, by the name of its parameter."""
+    """The range (m) of every thickness, by the name of its parameter."""
     return {thickness(layer): wanted.get(thickness(layer), ((1.0 - SHAPED_RANGE) * value, (1.0 + SHAPED_RANGE) * value))
             for layer, value in nominal.items()}
 
@@ -166,7 +168,7 @@ def _moved_parts(
     mesh: SectionMesh, pieces: Mapping[str, Sequence[Piece]], layers: ShapedLayers, used: Iterable[tuple[str, str]],
     part: Callable[[Piece], StretchedPart],
 ) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
-    """The parts of all places that are `used`, and of what faces them, with how shapes move them."""
+    """The parts of all places that are `used`, and of their opposite boundaries, with their motion by shapes."""
     found: dict[str, tuple[StretchedPart, ...]] = {}
     faced: dict[str, list[str]] = {}
     for place, facing in used:
@@ -176,7 +178,7 @@ def _moved_parts(
             mesh, own = layers.pieces(mesh, pieces[place])
             cells = [Cells(mesh, np.asarray(mesh.mesh.subdomains[piece.name])) for piece, _ in own]
         else:
-            # What faces it is on the same mesh, whichever of both is moved.
+            # The opposite boundary is on the same mesh, whichever of both is moved.
             sides = zip(*(pieces[each] for each in dict.fromkeys([place, *others]) if each), strict=True)
             cells = [Cells.of_facets(mesh, np.concatenate([np.asarray(mesh.mesh.boundaries[each.name])
                                                            for each in both])) for both in sides]
@@ -191,7 +193,7 @@ def _moved_parts(
 
 def _moves(plain: StretchedPart, piece: Piece, shapes: Sequence[LayerShape], cells: Cells,
            layers: ShapedLayers) -> Moves:
-    """How shapes move one piece of a place."""
+    """The motion of one piece of a place by shapes."""
     column = Ratio(plain.across.outer, plain.across.inner) if isinstance(plain.across, RadialInterval) else None
     side = None
     if cells.facets and piece.layer:

@@ -40,25 +40,25 @@ STILL = 1e-9
 
 @dataclass(frozen=True)
 class Interpolation:
-    """How well forms follow shapes.
+    """Accuracy with which forms follow shapes.
 
-    ``error`` is the largest relative one of what forms are made of, anywhere in a part. What a size is relative to the
-    lengths about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move
-    further, and extrapolated beyond. ``aside`` is the error for terms that are nothing on the mesh: what a shape does
-    to them is of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
+    ``error`` is the largest relative one of the factors of forms, anywhere in a part. A size relative to the lengths
+    about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move further,
+    and extrapolated beyond. ``neutral`` is the error for terms that are zero on the mesh, on which a shape has an
+    effect of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
     which is off by the product of both moves; it is refused else.
     """
 
     error: float = 1e-8
     followed: float = 1.0 / LEAST
     carried: bool = False
-    aside: float = 0.0
+    neutral: float = 0.0
 
-    def of(self, terms: Sequence[Term], asides: Collection[Term]) -> Iterator[tuple[list[Term], Interpolation]]:
-        """Terms with how well they follow, those that are nothing on the mesh apart."""
-        loose = set(asides)
+    def of(self, terms: Sequence[Term], neutral: Collection[Term]) -> Iterator[tuple[list[Term], Interpolation]]:
+        """Terms with the interpolation of their forms, those that are zero on the mesh apart."""
+        loose = set(neutral)
         yield [term for term in terms if term not in loose], self
-        yield [term for term in terms if term in loose], replace(self, error=max(self.error, self.aside))
+        yield [term for term in terms if term in loose], replace(self, error=max(self.error, self.neutral))
 
 
 #: As far below the errors of meshes and solves as what stretches exactly.
@@ -128,7 +128,7 @@ class MovedMesh:
         return self._known[key]
 
     def existing(self, values: Mapping[MovedSize, float]) -> Real:
-        """As :meth:`at`, for `values` of which there is known to be a chip."""
+        """The coordinates as from :meth:`at`, for `values` of which there is known to be a chip."""
         found = self.at(values)
         assert found is not None
         return found
@@ -195,14 +195,14 @@ class Cells:
                         axis=-1)
 
     def areas(self, coordinates: Real) -> Real:
-        """What an area in local coordinates is multiplied by at the nodes (cells, nodes)."""
+        """Factor of an area in local coordinates at the nodes (cells, nodes)."""
         return areas(self._slopes(coordinates, np.array(Lagrange(self.mesh.order).doflocs).T)[1])
 
     def _slopes(self, coordinates: Real, points: Real) -> tuple[Real, Real]:
         return mapped_nodes(coordinates[:, :, self.indices], points)
 
     def forms(self, coordinates: Real) -> list[Real]:
-        """What every form over them is made of, at a few points: arrays (cells, points, parts)."""
+        """The factors of every form over them, at a few points: arrays (cells, points, parts)."""
         at = 0.5 * (1.0 + np.array([-0.9, 0.0, 0.9]))
         if not self.facets:
             r, ((r_along, r_across), (z_along, z_across)) = self._slopes(
@@ -231,7 +231,8 @@ Size = TypeVar("Size", bound=MovedSize)
 def taken_apart(
     place: str, indices: Integers, moving: NDArray[np.bool_], sizes: Sequence[Size]
 ) -> list[tuple[str, Integers, tuple[Size, ...]]]:
-    """The parts of a place that the same of some `sizes` move, `moving` (sizes, n) each of its cells or facets (n,).
+    """The parts of a place that are moved by equal subsets of `sizes`, `moving` (sizes, n) each of its cells or facets
+    (n,).
 
     Returns:
         name, cells or facets, and sizes of every part; the place itself where there is one.
@@ -246,7 +247,7 @@ def taken_apart(
 
 
 def joined_meshes(meshes: Sequence[SectionMesh]) -> SectionMesh:
-    """One of several meshes that are the same but for the parts they name and the variants they have: with all."""
+    """One mesh for several that are equal but for the parts they name and the variants they have: with all of these."""
     first = meshes[0]
     regions = {name: cells for mesh in meshes for name, cells in mesh.mesh.subdomains.items()}
     variants = {name: coordinates for mesh in meshes for name, coordinates in mesh.variants.items()}
@@ -256,7 +257,7 @@ def joined_meshes(meshes: Sequence[SectionMesh]) -> SectionMesh:
 
 
 class Metric:
-    """What the forms over some cells are made of, by the values of the sizes that move them, on their scales."""
+    """The factors of the forms over some cells, by the values of the sizes that move them, on their scales."""
 
     def __init__(self, mesh: MovedMesh, sizes: Sequence[MovedSize], cells: Cells) -> None:
         self.mesh, self.sizes, self.cells = mesh, sizes, cells

@@ -85,7 +85,7 @@ class ShapedLayers:
         return cls(MovedMesh(chip, coordinates, interpolation), shapes, lengths, nominal)
 
     def following(self, interpolation: Interpolation) -> ShapedLayers:
-        """A copy whose forms follow shapes as well as that `interpolation` says, with the same variants."""
+        """A copy with the accuracy of that `interpolation`, and these variants."""
         return replace(self, mesh=replace(self.mesh, interpolation=interpolation))
 
     def pieces(self, mesh: SectionMesh, pieces: Sequence[Piece]) -> tuple[
@@ -133,7 +133,7 @@ class ShapedLayers:
         return Amplitude(shape.length, shape.scale, grown, stretched)
 
     def _range(self, shape: LayerShape, amplitude: Amplitude, most: float) -> Range:
-        """What an amplitude can be while its size and the lengths that it follows move within their ranges, and their
+        """The range of an amplitude while its size and the lengths that it follows move within their ranges, and their
         ratios from one over `most` to that."""
         ends = list(shape.bounds)
         for ratio, power in ((amplitude.grown, 1), (amplitude.stretched, -1)):

@@ -1,8 +1,8 @@
 """Sizes of a section of any shape (`geometry.profile`) as parameters of the model.
 
-All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. What a cell adds
-does not change with its height, so that of all sizes only those count for it that deform it or move it along r; forms
-are interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants. Lengths that stay
+All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. The share of
+a cell in a form does not depend on its height, so only sizes that deform it or move it along r count for it; forms are
+interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants. Lengths that stay
 above nothing count by their logarithms, in which thicknesses of a fifth to five times of what is stated are no more
 than a handful of nodes.
 """
@@ -34,13 +34,13 @@ Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Range = tuple[float, float]
 
-def flexible_free(
+def parametrised_free(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING,
-    asides: Collection[Term] = (),
+    neutral: Collection[Term] = (),
 ) -> Problem:
     """`problem` of a chip with profiles, with some of its dimensions among the parameters, by name with the range (m or
-    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays. `asides`
-    are terms that are nothing on the mesh.
+    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays. `neutral`
+    are terms that are zero on the mesh.
 
     Raises:
         InputError: a dimension that the chip has not, a range that does not hold its size, or in which layers do not
@@ -62,7 +62,7 @@ def flexible_free(
     for corner in product(*(size.bounds for size in sizes)) if len(sizes) < 4 else ():
         moved.at(dict(zip(sizes, corner, strict=True)))
     mesh, terms = problem.mesh, dict[Term, Term]()
-    for group, each in interpolation.of(problem.terms, asides):
+    for group, each in interpolation.of(problem.terms, neutral):
         integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.opposite) for found in integrals.values() for i in found)
         mesh, parts = _parts(_with_sides(mesh, used), replace(moved, interpolation=each), sizes, list(used))

@@ -66,7 +66,7 @@ def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
 
 
 def node_areas(mesh: SectionMesh, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What an area in local coordinates is multiplied by at the nodes of some cells: (cells, nodes)."""
+    """Factor of an area in local coordinates at the nodes of some cells: (cells, nodes)."""
     return areas(mapped(mesh, cells, np.array(Lagrange(mesh.order).doflocs).T)[1])
 
 

@@ -39,7 +39,7 @@ from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import System, one_thread
 from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
-from workbench.model.dimensions import flexible_within
+from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed, real_part
 from workbench.model.problem import Problem, build, fill
@@ -315,7 +315,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
             radii that coincide.
     """
     first, lengths = canonical_names(chip), chip.dimensions()
-    flexed = flexible_within(problem, chip, ranges)
+    flexed = parametrised_within(problem, chip, ranges)
     found: dict[str, tuple[float, float]] = {}
     for key, ends in ranges.items():
         known = first.get(key, key)

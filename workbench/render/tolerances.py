@@ -95,7 +95,7 @@ def _histograms(found: Tolerance) -> list[Histogram]:
 
 def _tornados(found: Tolerance) -> list[Tornado]:
     known, panels = found.sensitivities, []
-    for each in found.asked:
+    for each in found.requested:
         unit, factor = change_unit(each.figure)
         changes = known.changes(each.label) / factor
         order = [k for k in known.ranked(each.label) if np.isfinite(changes[k])]

@@ -51,7 +51,7 @@ def definition(heading: str) -> str | None:
 
 
 def defined(headings: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """Those of the headings that have a definition, each once with it, without their units."""
+    """The headings that have a definition, each once with it, without their units."""
     found = {_name(heading): definition(heading) for heading in headings}
     return tuple((name, words) for name, words in found.items() if words is not None)
 

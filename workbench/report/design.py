@@ -11,14 +11,14 @@ import numpy as np
 
 from geometry.chip import Chip
 from workbench.design.candidate import Confirmed, RoundedDesign
-from workbench.design.choice import Searched
+from workbench.design.choice import ChoiceResult
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import Figure
 from workbench.design.figures import figure_named as catalogued
 from workbench.design.goal import TOLERANCE, DesignObjective, Goal
 from workbench.design.modelling import ChipSolver
+from workbench.design.nonlinear_programme import KEPT
 from workbench.design.optimisation import Design
-from workbench.design.programme import KEPT
 from workbench.design.search import Optimum
 from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
@@ -37,7 +37,7 @@ def reported_figure(name: str) -> Figure:
 
 
 def figure_in_unit(name: str, value: float, digits: int = 5) -> str:
-    """A figure (SI) in the unit it is told in."""
+    """A figure (SI) in the unit it is shown in."""
     return f"{number_text(value / reported_figure(name).factor, digits)} {reported_figure(name).shown}".strip()
 
 
@@ -47,7 +47,7 @@ def programme_figure(objective: DesignObjective, number_to_be_small: float) -> f
 
 
 def before_after_table(design: Design) -> TextTable:
-    """Every figure of the goal before and after, by full solves, with what the model said and what must hold."""
+    """Every figure of the goal before and after, by full solves, with that of the model and its bounds."""
     goal, after = design.goal, None if design.best is None else design.best.after
     model = None if design.best is None else design.best.candidate.point.evaluation
     rows = []
@@ -104,7 +104,7 @@ def active_table(candidate: RoundedDesign, objective: DesignObjective) -> TextTa
         (each.text, each.step, f"{100.0 * each.gain:.3g} % {verb}") for each in candidate.active))
 
 
-def optima_table(design: Design, searched: Searched) -> TextTable:
+def optima_table(design: Design, searched: ChoiceResult) -> TextTable:
     """The distinct optima of a choice between the steps, the best first, and how many starts found each."""
     objective = design.goal.objectives[0]
     names = [each.name for each in searched.modelling.programme.variables]
@@ -176,7 +176,7 @@ def models_table(design: Design) -> TextTable:
     return TextTable(("choice", "last model", "models", "rank", "full solves", "error of Z", "time (s)"), tuple(rows))
 
 
-def starts_text(searched: Searched) -> str:
+def starts_text(searched: ChoiceResult) -> str:
     """The number of starts that ended at the best optimum, in a sentence."""
     if not searched.attempts:
         return "an evolutionary search: one population"
@@ -335,7 +335,7 @@ def _member(each: Confirmed | RoundedDesign) -> dict[str, Any]:
     return {**_candidate(each.candidate), "figures": _figures(each.after.figures), "statement": each.statement}
 
 
-def _choice(one: Searched) -> dict[str, Any]:
+def _choice(one: ChoiceResult) -> dict[str, Any]:
     return {
         "stock_m": dict(one.selection.stock), "materials": dict(one.selection.materials), "models": one.models,
         "model": {**one.modelling.facts, "seconds": one.modelling.seconds, "box_m": {

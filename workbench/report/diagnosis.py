@@ -26,7 +26,7 @@ from workbench.report.page import Block, Note, Picture, TextTable, number_text, 
 from workbench.results.comparison import compare
 from workbench.results.merit import Figures, measured_figures
 
-#: What the table of what is left shows.
+#: Title of the table of remainders.
 LEFT = "what is left of Z, rms of both parts (%)"
 
 #: Rows of a table of hypotheses.
@@ -40,37 +40,37 @@ def established_table(found: Diagnosis) -> TextTable:
     """Effects with the share that they take, those that belong together as one, and their parameters with intervals."""
     rows = []
     for group, share in found.shares:
-        told = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
+        cell = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
         for each in group:
             for k, e in enumerate(each.estimates):
-                rows.append((plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
+                rows.append((plain_words(each.effect.name) if k == 0 else "", cell, e.name, number_text(e.shown[0]),
                              f"{number_text(e.shown[1])} to {number_text(e.shown[2])}",
                              "of what is stated" if e.relative else shown_unit(e.unit)))
-                told = ""
+                cell = ""
     return TextTable(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
-def left_table(found: Diagnosis) -> TextTable:
+def remainder_table(found: Diagnosis) -> TextTable:
     """Rms of ln(Z / Z_measured) of every state (%): noise, as stated, with the known parameters, with the effects."""
     held = {state.name for state in found.campaign.held_out}
     rows = []
     for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
         stated = 100.0 * math.sqrt(float((state.noise**2).mean()))
-        told = [number_text(100.0 * fit.rms, 3) for fit in fits]
+        cell = [number_text(100.0 * fit.rms, 3) for fit in fits]
         rows.append((state.name + (", held out" if state.name in held else ""),
                      f"{number_text(stated, 3)} leaves {number_text(math.sqrt(2.0) * stated, 3)}",
-                     *(told if found.established else told[:2])))
+                     *(cell if found.established else cell[:2])))
     columns = ("state", "noise", "as stated", "known parameters", "with what was found")
     return TextTable(columns if found.established else columns[:-1], tuple(rows))
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
-    """``report.html``: the headline, what it looks like, what to do next and what was taken as known; then evidence."""
+    """``report.html``: the headline, its pictures, the next measurement and the prior knowledge; then evidence."""
     first: list[Block] = [Note(found.headline), f"Verdict: {found.verdict.replace('_', ' ')}.",
                            "\n\n".join(found.findings)]
     if found.established:
         first.append(established_table(found))
-    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", left_table(found), *_pictures(found, folder)]
+    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", remainder_table(found), *_pictures(found, folder)]
     if found.next_measurement:
         first.append(Note(f"Next measurement. {found.next_measurement}"))
     so_far = found.provisional
@@ -117,7 +117,7 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
-    """Every state before and after, a bar of shares, and the section with what is marked on it."""
+    """Every state before and after, a bar of shares, and the section with the suspect places marked."""
     first, last = ((found.base, found.best) if found.established else (found.stated, found.base))
     labels = (("known parameters alone", "with what was found") if found.established
               else ("as stated", "known parameters fitted"))
@@ -153,12 +153,12 @@ def _taken(campaign: Campaign) -> TextTable:
 def _odds(found: Diagnosis) -> TextTable:
     decision, base = found.conclusion.decision, found.found.base
     rows = []
-    for settled in found.found.final:
-        e = settled.explanation
+    for refit in found.found.final:
+        e = refit.explanation
         rows.append((decision.log_odds[e.hypothesis.name], (
             e.hypothesis.name, _power(decision.log_odds[e.hypothesis.name]),
-            f"{e.log_evidence - base.explanation.log_evidence:.1f}", f"{settled.held_out - base.held_out:.1f}",
-            f"{100.0 * e.accuracy:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(settled)))))
+            f"{e.log_evidence - base.explanation.log_evidence:.1f}", f"{refit.held_out - base.held_out:.1f}",
+            f"{100.0 * e.accuracy:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(refit)))))
     return TextTable(("hypothesis", "odds", "evidence", "of it by states held out", "accuracy of the model (%)",
                       "parameters"), tuple(row for _, row in sorted(rows, key=lambda both: -both[0])))
 
@@ -169,13 +169,13 @@ def _power(log_odds: float) -> str:
 
 
 def _given_up(found: Diagnosis) -> TextTable:
-    settled = {each.explanation.hypothesis.name for each in found.found.final}
-    plain = next((each.log_evidence for each in found.found.candidates
+    refitted = {each.explanation.hypothesis.name for each in found.found.final}
+    null = next((each.log_evidence for each in found.found.candidates
                   if each.hypothesis.name == found.found.base.explanation.hypothesis.name), 0.0)
-    left = [each for each in found.found.candidates if each.hypothesis.name not in settled]
+    others = [each for each in found.found.candidates if each.hypothesis.name not in refitted]
     return TextTable(("hypothesis", "evidence"), tuple(
-        (each.hypothesis.name, f"{each.log_evidence - plain:.1f}")
-        for each in sorted(left, key=lambda each: -each.log_evidence)))
+        (each.hypothesis.name, f"{each.log_evidence - null:.1f}")
+        for each in sorted(others, key=lambda each: -each.log_evidence)))
 
 
 def _location(found: Diagnosis) -> TextTable:
@@ -246,13 +246,13 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
     return {
         "campaign": found.campaign.name, "verdict": found.verdict, "headline": found.headline,
         "effects": _effects(found),
-        "left": vars(found.left), "accuracy": found.left.accuracy,
+        "left": vars(found.remainder), "accuracy": found.remainder.accuracy,
         "moved_parameters": [{"name": p.name, "from": p.stated, "to": p.value, "unit": p.unit, "sigmas": p.sigmas}
                              for p in found.known],
         "rivals": [{"effects": list(e.effects), "name": e.name,
                     "behind": decision.log_odds[decision.chosen.name] - decision.log_odds[e.name],
-                    "parameters": {p.name: [p.value, p.low, p.high] for p in found.estimates_of(settled)}}
-                   for e, settled in rivals],
+                    "parameters": {p.name: [p.value, p.low, p.high] for p in found.estimates_of(refit)}}
+                   for e, refit in rivals],
         "location": [place._asdict() for place in found.location],
         **{key: {name: of[name] for name in fitted}
            for key, of in (("before", before), ("known_parameters_only", base), ("after", after))},
@@ -263,10 +263,10 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
                     "sigmas": math.sqrt(max(s.gain, 0.0)), "evidence": s.evidence} for s in found.scores],
         "refits": [{"name": e.hypothesis.name, "effects": [effect.name for effect in e.hypothesis.effects],
                     "evidence": e.log_evidence - found.found.base.explanation.log_evidence,
-                    "held_out": settled.held_out - found.found.base.held_out,
+                    "held_out": refit.held_out - found.found.base.held_out,
                     "log_odds": decision.log_odds[e.hypothesis.name], "accuracy": e.accuracy,
                     "reduced_chi_square": float(np.mean(e.residual.vector**2))}
-                   for settled in found.found.final for e in [settled.explanation]],
+                   for refit in found.found.final for e in [refit.explanation]],
         "taken": _taken_record(found.campaign), "undone": list(found.found.undone),
         "not_tried": [vars(each) for each in found.found.not_tried],
         # Of a search that was cut short: what explains best of what it looked at.

@@ -43,7 +43,7 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
 
 
 def origin_table(origin: Origin) -> TextTable:
-    """Where a recording comes from."""
+    """The origin of a recording."""
     rows = [("kind", origin.kind), ("file", origin.source), ("SHA-256", origin.sha256),
             ("instrument", origin.instrument), ("date", origin.date), *origin.settings.items()]
     return TextTable(("recording", "value"), tuple((name, value) for name, value in rows if value))

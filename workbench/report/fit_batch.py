@@ -16,7 +16,7 @@ from workbench.report.page import Block, Note, Picture, TextTable, number_text, 
 
 
 def devices_table(records: Mapping[str, Mapping[str, Any]]) -> TextTable:
-    """Every fit, by its ``fit.json``: what it leaves, whether it is accepted, and under what name it is saved."""
+    """Every fit, by its ``fit.json``: its residual, whether it is accepted, and the name it is saved under."""
     return TextTable(("device", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "accepted", "saved as", "time (s)"),
                      tuple(
         (name, number_text(r["mape_percent"]), number_text(r["rms_log_residual"]), "yes" if r["accepted"] else "NO",
@@ -47,7 +47,7 @@ def write_batch_report(
     folder: Path, title: str, columns: Sequence[BatchColumn], records: Mapping[str, Mapping[str, Any]],
     failed: Mapping[str, str]
 ) -> Path:
-    """``report.html``: the fits, what they have in common, and their findings."""
+    """``report.html``: the fits, their statistics, and their findings."""
     blocks: list[Block] = [Note(f"{name}: {words}") for name, words in failed.items()]
     blocks += [Note(f"{name}: {text}") for name, r in records.items() for text in r["refusals"]]
     blocks.append(devices_table(records))

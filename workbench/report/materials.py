@@ -13,7 +13,7 @@ from workbench.report.page import TextTable
 
 
 def materials_table(registry: Registry) -> TextTable:
-    """Every material of a registry, with its kind, its density, and what there is to know of it."""
+    """Every material of a registry, with its kind, its density, and notes."""
     return TextTable(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
         _material_row(registry, name) for name in registry.names()))
 

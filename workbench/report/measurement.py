@@ -28,7 +28,7 @@ def measured_figures_table(levels: Sequence[LevelSpectrum]) -> TextTable:
 
 
 def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectrum], path: Path) -> Path:
-    """The report of a run: spectrum, uncertainty, what is doubtful, how it was made."""
+    """The report of a run: spectrum, uncertainty, doubtful points, and the settings."""
     title = setup.metadata.get("name", path.stem)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

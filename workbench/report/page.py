@@ -66,7 +66,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Answer:
-    """The sentences that answer what the report was made for."""
+    """The sentences that answer the question of the report."""
 
     text: str
 
@@ -86,24 +86,25 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
     """Write an HTML page with every picture inside it. `sections` are (heading, blocks)."""
     parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
              f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"]
-    told: set[str] = set()
+    explained: set[str] = set()
     for heading, blocks in sections:
         parts.append(f"<h2>{html.escape(heading)}</h2>")
-        parts += [_html(block, told) for block in blocks]
+        parts += [_html(block, explained) for block in blocks]
     write_atomic(path, "\n".join(parts) + "\n")
     return path
 
 
-def _html(block: Block, told: set[str]) -> str:
-    """HTML of a block; `told` are the headings whose meanings the page has, to which those of a table are added."""
+def _html(block: Block, explained: set[str]) -> str:
+    """HTML of a block; `explained` are the headings whose meanings the page has, to which those of a table are added.
+    """
     match block:
         case TextTable(columns, rows):
             head = "".join(f"<th>{_heading(c)}</th>" for c in columns)
             cells = ("".join(_cell(c, first=k == 0) for k, c in enumerate(row)) for row in rows)
             body = "".join(f"<tr>{row}</tr>" for row in cells)
             new = {name: words for name, words in defined((*columns, *(row[0] for row in rows if row)))
-                   if name not in told}
-            told.update(new)
+                   if name not in explained}
+            explained.update(new)
             return f"<table><tr>{head}</tr>{body}</table>{_legend(new)}"
         case Picture(path, caption):
             data = base64.b64encode(path.read_bytes()).decode("ascii")

@@ -28,7 +28,7 @@ def resonances_table(found: Mapping[str, CircuitFit | None]) -> TextTable:
 
 
 def resonance_notes(found: Mapping[str, CircuitFit | None]) -> tuple[str, ...]:
-    """How well the circuits fit, and what they do not resolve: a sentence each."""
+    """The misfit of the circuits, and the resonances that they do not resolve: a sentence each."""
     return tuple(f"{label}: {text}" for label, fit in found.items() if fit is not None for text in (
         f"the circuit of these resonances leaves {100.0 * fit.rms_residual:.2g} % of Z (rms)", *fit.findings))
 

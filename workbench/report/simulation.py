@@ -32,7 +32,7 @@ from workbench.simulation.run import Simulation
 
 
 def field_table(report: TrapReport) -> TextTable:
-    """The field a particle is in, and what it does to the particle anywhere."""
+    """The field a particle is in, and its effect on the particle anywhere."""
     forces, excitation = report.forces, report.excitation
     largest = float(np.nanmax(np.linalg.norm(forces.force, axis=1)))
     return TextTable(
@@ -87,7 +87,7 @@ def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable
 
 
 def without_resonance(runs: Sequence[Simulation]) -> list[str]:
-    """Why states have no figures of merit, a sentence each."""
+    """Reasons why states have no figures of merit, a sentence each."""
     return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
 
 
@@ -111,7 +111,7 @@ def write_simulation_report(
     chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, Sequence[Picture]],
     solid_view: Sequence[Picture], folder: Path,
 ) -> Path:
-    """``report.html``: what it is for first, then figures of merit, every state with its pictures, chip and model."""
+    """``report.html``: its purpose first, then figures of merit, every state with its pictures, chip and model."""
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
     dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
         (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
@@ -138,7 +138,7 @@ def write_simulation_report(
 
 
 def _resolution(runs: Sequence[Simulation]) -> str:
-    """The caption of the spectra: how many points lie on each resonance, and what is drawn between them."""
+    """The caption of the spectra: the number of points on each resonance, and the interpolation between them."""
     resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
                 if run.figures is not None]
     words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"

@@ -50,19 +50,19 @@ def extremes_table(result: StudyResult) -> TextTable:
         for words, row, value in (("lowest", each.lowest_row, each.lowest),
                                   ("highest", each.highest_row, each.highest)):
             if row >= 0:
-                told = f"{_told(value, shown.factor)} {shown.shown}".strip()
-                rows.append((f"{words} {each.figure}", each.state, told, str(row), _place(result, row)))
+                formatted = f"{_told(value, shown.factor)} {shown.shown}".strip()
+                rows.append((f"{words} {each.figure}", each.state, formatted, str(row), _place(result, row)))
     return TextTable(("", "state", "figure", "row", "where"), tuple(rows))
 
 
 def _place(result: StudyResult, row: int) -> str:
     """The values of what varies, at one row of the table."""
-    told = []
+    formatted = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
-        told.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
+        formatted.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
                     if isinstance(axis, VariedNumber) else f"{axis.name} {value}")
-    return ", ".join(told)
+    return ", ".join(formatted)
 
 
 def confirmed_table(result: StudyResult) -> TextTable:
@@ -91,7 +91,7 @@ def confirmed_table(result: StudyResult) -> TextTable:
 
 
 def missing_table(result: StudyResult) -> TextTable | None:
-    """Why figures are missing, and at how many points; None where none is."""
+    """Reasons why figures are missing, with the number of points; None where none is."""
     reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
     found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
                    reverse=True)

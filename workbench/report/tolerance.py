@@ -37,7 +37,7 @@ def figures_table(found: Tolerance) -> TextTable:
     """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
     sampled = found.outcomes
     rows = []
-    for each in found.asked:
+    for each in found.requested:
         nominal = found.sensitivities.figures[each.label]
         unit, factor = change_unit(each.figure)
         spread = (found.sensitivities.deviation(each.label, found.uncertainty) / factor if found.uncertainty.inputs
@@ -96,14 +96,15 @@ def sensitivities_table(found: Tolerance) -> TextTable:
     """Changes of each figure as each number grows by its standard uncertainty or by one per cent, those that change the
     first figure most first."""
     known = found.sensitivities
-    heads = [with_unit(each.label, change_unit(each.figure)[0]) for each in found.asked]
-    changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.asked}
+    heads = [with_unit(each.label, change_unit(each.figure)[0]) for each in found.requested]
+    changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.requested}
     rows = []
-    for k in known.ranked(found.asked[0].label):
+    for k in known.ranked(found.requested[0].label):
         name, step = known.names[k], known.steps[k]
-        told = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
-        rows.append((name, told, *(f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
-                                   for each in found.asked)))
+        step_text = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
+        rows.append((name, step_text, *(
+            f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
+            for each in found.requested)))
     return TextTable(("number", "grows by", *heads), tuple(rows))
 
 
@@ -199,7 +200,7 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
         "figures": {each.label: {"nominal": finite(known.figures[each.label]), "unit": each.figure.unit,
                                  "standard_uncertainty": finite(known.deviation(each.label, found.uncertainty))
                                  if found.uncertainty.inputs else None,
-                                 "drive": str(each.drive)} for each in found.asked},
+                                 "drive": str(each.drive)} for each in found.requested},
         "sensitivities": {
             "names": list(known.names), "steps": known.steps.tolist(), "stated": list(known.stated),
             "gradient": {label: [finite(x) for x in slopes] for label, slopes in known.gradient.items()}},
@@ -255,10 +256,10 @@ def write_samples(found: Tolerance, path: Path) -> Path:
         raise ValueError("a tolerance without requirements has no samples")
     columns: dict[str, NDArray[Any]] = {each.name: found.outcomes.points[:, k]
                                         for k, each in enumerate(found.uncertainty.inputs)}
-    columns |= {each.label: found.outcomes.column(each.label) for each in found.asked}
+    columns |= {each.label: found.outcomes.column(each.label) for each in found.requested}
     columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
     units = {each.name: each.unit for each in found.uncertainty.inputs}
-    units |= {each.label: each.figure.unit for each in found.asked}
+    units |= {each.label: each.figure.unit for each in found.requested}
     table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
     table = table.cast(pyarrow.schema([
         pyarrow.field(field.name, field.type, metadata={"unit": units[field.name]} if units.get(field.name) else None)

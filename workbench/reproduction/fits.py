@@ -73,7 +73,7 @@ SIMPLEX, SIMPLEX_AT_ZERO, TOLERANCE, STEPS = 0.05, 0.00025, 1e-4, 200
 #: Real parts that end farther than this (relative) from where they started have run off: no data sheet is so wrong.
 STRAYED = 0.5
 
-#: How far below zero (relative) rounding may put the eigenvalue of a matrix that is zero.
+#: Distance below zero (relative) at which rounding may put the eigenvalue of a matrix that is zero.
 ROUNDING = 1e-12
 
 CONVERGED = "the simplex met both tolerances"
@@ -95,7 +95,7 @@ class SimplexRun:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperFit(Brief):
-    """What an algorithm of the paper found.
+    """The result of an algorithm of the paper.
 
     ``values`` and ``start`` by full parameter name, SI, losses e^{-i w t}; ``resonance`` (Hz) the measured minimum of
     |Z|; ``frequency`` (n,) Hz and ``impedance`` (n,) ohm, e^{+j w t}, the spectrum of ``values`` in the last window;
@@ -243,7 +243,7 @@ def fit_polymer(
 
 
 def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float]) -> dict[str, float]:
-    """Where every parameter starts, by full name."""
+    """The start of every parameter, by full name."""
     known = {p.parsed.within(material): p for p in free}
     for name, value in start.items():
         if name not in known:
@@ -284,7 +284,7 @@ def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
 
 
 class _Search:
-    """The point the algorithm is at, the window it looks through, and what has been spent."""
+    """The present point of the algorithm, its window, and the spectra spent."""
 
     def __init__(
         self, recording: FitRecording, problem: Problem, start: Mapping[str, float], broken: Broken,

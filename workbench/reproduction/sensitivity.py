@@ -69,7 +69,7 @@ class Rank:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sensitivity(Brief):
-    """What Algorithm 1 found.
+    """The result of Algorithm 1.
 
     ``names`` (p) full names of the parts, ``.loss`` for imaginary ones; ``baseline`` (p,) SI; ``scalings`` (s,);
     ``costs`` (p, s), eq. 28; ``local`` (p,) the norm over the band of d ln|Z| / d ln(part) at the baseline, from the

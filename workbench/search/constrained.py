@@ -64,14 +64,14 @@ class Inequality:
         return np.asarray(self.constant + np.tensordot(x, self.slopes, axes=1))
 
     def margin(self, x: Real) -> float:
-        """The smallest eigenvalue at x, relative to the size of what it is made of."""
+        """The smallest eigenvalue at x, relative to the size of its terms."""
         size = np.abs(self.constant).max() + np.abs(x[:, None, None] * self.slopes).max()
         return float(np.linalg.eigvalsh(self(x))[0] / size)
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[Residuals]):
-    """Where the search ended.
+    """The end of a search.
 
     ``x`` (p,), ``residual`` there; ``cost`` half the sum of squares; ``converged`` whether no step promised a further
     relative decrease of more than the tolerance; ``iterations`` accepted and rejected steps; ``reason`` in words.
@@ -176,7 +176,7 @@ def _together(inequalities: Sequence[Inequality], size: int) -> Inequality:
 
 
 class _Region:
-    """What is admissible around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
+    """The admissible set around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
 
     def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequality: Inequality) -> None:
         self.x, self.scale = x, scale
@@ -275,5 +275,5 @@ def _quadratic(hessian: Real, slope: Real, d: Real) -> float:
 
 
 def _ridge(hessian: Real) -> float:
-    """What makes a flat direction solvable, and is nothing beside any other."""
+    """A ridge that makes a flat direction solvable, negligible beside any other."""
     return float(1e-12 * np.trace(hessian) / len(hessian) + 1e-300)

@@ -1,4 +1,4 @@
-"""Descents from several starts, one after the other; what a descent finds may change the starts that follow."""
+"""Descents from several starts, one after the other; the end of a descent may change the starts that follow."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def separation(one: Real, other: Real, errors: Real, scale: Real | float) -> Rea
     """The distances (p,) of two points (p,), relative to the most by which points of one optimum differ.
 
     `errors` (p,) are standard errors, zero of what has none, and `scale` (p,) what is known beforehand, zero where
-    nothing is. What cannot move at all is at no distance.
+    nothing is. A parameter that cannot move is at no distance.
     """
     most = np.maximum(ERRORS * errors, SHARE * np.asarray(scale))
     off = np.abs(one - other)

@@ -1,4 +1,5 @@
-"""What an instrument sees of an impedance, and how spectra are compared: smoothed, and by the logarithm of a ratio."""
+"""The measurement model: the impedance that an instrument sees through its bench, and the comparison of spectra,
+smoothed and by the logarithm of a ratio."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ def log_ratio(model: Complex, measured: Complex) -> Complex:
 def through_bench(
     impedance: Complex, omega: Real, bench: Mapping[str, float], slope: Callable[[], Complex] | None = None
 ) -> tuple[Complex, Complex, dict[str, Complex]]:
-    """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
+    """The impedance that an instrument sees of a device (n,), e^{+j w t}, through the elements named in `bench`.
 
     Where a clock is off, `impedance` is that of the device at the frequencies that the generator really makes.
 

@@ -18,7 +18,7 @@ from workbench.design.bounds import Bound
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import TOLERANCE, DesignObjective
 from workbench.design.model import Evaluator
-from workbench.design.spread import Spread
+from workbench.design.scenarios import ScenarioSample
 from workbench.design.variables import VariedNumber
 
 Real = NDArray[np.float64]
@@ -29,7 +29,7 @@ KEPT = 1e-4
 
 #: Standard deviations that 95 % of a normal law are below: with them every bound holds for 95 % of the chips.
 ONE_SIDED = 1.645
-#: The smallest common factor of tolerances that is told from none.
+#: The smallest common factor of tolerances that counts as one.
 NO_TOLERANCE = 1e-6
 
 
@@ -58,7 +58,8 @@ class ProgrammePoint:
 
     @property
     def violation(self) -> float:
-        """How far (in scales) the worst margin is below zero, 0 where all bounds hold, infinite without figures."""
+        """The distance (in scales) of the worst margin below zero, 0 where all bounds hold, infinite without figures.
+        """
         return float(-min(0.0, *self.margins, 0.0)) if self.exists else math.inf
 
     @property
@@ -69,11 +70,11 @@ class ProgrammePoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Programme:
-    """What is to be small over which lengths, on an evaluator.
+class NonlinearProgramme:
+    """A nonlinear programme on an evaluator: an objective to minimise over lengths, under bounds.
 
-    ``variables`` the unknowns with the range each has here; ``fixed`` all other lengths (SI) by name, of which the
-    evaluator is told those it knows; ``spread`` what figures are a quantile or a mean over, None for the nominal chip.
+    ``variables`` the unknowns with their ranges; ``fixed`` all other lengths (SI) by name, of which the evaluator gets
+    those it knows; ``scenarios`` the sample that figures are a quantile or a mean over, None for the nominal chip.
     """
 
     evaluator: Evaluator
@@ -81,7 +82,7 @@ class Programme:
     objective: DesignObjective
     bounds: tuple[Bound, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
-    spread: Spread | None = None
+    scenarios: ScenarioSample | None = None
 
     @property
     def low(self) -> Real:
@@ -103,17 +104,17 @@ class Programme:
         values = np.array([lengths[each.name] for each in self.variables])
         return np.clip((values - self.low) / self.extent, 0.0, 1.0)
 
-    def holding(self, lengths: Mapping[str, float]) -> Programme:
+    def holding(self, lengths: Mapping[str, float]) -> NonlinearProgramme:
         """The programme whose variables among `lengths` (m) stay at these."""
         rest = tuple(each for each in self.variables if each.name not in lengths)
         return replace(self, variables=rest, fixed={**self.fixed, **lengths})
 
     @property
     def sampled(self) -> bool:
-        """Whether figures are over the samples of a spread; tolerances themselves are judged by slopes."""
+        """Whether figures are over the scenarios; tolerances themselves are judged by slopes."""
         return self.objective.figure != TOLERANCE
 
-    def under(self, objective: DesignObjective) -> Programme:
+    def under(self, objective: DesignObjective) -> NonlinearProgramme:
         """The programme with another objective."""
         return replace(self, objective=objective)
 
@@ -122,20 +123,20 @@ class Programme:
         return self.point(x, self.evaluations(x, gradient=gradient))
 
     def evaluations(self, x: Real, *, gradient: bool) -> tuple[Evaluation, ...]:
-        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every sample of the spread."""
+        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every scenario."""
         values = {**self.fixed, **self.lengths(x)}
         known = {name: values[name] for name in self.evaluator.names if name in values}
         offsets: list[Mapping[str, float]] = [{}]
-        if self.spread is not None and self.sampled:
-            offsets += self.spread.samples
+        if self.scenarios is not None and self.sampled:
+            offsets += self.scenarios.samples
         moved = ({name: known.get(name, 0.0) + offset for name, offset in each.items()} for each in offsets)
         # Tolerances are judged by slopes.
         return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
 
     def point(self, x: Real, evaluations: Sequence[Evaluation]) -> ProgrammePoint:
-        """What `evaluations`, those of the unknowns `x` (n,), are worth."""
+        """The point with the objective, slopes and margins of `evaluations`, those of the unknowns `x` (n,)."""
         lengths = self.lengths(x)
-        nominal, judged = evaluations[0], evaluations[1:] if self.spread and self.sampled else evaluations
+        nominal, judged = evaluations[0], evaluations[1:] if self.scenarios and self.sampled else evaluations
         missing = next(filter(None, map(self._missing, evaluations)), "")
         n, m, count = len(self.variables), len(self.bounds), len(judged)
         if missing:
@@ -156,7 +157,7 @@ class Programme:
                               np.einsum("jk,jkn->jn", kept, jacobians), nominal)
 
     def _weights(self, losses: Real) -> Real:
-        return self.spread.weights(losses) if self.spread and self.sampled else np.ones(1)
+        return self.scenarios.weights(losses) if self.scenarios and self.sampled else np.ones(1)
 
     def _missing(self, evaluation: Evaluation) -> str:
         """Why a figure that is needed does not exist; empty if all do."""
@@ -179,14 +180,15 @@ class Programme:
     def _tolerance(self, evaluation: Evaluation) -> float:
         """The largest factor of all tolerances with which every bound of a figure still holds for 95 % of the chips, by
         slopes; zero or less where one does not hold for the chip itself."""
-        assert self.spread is not None
+        assert self.scenarios is not None
         assert evaluation.gradient is not None
         found = [math.inf]
         for bound in self.bounds:
             if bound.of_lengths:
                 continue
             slopes = zip(self.evaluator.names, evaluation.gradient[bound.figure], strict=True)
-            deviation = self.spread.deviation({name: bound.slope(bound.figure) * float(each) for name, each in slopes})
+            deviation = self.scenarios.deviation(
+                {name: bound.slope(bound.figure) * float(each) for name, each in slopes})
             if deviation > 0.0:
                 found.append(bound.margin(evaluation.figures) / (ONE_SIDED * deviation))
         return min(found)

@@ -1,4 +1,4 @@
-"""Lengths that come in steps, such as layers of a print: from the optimum between the steps to the best one on them."""
+"""Rounding of an optimum to lengths that come in steps, such as layers of a print."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 
 from workbench.design.descent import DesignDescent, descend
-from workbench.design.programme import Programme
+from workbench.design.nonlinear_programme import NonlinearProgramme
 from workbench.design.variables import VariedNumber
 
 #: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
@@ -15,7 +15,9 @@ from workbench.design.variables import VariedNumber
 CORNERS = 16
 
 
-def settle(programme: Programme, found: DesignDescent, *, evaluations: int) -> tuple[Programme, DesignDescent]:
+def round_to_grid(
+    programme: NonlinearProgramme, found: DesignDescent, *, evaluations: int
+) -> tuple[NonlinearProgramme, DesignDescent]:
     """The best of the combinations of steps about an optimum, the other lengths optimal for each.
 
     All roundings up and down are tried, then single steps away from the best one until none is better. Returns the
@@ -25,9 +27,9 @@ def settle(programme: Programme, found: DesignDescent, *, evaluations: int) -> t
     if not stepped:
         return programme, found
     lengths = found.point.lengths
-    tried: dict[tuple[float, ...], tuple[Programme, DesignDescent]] = {}
+    tried: dict[tuple[float, ...], tuple[NonlinearProgramme, DesignDescent]] = {}
 
-    def settled(choice: Mapping[str, float]) -> tuple[Programme, DesignDescent]:
+    def rounded(choice: Mapping[str, float]) -> tuple[NonlinearProgramme, DesignDescent]:
         key = tuple(choice[each.name] for each in stepped)
         if key not in tried:
             held = programme.holding(choice)
@@ -39,13 +41,13 @@ def settle(programme: Programme, found: DesignDescent, *, evaluations: int) -> t
         if _count(choices) > CORNERS:
             choices[name] = choices[name][:1]
     for corner in product(*choices.values()):
-        settled(dict(zip(choices, corner, strict=True)))
+        rounded(dict(zip(choices, corner, strict=True)))
     while True:
         best = min(tried, key=lambda key: tried[key][1].point.rank)
         before = len(tried)
         for index, each in enumerate(stepped):
             for value in each.beside(best[index]):
-                settled(dict(zip(choices, (*best[:index], value, *best[index + 1 :]), strict=True)))
+                rounded(dict(zip(choices, (*best[:index], value, *best[index + 1 :]), strict=True)))
         after = min(tried, key=lambda key: tried[key][1].point.rank)
         if after == best or len(tried) == before:
             return tried[after]
@@ -58,8 +60,8 @@ def _around(variable: VariedNumber, value: float) -> tuple[float, ...]:
                        and abs(each - value) < (variable.step or 0.0)))
 
 
-def _leverage(programme: Programme, found: DesignDescent) -> list[float]:
-    """What a step of every stepped length changes the objective by, to first order."""
+def _leverage(programme: NonlinearProgramme, found: DesignDescent) -> list[float]:
+    """The change of the objective by a step of every stepped length, to first order."""
     slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
     return [abs(float(slope)) * each.step / float(extent) for each, slope, extent in slopes if each.step is not None]
 

@@ -1,14 +1,15 @@
-"""What no model gets right: small, smooth, unknown relative changes of stiffness, mass and loss within the parts.
+"""The discrepancy of a model: small, smooth, unknown relative changes of stiffness, mass and loss within the parts.
 
 A part of a real device is not as homogeneous as its material's constants, and a mesh not as fine as its fields. Each
-region's stiffness, mass and loss is therefore allowed to differ by a random field of zero mean, unit variance (which
-the accuracy of the model scales) and the correlation
+region's stiffness, mass and loss is therefore allowed to differ by a random field (Kennedy and O'Hagan 2001, J. R.
+Stat. Soc. B 63, 425) of zero mean, unit variance (which the accuracy of the model scales) and the correlation
 
     <a(x) a(x')> = exp(-|x - x'|^2 / (2 l^2)),   l a quarter of the shortest wavelength in the region,
 
 the same in all states. A field is a sum of cosines over the region's rectangle with independent amplitudes, whose
 variances are the spectrum of that correlation (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
-section 4.2). What each cosine does to ln Z is a quadratic form of the states (:func:`changes`).
+section 4.2). The change of ln Z by each cosine, one discrepancy mode, is a quadratic form of the states
+(:func:`changes`).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from workbench.reduced.predictor import Prediction
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: What is allowed to differ. A region's own loss differs relative to what it has.
+#: Kinds of fields. A region's own loss changes relative to its value.
 STIFFNESS, MASS, LOSS = "stiffness", "mass", "loss"
 
 #: Points of a recording that states are made at.
@@ -41,25 +42,25 @@ POINTS = 121
 LEFT_OUT = 0.05
 
 
-#: A region, what is different there, and half waves along r and z.
+#: A region, the kind of the field there, and half waves along r and z.
 Key = tuple[str, str, int, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Patterns:
-    """What smooth changes within parts do to the data.
+class DiscrepancyModes:
+    """Changes of the data by smooth fields within parts.
 
-    ``columns`` (m, k) change of the real and then the imaginary parts of ln Z, recording after recording, by one
-    standard deviation of each pattern at a relative size of one; ``keys`` (k,) what each is: its region, its kind, and
-    the numbers of its cosine.
+    ``columns`` (m, k) are the changes of the real and then the imaginary parts of ln Z, recording after recording, by
+    one standard deviation of each mode at a relative size of one; ``keys`` (k,) the region, the kind and the numbers of
+    the cosine of each.
     """
 
     columns: Real
     keys: tuple[Key, ...]
 
     @classmethod
-    def of(cls, columns: Mapping[Key, Real]) -> Patterns:
-        """From the column (m,) of each."""
+    def of(cls, columns: Mapping[Key, Real]) -> DiscrepancyModes:
+        """The modes from the column (m,) of each."""
         return cls(np.stack(list(columns.values()), axis=1), tuple(columns))
 
     @property
@@ -67,32 +68,32 @@ class Patterns:
         """The region of each (k,)."""
         return tuple(region for region, *_ in self.keys)
 
-    def within(self, region: str) -> Real:
+    def of_region(self, region: str) -> Real:
         """The columns of one region."""
         return self.columns[:, [k for k, each in enumerate(self.regions) if each == region]]
 
-    def followed_by(self, other: Patterns) -> Patterns:
-        """The same of these recordings and then of others of the same device."""
+    def stacked(self, other: DiscrepancyModes) -> DiscrepancyModes:
+        """The modes of these recordings and then of others of one device."""
         ends = len(self.columns), len(self.columns) + len(other.columns)
         columns = {key: np.zeros(ends[1]) for key in (*self.keys, *other.keys)}
         for rows, each in ((slice(ends[0]), self), (slice(*ends), other)):
             for key, column in zip(each.keys, each.columns.T, strict=True):
                 columns[key][rows] = column
-        return Patterns.of(columns)
+        return DiscrepancyModes.of(columns)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A recording as predicted at n frequencies (Hz): ``slopes`` (3, cells, n) of :func:`changes`."""
+class PredictedRecording:
+    """A recording predicted at n frequencies (Hz): ``slopes`` (3, cells, n) of :func:`changes`."""
 
     frequency: Real
     operators: FullOperators
     slopes: Complex
 
 
-def seen(objective: Objective, x: Real) -> list[Seen]:
+def predicted_recordings(objective: Objective, x: Real) -> list[PredictedRecording]:
     """Every recording of an objective as predicted at x (p,); recordings of one solution share their slopes."""
-    found: list[Seen] = []
+    found: list[PredictedRecording] = []
     known: list[tuple[Solution, FullOperators, Complex]] = []
     for k in range(len(objective.predictors)):
         _, _, prediction = objective.predict(x, k, ())
@@ -101,17 +102,17 @@ def seen(objective: Objective, x: Real) -> list[Seen]:
             operators, states = prediction.full
             same = prediction.solution, operators, changes(operators, states, prediction)
             known.append(same)
-        found.append(Seen(objective.recordings[k].measured.frequency, *same[1:]))
+        found.append(PredictedRecording(objective.recordings[k].measured.frequency, *same[1:]))
     return found
 
 
-def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
-    """The :class:`Patterns` at x (p,): of what a model does not get right, and of what may be anything.
+def discrepancy_modes(objective: Objective, x: Real) -> tuple[DiscrepancyModes, DiscrepancyModes]:
+    """The :class:`DiscrepancyModes` at x (p,) of a usual discrepancy, and of changes of any size within a region.
 
-    For these a loss differs relative to the stiffness. States are made at no more than about :data:`POINTS` of the
-    points of a recording, and what lies between follows from a spline.
+    In the latter a loss differs relative to the stiffness. States are computed at about :data:`POINTS` of the points of
+    a recording, and a spline gives the points between.
     """
-    every = seen(objective.thinned(POINTS), x)
+    every = predicted_recordings(objective.thinned(POINTS), x)
     total = sum(2 * recording.measured.frequency.size for recording in objective.recordings)
     columns: tuple[dict[Key, Real], ...] = ({}, {})
     start = 0
@@ -128,14 +129,14 @@ def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
                 column = columns[which].setdefault((region, kind, *mode), np.zeros(total))
                 column[rows] += np.concatenate([slope.real, slope.imag])
         start = rows.stop
-    return Patterns.of(columns[0]), Patterns.of(columns[1])
+    return DiscrepancyModes.of(columns[0]), DiscrepancyModes.of(columns[1])
 
 
 def _of_recording(
-    found: Seen, materials: Mapping[str, Material], frequency: float
+    found: PredictedRecording, materials: Mapping[str, Material], frequency: float
 ) -> Iterator[tuple[str, str, tuple[int, int], tuple[int, ...], Complex]]:
-    """Region, kind, number of the cosine, which of the two of :func:`patterns` it is of, and d ln Z (n,) of every
-    pattern of a recording."""
+    """Region, kind, number of the cosine, the one of the two results of :func:`discrepancy_modes` it belongs to, and d
+    ln Z (n,) of every mode of a recording."""
     mesh = found.operators.mesh.mesh
     for region, cells in mesh.subdomains.items():
         # A layer's part of a region, or one that holds nothing in this state.

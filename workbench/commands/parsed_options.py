@@ -1,4 +1,4 @@
-"""Requests that the options of a command state, read and checked."""
+"""Values of the options of a command, read and checked."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ ROOM = 20e6
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A model as the options ask for it: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
+class ModelOptions:
+    """The model that the options state: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]
@@ -43,27 +43,27 @@ class Asked:
     accuracy: float | Discretisation
 
 
-def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
-    """The model that the options ask for.
+def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
+    """The model that the options state.
 
     Raises:
         InputError: a band that does not rise, a frequency outside it, an accuracy there is no mesh for, or a drive
             nobody can read.
     """
-    band = asked_band(options, chip)
+    band = band_option(options, chip)
     at = None if options.at is None else parse_quantity(options.at, "frequency", source="command line", field="--at")
     if at is not None and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
-    return Asked(
+    return ModelOptions(
         registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
         relative_error=options.relative_error, drive=parse_drive(options.drive),
-        accuracy=asked_accuracy(options),
+        accuracy=accuracy_option(options),
     )
 
 
-def asked_accuracy(options: argparse.Namespace) -> float:
-    """The relative accuracy of Z that the options ask for.
+def accuracy_option(options: argparse.Namespace) -> float:
+    """The relative accuracy of Z that the options state.
 
     Raises:
         InputError: no number or per cent, or an accuracy there is no mesh for.
@@ -76,13 +76,13 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     return accuracy
 
 
-def asked_jobs(options: argparse.Namespace) -> int:
-    """How many pieces of work at a time the options ask for, one for each core if they do not say."""
+def jobs_option(options: argparse.Namespace) -> int:
+    """The number of pieces of work at a time that the options state, one for each core by default."""
     return options.jobs or os.cpu_count() or 1
 
 
-def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
-    """The band (Hz) that the options ask for, the chip's own at either end that they leave open."""
+def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
+    """The band (Hz) that the options state, the chip's own at either end that they leave open."""
     def end(text: str | None, default: float, field: str) -> float:
         return default if text is None else parse_quantity(text, "frequency", source="command line", field=field)
 
@@ -94,8 +94,8 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def asked_reading(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
-    """The recording, read as --columns, --format and --correction say; what its columns were taken for is printed.
+def reading_option(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
+    """The recording, read as --columns, --format and --correction say; the meaning of its columns is printed.
 
     Raises:
         InputError: a recording that cannot be read, or --columns and --format together.
@@ -111,14 +111,14 @@ def asked_reading(options: argparse.Namespace, recording: Path, console: Console
 
 
 def say_read_as(read_as: str, name: str, console: Console) -> None:
-    """Print what the columns of a table were taken for, if it was read as one."""
+    """Print the meaning of the columns of a table, if a recording was read as one."""
     if read_as:
         console.print(f"{name}: read {read_as}", markup=False)
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:
-    """Where materials are saved: the last of the `folders` that the options name, made if need be, or else the user's
-    own.
+    """The folder where materials are saved: the last of the `folders` that the options name, made if need be, or else
+    the user's own.
 
     Raises:
         InputError: a file is where the folder should be.

@@ -1,7 +1,7 @@
-"""Where the known numbers are, as far as the recordings of the smallest body say at little weight.
+"""The Gaussian prior of the known numbers, updated by the recordings of the smallest body at little weight.
 
-The smallest body, the free transducer of most campaigns, is the cheapest to predict and has one optimum. What it says
-of its own numbers tells where the models of the others have to be right: not all over what is known beforehand.
+The smallest body, the free transducer of most campaigns, is the cheapest to predict and has one optimum. Its recordings
+narrow the prior of its numbers, and models of the other bodies have to be right within the narrower prior only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]
 
-#: Descents for the smallest body: from what is stated, and from draws of what is known.
+#: Descents for the smallest body: from the stated numbers, and from draws of the prior.
 DESCENTS = 4
 
 #: A number is multimodal where one uncertainty along its profile changes the data at little weight by this many
@@ -30,8 +30,9 @@ CURVED, MULTIMODAL = 10.0, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
-    """A normal distribution of the known numbers about ``x`` (p,): they are x + ``root`` (k, k) times white noise."""
+class GaussianPrior:
+    """A normal distribution of the known numbers about ``x`` (p,): ``root`` (k, k) times white noise, within ``low``
+    and ``high`` (k,)."""
 
     x: Real
     root: Real
@@ -39,8 +40,8 @@ class Belief:
     high: Real
 
     @classmethod
-    def prior(cls, model: Model) -> Belief:
-        """What is known beforehand."""
+    def prior(cls, model: Model) -> GaussianPrior:
+        """The prior as the campaign states it."""
         low, high = model.bounds(range(model.known))
         deviations = np.array([p.prior or 0.0 for p in model.parameters[:model.known]])
         return cls(np.array([p.start for p in model.parameters]), np.diag(deviations), low, high)
@@ -51,40 +52,42 @@ class Belief:
         return np.asarray(np.linalg.norm(self.root, axis=1))
 
     def reach(self, model: Model, far: float) -> dict[str, float]:
-        """So many standard deviations of the known numbers, by name."""
+        """`far` standard deviations of each known number, by name."""
         return {p.name: far * float(each)
                 for p, each in zip(model.parameters[:model.known], self.deviations, strict=True) if each > 0.0}
 
-    def places(self, pairs: int, seed: int) -> list[Real]:
-        """Draws (p,), each with its opposite, within what is admissible."""
-        return [self.at(self.root @ (sign * white))
+    def draws(self, pairs: int, seed: int) -> list[Real]:
+        """Draws (p,) in pairs opposite each other, within the admissible ranges."""
+        return [self.shifted(self.root @ (sign * white))
                 for white in np.random.default_rng(seed).standard_normal((pairs, len(self.root)))
                 for sign in (1.0, -1.0)]
 
-    def given(self, likelihood: Likelihood) -> Belief:
-        """The same with what some recordings add where they weigh little.
+    def updated(self, likelihood: Likelihood) -> GaussianPrior:
+        """The posterior from this prior and some recordings at little weight, about the best of their optima.
 
-        Of several optima the best. As it is where nothing can be predicted.
+        The prior itself where nothing can be predicted.
         """
         search, known = likelihood.search(Hypothesis()), range(len(self.root))
-        starts = [StartPoint("", x) for x in (self.x, *self.places(DESCENTS, 0)[:DESCENTS - 1])]
+        starts = [StartPoint("", x) for x in (self.x, *self.draws(DESCENTS, 0)[:DESCENTS - 1])]
         trials = multistart(starts, lambda start: initial_optimum(likelihood, search, start.x), refused=NO_END)
         ends = [trial.end for trial in trials if trial.end is not None]
         if not ends:
             return self
         x = min(ends, key=lambda end: end.cost).x
-        tangents = likelihood.objective(x, deviation=likelihood.spreads(LEVELS[0]), free=frozenset(known)).jacobian
-        # root (I + B^T B)^-1 root^T with B what the data do per unit of white noise.
+        deviation = likelihood.point_deviations(LEVELS[0])
+        tangents = likelihood.objective(x, deviation=deviation, free=frozenset(known)).jacobian
+        # root (I + B^T B)^-1 root^T, with B the derivative of the data by the white noise.
         _, sizes, directions = np.linalg.svd(tangents[:, known] @ self.root, full_matrices=False)
         root = self.root - (self.root @ directions.T * (1.0 - 1.0 / np.sqrt(1.0 + sizes**2))) @ directions
-        return Belief(x, root, self.low, self.high)
+        return GaussianPrior(x, root, self.low, self.high)
 
-    def along(self, index: int, steps: Sequence[float]) -> list[Real]:
-        """Places (p,) where one number alone is so many of its standard deviations from here."""
-        return [self.at(np.where(np.arange(len(self.root)) == index, step * self.deviations, 0.0)) for step in steps]
+    def profile_points(self, index: int, steps: Sequence[float]) -> list[Real]:
+        """Points (p,) where one number alone is off by each of `steps`, in its standard deviations."""
+        own = np.arange(len(self.root)) == index
+        return [self.shifted(np.where(own, step * self.deviations, 0.0)) for step in steps]
 
-    def at(self, shift: Real) -> Real:
-        """Where (p,) the known numbers have moved by that much (k,), within what is admissible."""
+    def shifted(self, shift: Real) -> Real:
+        """The point (p,) with the known numbers moved by `shift` (k,), within the admissible ranges."""
         place = self.x.copy()
         known = slice(len(self.root))
         place[known] = inside(place[known] + shift, self.low, self.high)
@@ -92,34 +95,33 @@ class Belief:
 
 
 def smallest_body(recordings: Objective) -> Objective | None:
-    """Those recordings that are of the body of fewest unknowns; None if all are of one."""
+    """The recordings of the body of fewest unknowns; None if all are of one body."""
     size = {predictor: predictor.operators.size for predictor in recordings.predictors}
     names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)
              if size[predictor] == min(size.values())]
     return recordings.among(names) if len(size) > 1 else None
 
 
-def multimodal(likelihood: Likelihood, belief: Belief) -> list[int]:
-    """Indices of the known numbers along whose profiles the data bend most, where they weigh little.
+def multimodal(likelihood: Likelihood, prior: GaussianPrior) -> list[int]:
+    """Indices of the known numbers along whose profiles the data are most curved, at little weight.
 
-    The profile of a number is where the optimum of all others goes when it moves by one uncertainty: what these can
-    make up for does not bend anything. The gel below a chip is of this kind: waves along a film change with its
-    thickness, and they are many.
+    The profile of a number is the optimum of all others as it moves by one uncertainty: whatever these can compensate
+    adds no curvature. The thickness of the gel below a chip is multimodal: it changes the many waves along the film.
     """
-    model, known = likelihood.model, np.arange(len(belief.root))
-    spreads = likelihood.spreads(LEVELS[0])
-    here = likelihood.objective(belief.x, deviation=spreads, free=frozenset(map(int, known)))
+    model, known = likelihood.model, np.arange(len(prior.root))
+    spreads = likelihood.point_deviations(LEVELS[0])
+    here = likelihood.objective(prior.x, deviation=spreads, free=frozenset(map(int, known)))
     tangents = here.jacobian[:, known]
-    by_noise = tangents @ belief.root
-    covariance = belief.root @ np.linalg.inv(by_noise.T @ by_noise + np.eye(known.size)) @ belief.root.T
+    by_noise = tangents @ prior.root
+    covariance = prior.root @ np.linalg.inv(by_noise.T @ by_noise + np.eye(known.size)) @ prior.root.T
     found: list[tuple[float, int]] = []
-    for i, deviation in enumerate(belief.deviations):
+    for i, deviation in enumerate(prior.deviations):
         profile = covariance[:, i] * (deviation / covariance[i, i]) if deviation > 0.0 else np.zeros(known.size)
         if model.parameters[i].is_bench or np.linalg.norm(tangents @ profile) < CURVED:
             continue
         bent = []
-        for place in (belief.at(-profile), belief.at(profile)):
+        for place in (prior.shifted(-profile), prior.shifted(profile)):
             there = likelihood.objective(place, deviation=spreads, free=()).vector
-            bent.append(float(np.linalg.norm(there - here.vector - tangents @ (place - belief.x)[known])))
+            bent.append(float(np.linalg.norm(there - here.vector - tangents @ (place - prior.x)[known])))
         found.append((max(bent), i))
     return [i for bent, i in sorted(found, reverse=True)[:MULTIMODAL] if bent > CURVED]

@@ -1,4 +1,4 @@
-"""What is left of a figure over the uncertainty of a chip: a quantile or the mean over samples that stay the same."""
+"""The statistics of a figure over the uncertainty of a chip: a quantile or the mean over a fixed scenario sample."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
-    """Offsets (SI, by parameter name) of every sample from the chip as stated, common to all chips that are compared.
+class ScenarioSample:
+    """Offsets (SI, by parameter name) of every scenario from the chip as stated, common to all chips that are compared.
 
-    Of numbers that no chip varies, the sample's own values. ``quantile`` on the bad side (0.05: what 95 % of the chips
-    reach), None for the mean. ``covariance`` (k, k) of the numbers, SI, in the order of :attr:`names`.
+    A number that no chip varies has the sample's own values. ``quantile`` on the bad side (0.05: the figure that 95 %
+    of the chips reach), None for the mean. ``covariance`` (k, k) of the numbers, SI, in the order of :attr:`names`.
     """
 
     samples: tuple[Mapping[str, float], ...]
@@ -25,19 +25,19 @@ class Spread:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The numbers that samples move."""
+        """The numbers that scenarios move."""
         return tuple(self.samples[0])
 
     def deviation(self, slopes: Mapping[str, float]) -> float:
-        """Standard deviation of what has these `slopes` (by SI unit, by name) over the uncertain numbers."""
+        """Standard deviation of a quantity with these `slopes` (by SI unit, by name) over the uncertain numbers."""
         along = np.array([slopes.get(name, 0.0) for name in self.names])
         return float(np.sqrt(along @ self.covariance @ along))
 
     def weights(self, losses: Real) -> Real:
-        """Weights (k,) of the samples with which their sum is the quantile, or the mean, of `losses` (k,).
+        """Weights (k,) of the scenarios with which their sum is the quantile, or the mean, of `losses` (k,).
 
-        The quantile is the one of numpy, between the two samples beside it; where samples change places its derivative
-        jumps, and it does not.
+        The quantile is the one of numpy, between the two scenarios beside it; where scenarios change places its
+        derivative jumps, and it does not.
         """
         count = len(losses)
         if self.quantile is None:

@@ -1,10 +1,10 @@
-"""What is stated of a chip's uncertainty: tolerances of its file, uncertainties of its materials, fits, and a person's
-own word, each taking the place of those before it.
+"""Input uncertainty of a chip: tolerances of its file, uncertainties of its materials, fits, and a person's own
+statements, each taking the place of those before it.
 
-A person's word is a text, ``superstrate.thickness = 20 um``: of a length its limits, of a coefficient its standard
+A statement is a text, ``superstrate.thickness = 20 um``: of a length its limits, of a coefficient its standard
 uncertainty. ``uniform`` or ``normal`` behind it make either a limit, ``standard`` a standard uncertainty; per cents are
-of the number itself, ``exact`` leaves it certain, and ``assumed`` says of a length what its role lets assume
-(`geometry.assumed`), such as a factor of three of a film of gel. In a TOML file the same stands in a table::
+of the number itself, ``exact`` leaves it certain, and ``assumed`` gives a length the uncertainty of its role
+(`geometry.assumed`), such as a factor of three of a film of gel. In a TOML file the statements stand in a table::
 
     [uncertainty]
     "superstrate.thickness" = "20 um"
@@ -102,7 +102,7 @@ def stated_uncertainty(
     statements: Sequence[Statement | str] = (),
     posteriors: Sequence[Path | str] = (),
 ) -> Uncertainty:
-    """All that is uncertain of a chip in a state.
+    """The input uncertainty of a chip in a state.
 
     Args:
         law: what a tolerance is: the limits of a uniform law, or three standard deviations of a normal one.
@@ -131,7 +131,7 @@ def stated_uncertainty(
 
 
 def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertainty:
-    """What the chip's file and its materials state themselves: tolerances, uncertainties and their correlations.
+    """The uncertainty that the chip's file and its materials state: tolerances, uncertainties and their correlations.
 
     Raises:
         InputError: a tolerance or an uncertainty that cannot be used.
@@ -216,7 +216,7 @@ def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
 def _coefficients(
     material: Material, device: FilledChip, numbers: Mapping[str, Number], found: _Collected
 ) -> None:
-    """What a registry entry states of its numbers, with the correlation that a fit left among them."""
+    """The uncertainties of a registry entry, with the correlation that a fit left among its numbers."""
     left_out = []
     for field, value in material.values.items():
         for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
@@ -295,7 +295,7 @@ def _correlation(table: FileTable) -> tuple[tuple[str, ...], list[list[float]]]:
 
 
 def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Collected) -> str:
-    """What a number of a fit is called on this chip: the fitted material may be there as it was saved. Empty where the
+    """The name that a number of a fit has on this chip, whose material may be there as it was saved. Empty where the
     chip has no such number."""
     parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
     if parsed.is_dimension:

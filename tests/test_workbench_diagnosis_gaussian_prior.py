@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import CURVED, Belief, multimodal
+from workbench.diagnosis.gaussian_prior import CURVED, GaussianPrior, multimodal
 from workbench.search.constrained import Minimum
 from workbench.search.continuation import ContinuationStage
 
@@ -35,7 +35,7 @@ class Linear:
     def __init__(self, model: Any, squares: Real | None = None) -> None:
         self.model, self.squares = model, np.zeros(4) if squares is None else squares
 
-    def spreads(self, _level: float) -> list[float]:
+    def point_deviations(self, _level: float) -> list[float]:
         return [1.0]
 
     def search(self, _hypothesis: object) -> None:
@@ -54,8 +54,8 @@ class Linear:
 
 
 def test_the_belief_is_the_posterior_of_linear_data() -> None:
-    prior = Belief.prior(numbers())
-    found = prior.given(Linear(numbers()))  # type: ignore[arg-type]
+    prior = GaussianPrior.prior(numbers())
+    found = prior.updated(Linear(numbers()))  # type: ignore[arg-type]
     own = TANGENTS[:, :3]
     covariance = np.linalg.inv(own.T @ own + np.diag(1.0 / PRIOR**2))
     assert found.root @ found.root.T == pytest.approx(covariance, rel=1e-9)
@@ -67,8 +67,8 @@ def test_the_belief_is_the_posterior_of_linear_data() -> None:
 
 
 def test_draws_come_with_their_opposites_and_have_that_covariance() -> None:
-    prior = Belief.prior(numbers())
-    places = np.array(prior.places(4000, 0))
+    prior = GaussianPrior.prior(numbers())
+    places = np.array(prior.draws(4000, 0))
     assert places[0::2] + places[1::2] == pytest.approx(np.broadcast_to(2.0 * START, (4000, 4)))
     # Of 4000 pairs a standard deviation is right to 1.1 %.
     assert (places - START)[:, :3].std(axis=0) == pytest.approx(PRIOR, rel=0.04)
@@ -77,20 +77,20 @@ def test_draws_come_with_their_opposites_and_have_that_covariance() -> None:
 
 def test_a_place_is_never_beyond_what_is_admissible() -> None:
     low, high = START[:3] - 0.1, START[:3] + 0.1
-    near = Belief(START, np.diag(PRIOR), low, high)
-    assert all((place[:3] > low).all() and (place[:3] < high).all() for place in near.along(1, (-3.0, 3.0)))
-    assert near.along(1, (0.01,))[0] == pytest.approx(START + np.array([0.0, 0.02, 0.0, 0.0]))
+    near = GaussianPrior(START, np.diag(PRIOR), low, high)
+    assert all((place[:3] > low).all() and (place[:3] < high).all() for place in near.profile_points(1, (-3.0, 3.0)))
+    assert near.profile_points(1, (0.01,))[0] == pytest.approx(START + np.array([0.0, 0.02, 0.0, 0.0]))
 
 
 def test_what_bends_the_data_along_its_profile_is_multimodal() -> None:
     """By the square of what they move, in each of 12 data; numbers of the bench are never asked."""
-    alone = Belief(START, np.diag([0.0, 30.0, 0.0]), START[:3] - 500.0, START[:3] + 500.0)
+    alone = GaussianPrior(START, np.diag([0.0, 30.0, 0.0]), START[:3] - 500.0, START[:3] + 500.0)
     bent = np.array([0.0, 2.0 * CURVED / (30.0**2 * np.sqrt(12.0)), 0.0, 0.0])
 
-    def found(squares: Real, bench: int = -1, belief: Belief = alone) -> list[int]:
+    def found(squares: Real, bench: int = -1, belief: GaussianPrior = alone) -> list[int]:
         return multimodal(Linear(numbers(bench), squares), belief)  # type: ignore[arg-type]
 
     assert found(bent) == [1]
     assert found(0.4 * bent) == found(bent, bench=1) == found(np.zeros(4)) == []
     # What the data see less of than they could bend by is not asked either.
-    assert found(1e9 * bent, belief=Belief(START, 1e-3 * alone.root, alone.low, alone.high)) == []
+    assert found(1e9 * bent, belief=GaussianPrior(START, 1e-3 * alone.root, alone.low, alone.high)) == []
