@@ -350,7 +350,7 @@ class DiagnosisSearch:
         except KeyboardInterrupt:
             if self.interrupted or any(index not in results for index in range(min(must, len(tasks)))):
                 raise
-            # Nobody waits any more for what the workers do.
+            # Nobody waits any more for the workers' results.
             self.interrupted, self._workers = True, Workers()
         self.undone += [task.name for index, task in enumerate(tasks) if index not in results]
         for index, result in results.items():
