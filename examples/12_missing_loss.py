@@ -41,7 +41,8 @@ from workbench.fem.solve import Solution
 from workbench.files.errors import InputError
 from workbench.model.problem import Problem, build, fill, with_boundary_layers
 from workbench.physics.boundary_layer import ADMISSIBLE
-from workbench.reduced.reduction import ReducedModel, reduce
+from workbench.reduced.at_point import reduce
+from workbench.reduced.model import ReducedModel
 from workbench.results.merit import Figures, NoResonance, figures
 from workbench.results.spectrum import Spectrum
 from workbench.simulation.run import loss_budget

@@ -17,7 +17,7 @@ from workbench.fem.operators import assemble
 from workbench.fitting.joint import FitResult
 from workbench.model.problem import build, fill
 from workbench.readers import read_recording
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.report.fit import shown_estimate
 from workbench.results.spectrum import Spectrum, write_spectrum
 

@@ -42,7 +42,7 @@ MODEL: Any = SimpleNamespace(
     campaign=SimpleNamespace(fitted=(SimpleNamespace(noise=np.ones(20)),)), held_out=None,
     free=lambda _effects: ([0, 1], []),
     bounds=lambda indices: (-np.ones(len(indices)), np.ones(len(indices))))
-#: Models of a neighbourhood are never asked for.
+#: Local models are never asked for.
 NEIGHBOURHOODS: Any = SimpleNamespace(places=(), wide=SimpleNamespace(predictors=()))
 PLACE = np.zeros(2)
 SMALL_CAMPAIGN = Path(__file__).parents[1] / "examples" / "small_campaign" / "campaign.toml"

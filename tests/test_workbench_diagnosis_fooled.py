@@ -25,7 +25,7 @@ from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.measurement_model import through_bench
 from workbench.model.problem import build, fill, with_boundary_layers
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.spectrum import Spectrum, write_spectrum
 
 Real = NDArray[np.float64]

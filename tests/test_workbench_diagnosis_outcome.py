@@ -76,7 +76,7 @@ def model() -> Any:
     return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, others=(), effects=(LEADS, GLASS),
                            whole=SimpleNamespace(solves=7), index=[p.name for p in PARAMETERS].index,
                            free=lambda effects: ([0, 1, 2], [2] if GLASS in effects else []),
-                           fitted=SimpleNamespace(refusals=[], recordings=()))
+                           refusals=[], fitted=SimpleNamespace(recordings=()))
 
 
 def estimate(name: str, value: float, unit: str, stated: float = 0.0, sigmas: float | None = None) -> FoundNumber:
@@ -271,7 +271,7 @@ def test_the_record_keeps_its_keys_and_is_json() -> None:
     assert set(found) >= {
         "campaign", "verdict", "effects", "moved_parameters", "rivals", "location", "before", "known_parameters_only",
         "after", "held_out", "next_measurement", "detection_limits", "scores", "refits", "findings", "seconds",
-        "full_solves", "left", "taken", "undone", "headline", "accuracy"}
+        "left", "taken", "undone", "headline", "accuracy"}
     again = json.loads(json.dumps(found, allow_nan=False))
     assert again["effects"][0]["share"] == 0.97
     assert again["effects"][0]["parameters"]["bench.series_inductance"]["unit"] == "H"

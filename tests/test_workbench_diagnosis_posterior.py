@@ -230,7 +230,7 @@ def test_the_evidence_of_a_disc_is_the_integral_of_its_posterior(tmp_path: Path)
     assert posterior.laplace().log_evidence == pytest.approx(integral(posterior, 25, 5.0), abs=0.05)
     # Beyond the bounds of a material nothing is asked of the model.
     assert posterior.log_posterior(posterior.high * 1.01) == -np.inf
-    assert posterior.doubt(posterior.place) < 0.1 * NOISE
+    assert posterior.error_estimate(posterior.place) < 0.1 * NOISE
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from workbench.fem.elements import Lagrange, gauss_lobatto
 from workbench.fem.operators import assemble
 from workbench.model.discretisation import ACCURACY, discretisation
 from workbench.model.problem import problem
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.spectrum import Spectrum
 
 ORDERS = (1, 2, 3, 4, 5)

@@ -57,7 +57,7 @@ def prepared(chip: Chip) -> Prepared:
                     measured=Spectrum(FREQUENCIES, np.full(FREQUENCIES.size, 100.0 - 100.0j)))
     (recording,) = begun.recordings
     # On the mesh of the fit, whose error would otherwise be far above the noise that is to be reached.
-    with_lengths = Objective([recording], begun.parameters, tolerance=1e-3).recordings[0].problem
+    with_lengths = Objective.of([recording], begun.parameters, tolerance=1e-3).recordings[0].problem
     own = Predictor(with_lengths, FREQUENCIES, tolerance=1e-5)
     values = dict(own.problem.values)
     values |= {GEL: complex(TRUTH[GEL]), BULK: values[BULK] * TRUTH[BULK], SHEAR: values[SHEAR] * TRUTH[SHEAR]}

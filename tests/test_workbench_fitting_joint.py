@@ -23,8 +23,8 @@ from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.search import SCHEDULE, SEARCHED_POINTS, FitSearch
 from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
+from workbench.reduced.at_point import NotEnriched
 from workbench.reduced.predictor import Predictor
-from workbench.reduced.reduction import NotEnriched
 from workbench.results.spectrum import Spectrum
 from workbench.search.constrained import minimise
 
@@ -325,7 +325,7 @@ def test_samples_of_the_prior_are_only_tried_where_needed(
 
 def test_samples_are_distributed_as_the_prior(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "e33", "c33.loss"])
-    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], free, tolerance=1e-2))
     samples = np.array([each.x for each in prior_samples(search, 2000, 0)])
     assert (samples[:3] == [each.x for each in prior_samples(search, 3, 0)]).all()
     assert (samples[:3] != [each.x for each in prior_samples(search, 3, 1)]).all()
@@ -439,16 +439,16 @@ def test_long_recordings_are_searched_on_a_part_of_their_points(
 
 def test_the_stages_are_those_the_points_can_show(disc: Problem, chip: Chip, begun: tuple[Parameter, ...]) -> None:
     # 61 points over 400 kHz: 6.7 kHz apart, 500 kHz in the middle.
-    search = FitSearch(Objective([recorded(disc, chip, {})], begun, tolerance=1e-2))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], begun, tolerance=1e-2))
     assert [each.smoothing for each in search.schedule.stages] == [0.03, 0.0]
     fine = recorded(disc, chip, {}, frequency=np.linspace(300e3, 700e3, 401))
-    assert FitSearch(Objective([fine], begun, tolerance=1e-2)).schedule == SCHEDULE
+    assert FitSearch(Objective.of([fine], begun, tolerance=1e-2)).schedule == SCHEDULE
     assert [each.smoothing for each in SCHEDULE.stages] == [0.03, 0.01, 0.003, 0.0]
 
 
 def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c13", "c33"])
-    search = FitSearch(Objective([recorded(disc, chip, {free[0].name: 1.05 * free[0].start})], free, tolerance=1e-3))
+    search = FitSearch(Objective.of([recorded(disc, chip, {free[0].name: 1.05 * free[0].start})], free, tolerance=1e-3))
     x = np.array([free[0].start, 1.01 * free[1].start, 0.99 * free[2].start])
     held = search.minimise(x, [0.01], fixed=(1, 2))
     assert held.x[1:] == pytest.approx(x[1:], abs=0.0)
@@ -463,7 +463,7 @@ def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) ->
 
 def test_a_search_begins_strictly_inside(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c13", "c33"])
-    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-3), free=(0, 1))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], free, tolerance=1e-3), free=(0, 1))
     x = search.high.copy()
     begin = search.inside(x)
     assert (begin[:2] < x[:2]).all()
@@ -475,7 +475,7 @@ def test_a_search_begins_strictly_inside(disc: Problem, chip: Chip) -> None:
 
 def test_the_prior_stands_below_the_data(disc: Problem, chip: Chip) -> None:
     free = (*parameters(disc, None, PZT, ["c11", "e33"]), Parameter("bench.phase", 0.0, -1.0, 1.0, None, "rad"))
-    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-3))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], free, tolerance=1e-3))
     x = np.array([p.start + 0.3 * p.scale for p in free])
     found = search.evaluate(x, [0.01])
     # 0.3 priors away, and nothing of what nothing was known of.
@@ -488,7 +488,7 @@ def test_conditions_hold_with_the_values_that_are_held(disc: Problem, chip: Chip
     # c13'' held at s: c11'' has to lose 2 s^2 / c33'' at least, which is 1.44 times what the recording has.
     free = parameters(disc, None, PZT, ["c13.loss", "c11.loss"])
     c11, c33 = (disc.values[f"{PZT}.{name}"].imag for name in ("c11", "c33"))
-    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-4))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], free, tolerance=1e-4))
     held = search.minimise(np.array([1.2 * np.sqrt(0.5 * c11 * c33), 3.0 * c11]), [1e-4], fixed=(0,))
     assert held.x[1] == pytest.approx(1.44 * c11, rel=1e-2)
     assert all(i.margin(held.x) > 0.0 for i in search.inequalities)
@@ -496,7 +496,7 @@ def test_conditions_hold_with_the_values_that_are_held(disc: Problem, chip: Chip
 
 def test_a_way_down_is_not_followed_once_it_is_worse(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c33"])
-    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
+    search = FitSearch(Objective.of([recorded(disc, chip, {})], free, tolerance=1e-2))
     start = np.array([p.start for p in free])
     best = search.descend(start)
     assert len(best.costs) == len(search.schedule.stages) == 2

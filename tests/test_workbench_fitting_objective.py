@@ -86,7 +86,7 @@ NAMES = ("c33", "c13", "c44", "e33", "eps33", "density", "c33.loss", "c13.loss",
 @pytest.fixture(scope="module")
 def everything(stack: Problem, chip: Chip) -> Objective:
     """One of every kind of parameter."""
-    return Objective([recording("stack", stack, chip)], parameters(stack, chip, PZT, NAMES), tolerance=1e-5)
+    return Objective.of([recording("stack", stack, chip)], parameters(stack, chip, PZT, NAMES), tolerance=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +101,10 @@ def test_the_jacobian_is_the_derivative_of_the_residuals(
 ) -> None:
     deviation = [np.linspace(0.01, 0.03, GRID.size) if isinstance(spread, str) else spread]
     # Once there, so that the basis is the same all along.
-    everything(point, deviation=deviation)
+    everything = everything.holding(everything(point, deviation=deviation).predictions)
     found = everything(point, deviation=deviation, smoothing=smoothing)
     scale = np.array([p.scale for p in everything.parameters])
-    solves = everything.solves
     exact = differences(lambda x: everything(x, deviation=deviation, smoothing=smoothing).vector, point, scale)
-    assert everything.solves == solves
     assert found.vector.shape == (2 * GRID.size,)
     for parameter, ours, theirs in zip(everything.parameters, found.jacobian.T, exact.T, strict=True):
         assert np.abs(theirs).max() > 0.0, parameter.name
@@ -143,7 +141,7 @@ def test_smoothing_compares_smoothed_admittances(everything: Objective, point: R
 
 def test_real_part_and_loss_make_one_complex_value(stack: Problem, chip: Chip) -> None:
     free = parameters(stack, chip, PZT, ["c33.loss", "c33", "c11.loss", "e33", "transducer.thickness", "bench.gain"])
-    objective = Objective([recording("stack", stack, chip)], free, tolerance=1e-3)
+    objective = Objective.of([recording("stack", stack, chip)], free, tolerance=1e-3)
     x = np.array([-2e8, 1.1e11, -3e8, 14.0, 2.1e-3, 0.2])
     values, bench = objective.settings(x, 0)
     assert values == {f"{PZT}.c33": 1.1e11 - 2e8j, f"{PZT}.c11": stack.values[f"{PZT}.c11"].real - 3e8j,
@@ -159,11 +157,11 @@ def test_recordings_share_what_is_not_their_own(stack: Problem, chip: Chip, bare
     both = [recording("disc", bare[1], bare[0]), recording("stack", stack, chip)]
     free = (*parameters(stack, chip, PZT, ["c33", f"{PLA}.shear_modulus", "transducer.thickness"]),
             bench_parameter("gain", ["disc"]), bench_parameter("gain", ["stack"]), bench_parameter("delay"))
-    objective = Objective(both, free, tolerance=1e-6)
+    objective = Objective.of(both, free, tolerance=1e-6)
     x = np.array([p.start + 0.1 * p.scale for p in free])
     x[3:5] = 0.1, -0.2
     deviation = [0.01, 0.02]
-    objective(x, deviation=deviation)
+    objective = objective.holding(objective(x, deviation=deviation).predictions)
     found = objective(x, deviation=deviation)
     assert found.vector.shape == (4 * GRID.size,)
     exact = differences(lambda y: objective(y, deviation=deviation).vector, x, np.array([p.scale for p in free]))
@@ -177,7 +175,7 @@ def test_recordings_share_what_is_not_their_own(stack: Problem, chip: Chip, bare
     assert disc[:GRID.size, 3] == pytest.approx(100.0)
     assert whole[:GRID.size, 4] == pytest.approx(50.0)
     # Each recording is what it would be alone.
-    alone = Objective(both[1:], [p for p in free if p.recordings != ("disc",)], tolerance=1e-6)
+    alone = Objective.of(both[1:], [p for p in free if p.recordings != ("disc",)], tolerance=1e-6)
     single = alone(np.delete(x, 3), deviation=deviation[1:])
     assert found.vector[2 * GRID.size:] == pytest.approx(single.vector, abs=1e-4)  # 1e-6 over 0.02
     assert objective.solves == sum(p.solves for p in objective.predictors) > 0
@@ -186,7 +184,7 @@ def test_recordings_share_what_is_not_their_own(stack: Problem, chip: Chip, bare
 def test_recordings_have_names_of_their_own(stack: Problem, chip: Chip) -> None:
     one = recording("stack", stack, chip)
     with pytest.raises(ValueError, match="names of their own, received stack, stack"):
-        Objective([one, one], parameters(stack, chip, PZT, ["c33"]), tolerance=1e-3)
+        Objective.of([one, one], parameters(stack, chip, PZT, ["c33"]), tolerance=1e-3)
 
 
 def offset(shared: Parameter, state: str, size: float) -> Parameter:
@@ -204,7 +202,7 @@ def between(stack: Problem, chip: Chip, bare: tuple[Chip, Problem]) -> Objective
     own = [offset(p, name, 0.1 * p.scale) for p in (*shared, speed) for name in ("disc", "again")]
     # The thickness is exact but for what one recording adds.
     free = (offset(thickness, "again", 2e-6), *own, *shared, speed)
-    return Objective([recording("disc", bare[1], bare[0]), recording("first", stack, chip),
+    return Objective.of([recording("disc", bare[1], bare[0]), recording("first", stack, chip),
                       recording("again", stack, chip)], free, tolerance=1e-6)
 
 
@@ -235,14 +233,13 @@ def test_offsets_add_to_what_all_recordings_have(between: Objective, stack: Prob
 def test_the_jacobian_by_offsets_is_the_derivative_of_the_residuals(between: Objective) -> None:
     x = np.array([(0.3 if p.offset else 0.2) * p.scale + p.start for p in between.parameters])
     deviation = [0.01, 0.02, 0.03]
-    between(x, deviation=deviation)
-    found, solves = between(x, deviation=deviation), between.solves
+    between = between.holding(between(x, deviation=deviation).predictions)
+    found = between(x, deviation=deviation)
     # Curvature of the disc's sharp resonance: offsets are a tenth of what they add to.
     scale = np.array([p.scale if p.offset else 0.3 * p.scale for p in between.parameters])
     # Steps of a clock of 1e-4 of its scale would move frequencies by a thousandth of a millionth: rounding is seen.
     scale *= np.array([100.0 if p.parsed.coefficient == "clock" else 1.0 for p in between.parameters])
     exact = differences(lambda y: between(y, deviation=deviation).vector, x, scale)
-    assert between.solves == solves
     for p, ours, theirs in zip(between.parameters, found.jacobian.T, exact.T, strict=True):
         seen = [bool(np.any(rows)) for rows in np.split(theirs, 3)]
         # A disc has neither gel nor a thickness of it.
@@ -251,19 +248,19 @@ def test_the_jacobian_by_offsets_is_the_derivative_of_the_residuals(between: Obj
         assert np.abs(ours - theirs).max() <= DIFFERENCE * np.abs(theirs).max(), p.name
 
 
-def test_a_basis_covers_what_offsets_set_apart(stack: Problem, chip: Chip) -> None:
+def test_a_local_basis_holds_what_offsets_set_apart(stack: Problem, chip: Chip) -> None:
     (c33,) = parameters(stack, chip, PZT, ["c33"])
     free = (c33, offset(c33, "again", 0.1 * c33.scale))
-    objective = Objective([recording("first", stack, chip), recording("again", stack, chip)], free, tolerance=np.inf)
+    objective = Objective.of([recording("first", stack, chip), recording("again", stack, chip)], free, tolerance=np.inf)
     x = np.array([c33.start, 0.5 * c33.scale])
     values = objective.settings(x, 1)[0]
     exact = Predictor(stack, GRID, tolerance=1e-6)(values).impedance
     # Nothing moves, so what the model knows of the second recording is the derivative on the way to it.
-    objective.cover(x, {}, 1e-6)
+    objective = objective.near(x, {}, 1e-6)
     # 0.03 without; the rest is what is left of the second derivative.
     assert np.abs(objective(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
-    # Nor does the neighbourhood of both leave one of them out.
-    assert np.abs(objective.narrowed([x])(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
+    # Nor does truncation to both leave one of them out.
+    assert np.abs(objective.truncated([x])(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +19,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.dimensions import parametrised
 from workbench.model.problem import Problem
+from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Predictor
-from workbench.reduced.reduction import ReducedModel
 
 Real = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ GRID = np.linspace(300e3, 450e3, 46)
 #: Some of the grid, to be solved in full.
 SOME = np.arange(0, GRID.size, 5)
 TOLERANCE = 1e-4
-#: The estimate is a statistical one (tests of workbench.reduced.reduction): of a single frequency it may be below the
+#: The estimate is a statistical one (test_workbench_reduction): of a single frequency it may be below the
 #: error by this much.
 OPTIMISM = 2.0
 FREE = (*(f"{PZT}.{name}" for name in ("c11", "c13", "c33", "c44", "e33", "eps33")), f"{PLA}.bulk_modulus",
@@ -67,6 +68,11 @@ def drawn(problem: Problem, seed: int, low: float, high: float) -> dict[str, com
             for name in FREE}
 
 
+def after(predictor: Predictor, values: Mapping[str, complex]) -> Predictor:
+    """The predictor that goes on with the model of its prediction at `values`."""
+    return predictor.holding(predictor(values).model)
+
+
 def off(predictor: Predictor, values: Mapping[str, complex]) -> float:
     """The largest relative error of a prediction against full solves."""
     found = predictor(values).impedance[SOME]
@@ -89,6 +95,7 @@ def test_predictions_keep_their_tolerance_while_the_parameters_wander(stack: Pro
     for values in [{}, *(drawn(stack, seed, 0.1, 0.2) for seed in range(3))]:
         error = off(predictor, values)
         prediction = predictor(values)
+        predictor = predictor.holding(prediction.model)
         assert prediction.error.max() <= TOLERANCE
         assert error <= OPTIMISM * TOLERANCE
         errors.append(error)
@@ -98,8 +105,7 @@ def test_predictions_keep_their_tolerance_while_the_parameters_wander(stack: Pro
     assert prediction.values[FREE[0]] == values[FREE[0]]
     assert prediction.values[f"{PZT}.c12"] == stack.values[f"{PZT}.c12"]
     # A basis of the first point alone would not have done.
-    alone = Predictor(stack, GRID, tolerance=np.inf)
-    alone({})
+    alone = after(Predictor(stack, GRID, tolerance=np.inf), {})
     assert off(alone, values) > OPTIMISM * TOLERANCE
 
 
@@ -115,31 +121,23 @@ def test_the_impedance_is_that_of_the_bench(stack: Problem) -> None:
 def test_every_full_solve_is_counted_and_none_is_spent_twice(
     stack: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    krylov = workbench.fem.solve.System.krylov
+    neighbours = workbench.fem.solve.System.neighbours
     factorised: list[float] = []
 
-    def counted(
-        self: workbench.fem.solve.System, frequency: float, depth: int, *, tangents: tuple[str, ...] = ()
-    ) -> object:
+    def counted(self: workbench.fem.solve.System, frequency: float, *arguments: Any, **options: Any) -> object:
         factorised.append(frequency)
-        return krylov(self, frequency, depth, tangents=tangents)
+        return neighbours(self, frequency, *arguments, **options)
 
-    monkeypatch.setattr(workbench.fem.solve.System, "krylov", counted)
+    monkeypatch.setattr(workbench.fem.solve.System, "neighbours", counted)
     predictor = Predictor(stack, GRID, tolerance=TOLERANCE)
     assert predictor.solves == 0
-    predictor({})
+    predictor = after(predictor, {})
     first = predictor.solves
     assert first == len(factorised) > 0
-    predictor({})
-    assert predictor.solves == first == len(factorised)
-    predictor(drawn(stack, 1, 0.15, 0.2))
+    assert after(predictor, {}) is predictor
+    assert first == len(factorised)
+    predictor = after(predictor, drawn(stack, 1, 0.15, 0.2))
     assert predictor.solves == len(factorised) > first
-    before = predictor.solves
-    predictor.cover({}, {FREE[0]: 1e9}, TOLERANCE, corners=[drawn(stack, 2, 0.1, 0.2)])
-    assert predictor.solves == len(factorised) > before
-    before = predictor.solves
-    predictor.full({}, GRID[:3])
-    assert predictor.solves == before + 3
 
 
 def test_the_gradient_is_that_of_full_solves(stack: Problem) -> None:
@@ -181,14 +179,14 @@ def test_predictions_keep_their_tolerance_while_the_lengths_wander(flexed: Probl
     for values in wandered(flexed):
         errors.append(off(predictor, values))
         prediction = predictor(values)
+        predictor = predictor.holding(prediction.model)
         assert prediction.error.max() <= TOLERANCE
         assert prediction.values[RADIUS] == values.get(RADIUS, 3e-3)
         assert np.abs(prediction.impedance / first - 1.0).max() > 0.1  # or this test says nothing
     print(f"errors {errors}, solves {predictor.solves}, rank {model_of(predictor).basis.shape[1]}")
     assert max(errors) < OPTIMISM * TOLERANCE
     # A basis of the first lengths alone would not have done.
-    alone = Predictor(flexed, GRID, tangents=tangents, tolerance=np.inf)
-    alone({})
+    alone = after(Predictor(flexed, GRID, tangents=tangents, tolerance=np.inf), {})
     assert off(alone, values) > OPTIMISM * TOLERANCE
 
 
@@ -234,50 +232,46 @@ def test_a_radius_on_both_sides_of_its_nominal_length_and_close_to_its_neighbour
     problem = parametrised(meshed(chip, filling, elements_per_wavelength=2.0), chip, {RADIUS: (2.964e-3, 3.1e-3)})
     predictor = Predictor(problem, GRID, tolerance=TOLERANCE)
     for radius in (3e-3, 2.97e-3, 2.9645e-3, 3.09e-3):
+        predictor = after(predictor, {RADIUS: complex(radius)})
         assert off(predictor, {RADIUS: complex(radius)}) < OPTIMISM * TOLERANCE
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# How a model grows
+# How a model is enriched
 
 
-@pytest.mark.parametrize("by", ["a prediction", "cover"])
-def test_a_prediction_is_not_changed_by_what_comes_after_it(flexed: Problem, by: str) -> None:
+def test_a_prediction_is_not_changed_by_what_comes_after_it(flexed: Problem) -> None:
     predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
     values = drawn(flexed, 1, 0.1, 0.2)
     early = predictor(values)
-    model = early.model
+    assert predictor.model is None  # nothing grows behind a result
+    predictor, model = predictor.holding(early.model), early.model
     before = copy.deepcopy((early.impedance, early.error, model.basis, model.sketch, model.operators.matrices,
                             early.logarithmic_gradient(FREE)))
-    if by == "cover":
-        predictor.cover({RADIUS: 2.9e-3}, {THICKNESS: 1e-4}, 1e-6)
-    else:
-        predictor({**drawn(flexed, 2, 0.15, 0.2), RADIUS: 2.8e-3})
-    assert model_of(predictor).basis.shape[1] > model.basis.shape[1]  # or this test says nothing
-    assert early.model is model
+    later = after(predictor, {**drawn(flexed, 2, 0.15, 0.2), RADIUS: 2.8e-3})
+    assert model_of(later).basis.shape[1] > model.basis.shape[1]  # or this test says nothing
+    assert early.model is model is predictor.model
     again = model.solve(GRID, early.values)
     for one, other in zip(before, (np.conj(again.impedance), model.error(again), model.basis, model.sketch,
                                    model.operators.matrices, early.logarithmic_gradient(FREE)), strict=True):
         assert np.array_equal(one, other)
-    # What is asked for now comes from the present model.
-    assert predictor(values).model is predictor.model
+    assert later(values).model is later.model
+    with pytest.raises(FrozenInstanceError):
+        predictor.model = None  # type: ignore[misc]
 
 
-def test_a_grown_basis_begins_with_the_old_one_and_is_never_worse(flexed: Problem) -> None:
-    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
+def test_an_enriched_basis_begins_with_the_old_one_and_is_never_worse(flexed: Problem) -> None:
+    predictor = after(Predictor(flexed, GRID, tolerance=TOLERANCE), {})
     seen: list[dict[str, complex]] = [{}]
-    predictor({})
     models = [model_of(predictor)]
     for values in wandered(flexed)[1::2]:
-        predictor(values)
+        predictor = after(predictor, values)
         seen.append(values)
         models.append(model_of(predictor))
-    predictor.cover({}, {GEL: 1e-5}, TOLERANCE)
-    models.append(model_of(predictor))
     for old, new in itertools.pairwise(models):
         rank = old.basis.shape[1] - 1
         assert new.basis.shape[1] > old.basis.shape[1]
-        # All but the lift, which stays the last; that the rest is not computed again is what makes growth cheap.
+        # All but the lift, which stays the last; that the rest is not computed again is what makes enriching cheap.
         assert np.array_equal(new.basis[:, :rank], old.basis[:, :rank])
         assert np.array_equal(new.basis[:, -1], old.basis[:, -1])
         assert new.operators.matrices[:, :rank, :rank] == pytest.approx(old.operators.matrices[:, :rank, :rank],
@@ -294,85 +288,63 @@ def test_a_grown_basis_begins_with_the_old_one_and_is_never_worse(flexed: Proble
 
 
 def test_a_model_that_goes_on_at_other_frequencies_keeps_its_own_count(flexed: Problem) -> None:
-    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
-    predictor({})
-    solves, model = predictor.solves, predictor.model
+    predictor = after(Predictor(flexed, GRID, tolerance=TOLERANCE), {})
     other = predictor.at(GRID[::3], 1e-3)
     found = other({})
     assert other.solves == 0
-    assert other.model is model
+    assert other.model is predictor.model
     assert found.impedance == pytest.approx(predictor({}).impedance[::3], rel=1e-9)
-    other({RADIUS: 2.7e-3})
-    assert other.solves > 0
-    assert (predictor.solves, predictor.model) == (solves, model)
+    assert after(other, {RADIUS: 2.7e-3}).solves > 0
     assert other.tolerance == 1e-3
     assert predictor.at(GRID).tolerance == TOLERANCE
 
 
-def test_without_a_tolerance_a_model_only_grows_when_told(flexed: Problem) -> None:
-    predictor = Predictor(flexed, GRID, tangents=(THICKNESS,), tolerance=np.inf)
-    predictor({})
-    solves, model = predictor.solves, predictor.model
-    predictor({RADIUS: 2.7e-3})
-    assert (predictor.solves, predictor.model) == (solves, model)
-    predictor.cover({RADIUS: 2.7e-3}, {}, TOLERANCE)
-    assert predictor.solves > solves
-    assert off(predictor, {RADIUS: 2.7e-3}) < OPTIMISM * TOLERANCE
+def test_without_a_tolerance_a_model_is_not_enriched(flexed: Problem) -> None:
+    predictor = after(Predictor(flexed, GRID, tangents=(THICKNESS,), tolerance=np.inf), {})
+    assert predictor({RADIUS: 2.7e-3}).model is predictor.model
+
+
+def test_a_prediction_known_stands_for_all_values_that_make_the_same_system(flexed: Problem) -> None:
+    predictor = after(Predictor(flexed, GRID, tolerance=TOLERANCE), {})
+    known = predictor({})
+    other = predictor({"nothing.here": 2.0}, known=known)
+    assert other.solution is known.solution
+    assert other.values["nothing.here"] == 2.0
+    assert predictor({THICKNESS: 2.001e-3}, known=known).solution is not known.solution
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Models for a neighbourhood
+# Truncated models
 
 
-def test_cover_serves_the_neighbourhood_it_is_told(flexed: Problem) -> None:
-    moves = {FREE[2]: 0.02 * abs(flexed.values[FREE[2]]), THICKNESS: 4e-5, RADIUS: 3e-5}
-    corner = {"substrate.radius": 3.85e-3 + 0.0j}
-    plain, covering = (Predictor(flexed, GRID, tolerance=np.inf) for _ in range(2))
-    plain.cover({}, {}, TOLERANCE)
-    covering.cover({}, moves, TOLERANCE, corners=[corner])
-    inside = [{name: flexed.values[name] + sign * size for name, size in moves.items()} for sign in (1.0, -0.6)]
-    for values in (*inside, corner):
-        before, after = (off(each, values) for each in (plain, covering))
-        print(f"covered {after:.1e}, at the middle only {before:.1e}")
-        assert after < 10.0 * TOLERANCE  # a derivative tells to first order where a state goes
-        assert after < 0.1 * before
-    assert off(covering, corner) < OPTIMISM * TOLERANCE
-    # Nothing is said of what it was not told of, but by the estimate.
-    elsewhere = covering({GEL: 120e-6 + 0.0j})
-    assert elsewhere.error.max() > TOLERANCE
-
-
-def test_a_narrowed_basis_serves_the_neighbourhood_and_knows_its_limits(flexed: Problem) -> None:
+def test_a_truncated_basis_serves_about_a_point_and_knows_its_limits(flexed: Problem) -> None:
     names = (*FREE, THICKNESS, RADIUS)
-    # Better than asked for afterwards, so that what narrowing costs is all that counts.
+    # Better than asked for afterwards, so that what truncation costs is all that counts.
     predictor = Predictor(flexed, GRID, tangents=names, tolerance=0.1 * TOLERANCE)
     for seed in range(2):
-        predictor(drawn(flexed, seed, 0.1, 0.2))
-    predictor({})
+        predictor = after(predictor, drawn(flexed, seed, 0.1, 0.2))
+    predictor = after(predictor, {})
     around: list[dict[str, complex]] = [{}]
     around += [{name: 1.01 * flexed.values[name]} for name in names]
-    solves = predictor.solves
-    near = predictor.at(GRID, TOLERANCE).narrowed(around)
-    before, after = (model_of(each).basis.shape[1] for each in (predictor, near))
-    print(f"narrowed from {before} to {after} columns")
-    assert after < 0.8 * before
-    assert predictor.solves == solves
+    near = predictor.at(GRID, TOLERANCE).truncated(around)
+    ranks = [model_of(each).basis.shape[1] for each in (predictor, near)]
+    print(f"truncated from {ranks[0]} to {ranks[1]} columns")
+    assert ranks[1] < 0.9 * ranks[0]
+    assert near.solves == 0
     # Inside, no solve is wanted; all of them together are still inside to first order.
     for share in (0.3, 0.6):
         values = {name: (1.0 + 0.01 * share) * flexed.values[name] for name in names}
         assert off(near, values) < OPTIMISM * TOLERANCE
-    assert near.solves == 2 * SOME.size
-    assert off(near, drawn(flexed, 7, 0.15, 0.2)) < OPTIMISM * TOLERANCE
-    assert near.solves > 3 * SOME.size  # it has grown again
-    # The one it came from is as it was.
-    assert (predictor.solves, model_of(predictor).basis.shape[1]) == (solves, before)
+        assert after(near, values) is near
+    far = drawn(flexed, 7, 0.15, 0.2)
+    assert off(near, far) < OPTIMISM * TOLERANCE
+    assert after(near, far).solves > 0  # it is enriched again
 
 
-def test_narrowing_before_anything_is_known_does_nothing(stack: Problem) -> None:
-    predictor = Predictor(stack, GRID, tolerance=TOLERANCE)
-    narrow = predictor.narrowed([{}])
-    assert narrow.solves == predictor.solves == 0
-    assert narrow.model is None
+def test_truncation_before_anything_is_known_does_nothing(stack: Problem) -> None:
+    found = Predictor(stack, GRID, tolerance=TOLERANCE).truncated([{}])
+    assert found.solves == 0
+    assert found.model is None
 
 
 def test_a_basis_that_came_a_long_way_is_let_go(flexed: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -382,25 +354,13 @@ def test_a_basis_that_came_a_long_way_is_let_go(flexed: Problem, monkeypatch: py
         values = drawn(flexed, seed, 0.1, 0.2)
         solves = predictor.solves
         assert predictor(values).error.max() <= TOLERANCE
+        predictor = after(predictor, values)
         assert predictor.solves > solves  # or this test says nothing
         ranks.append(model_of(predictor).basis.shape[1])
         assert off(predictor, values) <= OPTIMISM * TOLERANCE
     endless = Predictor(flexed, GRID, tangents=FREE, tolerance=TOLERANCE)
     monkeypatch.setattr("workbench.reduced.predictor.WIDE", 10_000)
     for seed in range(4):
-        endless(drawn(flexed, seed, 0.1, 0.2))
+        endless = after(endless, drawn(flexed, seed, 0.1, 0.2))
     print(f"ranks {ranks}, and {model_of(endless).basis.shape[1]} without")
     assert ranks[-1] < 0.9 * model_of(endless).basis.shape[1]
-
-
-def test_a_prediction_elsewhere_leaves_its_model_behind(flexed: Problem) -> None:
-    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
-    found = predictor.elsewhere(GRID[::3], 0.1 * TOLERANCE, {})
-    assert found.error.max() <= 0.1 * TOLERANCE
-    assert predictor.model is found.model
-    solves = predictor.solves
-    assert solves == found.model.solves > 0
-    assert np.array_equal(predictor.frequencies, GRID)
-    assert predictor.tolerance == TOLERANCE
-    assert predictor({}).impedance[::3] == pytest.approx(found.impedance, rel=2.0 * TOLERANCE)
-    assert predictor.solves <= solves + 2  # most of it is known

@@ -23,7 +23,7 @@ from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
 from workbench.fitting.record import Source, paper_result, refusals, registry_entry, source
 from workbench.model.problem import build, fill
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.report.fit import fit_record
 from workbench.reproduction.fits import PaperFit
 from workbench.results.merit import figures

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from workbench.fem.solve import solve_full
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, material_parameter
 from workbench.model.problem import Problem
+from workbench.reduced.about_point import LocalBasis, local_basis
 from workbench.reduced.predictor import Predictor
 from workbench.results.spectrum import Spectrum
 
@@ -29,7 +31,7 @@ OTHERS = ("density", "c33", "c33.loss", "e33", "e33.loss")
 def objective(problem: Problem, *parameters: Parameter, tolerance: float = 1e-5) -> Objective:
     values = {name: 1.01 * value for name, value in problem.values.items()}
     measured = Spectrum(GRID, Predictor(problem, GRID, tolerance=1e-3)(values).impedance)
-    return Objective([FitRecording("state", problem, measured)], parameters, tolerance=tolerance)
+    return Objective.of([FitRecording("state", problem, measured)], parameters, tolerance=tolerance)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def test_the_derivative_is_that_of_the_spectrum(lossy: Problem, parameters: tupl
     found = objective(lossy, *parameters)
     x = np.array([p.start + 0.02 * p.scale for p in parameters])
     x[-1] = 0.03
-    found.predict(x, 0)  # so that the basis is the same all along
+    found = found.holding([found.predict(x, 0)[2]])  # so that the basis is the same all along
     _, gradient, _ = found.predict(x, 0)
     for column, p in enumerate(parameters):
         step = np.zeros(x.size)
@@ -104,22 +106,28 @@ def test_without_powers_and_at_zero_nothing_changes(lossy: Problem, parameters: 
     assert (plain[:, -1] == 0.0).all()
 
 
-def test_bases_grow_for_all_it_scales(lossy: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_local_bases_hold_all_it_scales(lossy: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Mapping[str, float]] = []
-    monkeypatch.setattr(Predictor, "cover", lambda _self, _values, moves, *_more: asked.append(moves))
-    objective(lossy, FACTOR).cover(np.array([0.0]), {FACTOR.name: 0.03}, 1e-5)
+
+    def recorded(*arguments: Any, **options: Any) -> LocalBasis:
+        asked.append(arguments[3])
+        return local_basis(*arguments, **options)
+
+    monkeypatch.setattr("workbench.fitting.objective.local_basis", recorded)
+    objective(lossy, FACTOR).near(np.array([0.0]), {FACTOR.name: 0.03}, 1e-5)
     assert asked == [{f"pzt.{name}": pytest.approx(0.03 * power * abs(lossy.values[f"pzt.{name}"]))
                       for name, power in GAUGE.items()}]
 
 
 def test_it_acts_where_it_is_told_to_and_is_left_out_as_others_are(lossy: Problem) -> None:
     first = objective(lossy, FACTOR).recordings[0]
-    found = Objective([first, replace(first, name="other")], [replace(FACTOR, recordings=("other",))], tolerance=1e-5)
+    other = replace(FACTOR, recordings=("other",))
+    found = Objective.of([first, replace(first, name="other")], [other], tolerance=1e-5)
     x = np.array([0.03])
     (plain, _, _), (scaled, slope, _) = (found.predict(x, index) for index in (0, 1))
     assert np.abs(np.log(scaled / plain)).max() > 0.01
     assert (found.predict(x, 0)[1] == 0.0).all()
     assert np.abs(slope).min() > 0.0
     assert (found.predict(x, 1, free=())[1] == 0.0).all()
-    part = found.of(["other"])
+    part = found.among(["other"])
     assert part.predict(x, 0)[0] == pytest.approx(scaled, rel=1e-12)

@@ -103,8 +103,8 @@ def test_a_spectrum_that_a_poor_model_cannot_give_is_noticed(
 ) -> None:
     # Every solve gives its own state and nothing beside it: each spectrum must be noticed, and no cost may suffer.
     plain = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
-    monkeypatch.setattr("workbench.reduced.predictor.FIRST_DEPTH", 1)
     monkeypatch.setattr("workbench.reduced.predictor.DEPTH", 1)
+    monkeypatch.setattr("workbench.reduced.predictor.ENRICHING_DEPTH", 1)
     again = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
     assert again.solves > plain.solves
     assert again.error <= 1e-3

@@ -50,9 +50,13 @@ GRID = np.linspace(300e3, 700e3, 60)
 class Made(Objective):
     """An objective whose ln Z is written down."""
 
+    model: Model
+
     def __init__(self, model: Model, recording: FitRecording, free: Sequence[Parameter]) -> None:
-        self.model, self.recordings, self.parameters, self.predictors = model, (recording,), tuple(free), ()
-        self.refusals = []
+        vars(self).update(model=model, recordings=(recording,), parameters=tuple(free), predictors=(), views=())
+
+    def predicted_by(self, predictors: Sequence[Predictor]) -> Made:
+        return self
 
     def __call__(
         self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
@@ -394,7 +398,7 @@ def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> Non
     two = parameters(disc, None, PZT, names)
     truth = np.array([p.start for p in two])
     clean = recorded(disc, chip, {}, 0.0, 0)
-    objective = Objective([clean], two, tolerance=FINE)
+    objective = Objective.of([clean], two, tolerance=FINE)
     search = FitSearch(objective)
     random = np.random.default_rng(12)
     draws, level = 40, 0.01
@@ -402,7 +406,8 @@ def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> Non
     for _ in range(draws):
         noisy = Spectrum(GRID, clean.measured.impedance * np.exp(level * white(random)))
         # The same reduced model for every draw.
-        objective.recordings = (replace(clean, measured=noisy),)
+        (view,) = search.objective.views
+        search.objective = replace(search.objective, views=(replace(view, recording=replace(clean, measured=noisy)),))
         minimum, found = reweighted_descent(search, truth)
         estimates = estimate_uncertainty(search, minimum, found, profiles=False).estimates
         hits += [e.low < number < e.high for e, number in zip(estimates, truth, strict=True)]
@@ -436,7 +441,7 @@ def test_the_gauges_leave_the_spectrum_unchanged(disc: Problem, chip: Chip, fact
 def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -> None:
     everything = parameters(disc, None, PZT, GAUGE)
     x = np.array([p.start for p in everything])
-    search = FitSearch(Objective([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
+    search = FitSearch(Objective.of([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
     level = [Noise(1e-5, 1.0, False, 1.0)]
     minimum = search.minimise(x, [1e-5], limit=3)
     estimated = estimate_uncertainty(search, minimum, level, profiles=False)
@@ -453,7 +458,7 @@ def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -
     assert any("density gauge" in line for line in estimated.findings)
     # With a known density the symmetry is gone.
     fewer = [i for i, p in enumerate(everything) if not p.name.endswith("density")]
-    known = FitSearch(Objective([recorded(disc, chip, {}, 0.0, 0)], [everything[i] for i in fewer], tolerance=FINE))
+    known = FitSearch(Objective.of([recorded(disc, chip, {}, 0.0, 0)], [everything[i] for i in fewer], tolerance=FINE))
     estimated = estimate_uncertainty(known, known.minimise(x[fewer], [1e-5], limit=3), level, profiles=False)
     assert not any(d.symmetry for d in estimated.undetermined)
 
@@ -464,7 +469,7 @@ def test_what_passivity_holds_is_named_and_the_interval_reaches_what_the_data_wa
     limit = np.sqrt(0.5 * c11.imag * c33.imag)
     wanted = 1.3 * limit
     one = recorded(disc, chip, {f"{PZT}.c13": c13.real + 1j * wanted}, 1e-4, 3)
-    search = FitSearch(Objective([one], parameters(disc, None, PZT, ["c13.loss", "c13"]), tolerance=FINE))
+    search = FitSearch(Objective.of([one], parameters(disc, None, PZT, ["c13.loss", "c13"]), tolerance=FINE))
     minimum, found = reweighted_descent(search, np.array([0.5 * limit, c13.real]))
     loss, real = estimate_uncertainty(search, minimum, found, profiles=True).estimates
     assert loss.at_bound == f"passivity of {PZT}"
@@ -483,9 +488,9 @@ def test_the_error_of_the_mesh_is_of_the_size_it_has(
     fine, middle, coarse = (meshed(chip, {"transducer": ceramic}, elements_per_wavelength=e) for e in (16.0, 8.0, 4.0))
     truth = recorded(fine, chip, {}, 0.0, 0)
     two = parameters(middle, None, PZT, ["c11", "c33"])
-    search = FitSearch(Objective([replace(truth, problem=middle)], two, tolerance=2e-5))
+    search = FitSearch(Objective.of([replace(truth, problem=middle)], two, tolerance=2e-5))
     minimum, found = reweighted_descent(search, np.array([p.start for p in two]))
-    coarser = Objective([replace(truth, problem=coarse)], two, tolerance=2e-5)
+    coarser = Objective.of([replace(truth, problem=coarse)], two, tolerance=2e-5)
     estimated = estimate_uncertainty(search, minimum, found, profiles=False, coarser=coarser)
     for estimate in estimated.estimates:
         off = abs(estimate.value - estimate.parameter.start)
@@ -503,13 +508,12 @@ def test_the_error_of_the_mesh_is_of_the_size_it_has(
 
 def test_the_check_is_against_full_solves(disc: Problem, chip: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
     two = parameters(disc, None, PZT, ["c11", "c33"])
-    objective = Objective([recorded(disc, chip, {}, 0.0, 0)], two, tolerance=FINE)
+    objective = Objective.of([recorded(disc, chip, {}, 0.0, 0)], two, tolerance=FINE)
     x = np.array([1.05 * two[0].start, 0.95 * two[1].start])
-    before = objective.solves
-    worst, where = reduced_model_error(objective, x)
+    worst, where, solves = reduced_model_error(objective, x)
     assert worst < 5.0 * FINE  # the estimate is a statistical one
     assert where in GRID
-    assert objective.solves > before
+    assert 1 <= solves <= 3
     full = Predictor.full
 
     def wrong(self: Predictor, values: Mapping[str, complex], at: Real) -> Complex:
@@ -517,7 +521,7 @@ def test_the_check_is_against_full_solves(disc: Problem, chip: Chip, monkeypatch
         return np.asarray(full(self, values, at) * factors)
 
     monkeypatch.setattr(Predictor, "full", wrong)
-    worst, where = reduced_model_error(objective, x)
+    worst, where, _ = reduced_model_error(objective, x)
     assert worst == pytest.approx(0.2, abs=1e-3)
     size = np.abs(objective.predict(x, 0)[0])
     assert where >= max(GRID[int(np.argmin(size))], GRID[int(np.argmax(size))])

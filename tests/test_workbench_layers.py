@@ -197,7 +197,7 @@ def test_test_folders_are_not_packages() -> None:
 
 
 #: Modules whose docstrings and comments are not held to plain sentences yet.
-NOT_PLAIN = ("workbench.reduced", "workbench.diagnosis.neighbourhoods", "workbench.fitting.objective")
+NOT_PLAIN = ("workbench.reduced", "workbench.diagnosis.local_models", "workbench.fitting.objective")
 #: A sentence that begins so names its subject late or never.
 RIDDLE = re.compile(r"(?:^|[.:;!?]\s+|\n\s*\n\s*)(What|How|By what|As of|The same)\b")
 

@@ -17,7 +17,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import System, solve_full
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import Problem, problem
-from workbench.reduced.reduction import ReducedModel, reduce
+from workbench.reduced.at_point import reduce
+from workbench.reduced.model import ReducedModel
 from workbench.simulation.mesh_error import _surplus, estimate, samples
 
 

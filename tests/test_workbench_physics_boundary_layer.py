@@ -25,7 +25,7 @@ from workbench.model.problem import Problem
 from workbench.physics import boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
 from workbench.physics.term import Term
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 
 Complex = NDArray[np.complex128]
 

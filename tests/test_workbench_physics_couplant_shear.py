@@ -27,7 +27,7 @@ from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
 from workbench.physics.loss_laws import FractionalLoss
 from workbench.physics.term import Dispersion, Integral, ModelError
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 
 Complex = NDArray[np.complex128]
 

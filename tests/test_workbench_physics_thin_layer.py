@@ -19,7 +19,7 @@ from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
 from workbench.physics.term import ModelError
 from workbench.physics.thin_layer import ADMISSIBLE, SKIN, ImperfectBond
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 
 TERM = ImperfectBond("bond", "epoxy", "springs", upper=True)
 NORMAL, TANGENTIAL, LOSS = "springs.normal_compliance", "springs.tangential_compliance", "springs.loss_factor"

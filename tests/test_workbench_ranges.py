@@ -15,11 +15,11 @@ from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import placed
+from workbench.reduced.compact import compacted
 from workbench.reduced.ranges import (
     NotCovered,
     OutOfRange,
     RangeModel,
-    compacted,
     growing_model,
     load_range_model,
     range_model,
@@ -137,7 +137,7 @@ def test_a_model_is_kept_and_read_for_its_own_chip_only(made: RangeModel, chip: 
     numbers = drawn(made, np.random.default_rng(3))
     assert np.array_equal(again(numbers).impedance, made(numbers).impedance)
     assert (again.ranges, again.error, again.reduced.solves) == (made.ranges, made.error, made.reduced.solves)
-    assert again.grown(seed=5).reduced.solves > made.reduced.solves
+    assert again.enriched(seed=5).reduced.solves > made.reduced.solves
     with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
         load_range_model(path, chip.with_dimensions({"sample.radius": 3.6e-3}), registry=Registry(), accuracy=COARSE)
     path.write_bytes(path.read_bytes()[:100])

@@ -16,16 +16,11 @@ from materials.kinds import Material
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, System, solve_full
 from workbench.model.problem import Problem
-from workbench.reduced.energy_norm import PROJECTIONS, energy_matrix, random_probes
-from workbench.reduced.reduction import (
-    DEPTH,
-    NotEnriched,
-    ReducedModel,
-    covering,
-    narrowed,
-    reduce,
-    smallest_part,
-)
+from workbench.reduced.at_point import NotEnriched, reduce
+from workbench.reduced.basis import smallest_part
+from workbench.reduced.estimate import PROJECTIONS, energy_matrix, random_probes
+from workbench.reduced.growth import DEPTH, TrialBasis, grow, sample
+from workbench.reduced.model import ReducedModel
 
 TOLERANCE = 1e-5
 #: The estimate is a statistical one: the norm of the residual from random projections. Below half of it they are with a
@@ -218,7 +213,7 @@ def moved(problem: Problem, random: np.random.Generator, reach: float) -> dict[s
 
 
 def test_the_estimate_bounds_the_error_wherever_the_parameters_go(small_disc: Problem, sharp: FullOperators) -> None:
-    # A model as a fit makes it, and the same narrowed to a neighbourhood, which lacks the very modes that come up
+    # A model as a fit makes it, and the same truncated to states about a point, which lacks the very modes that come up
     # where the parameters go next: what an estimate learned at other parameters is most wrong about.
     random = np.random.default_rng(11)
     tangents = {name: 0.1 * abs(value) for name, value in small_disc.values.items() if name.startswith("pzt.c")}
@@ -227,9 +222,9 @@ def test_the_estimate_bounds_the_error_wherever_the_parameters_go(small_disc: Pr
     largest = 0.0
     base = dict(small_disc.values)
     for _ in range(4):
-        around = [model.solve(SHARP, base).states]
-        around += [model.solve(SHARP, {**base, name: 1.002 * base[name]}).states for name in tangents]
-        few = narrowed(model, np.concatenate(around, axis=1), 1e-6)
+        around = [model.states(SHARP, base)]
+        around += [model.states(SHARP, {**base, name: 1.002 * base[name]}) for name in tangents]
+        few = model.truncated(np.concatenate(around, axis=1), 1e-10)
         for reach in (0.002, 0.01, 0.05, 0.2):
             values = moved(small_disc.with_values(base), random, reach)
             exact = solve_full(sharp, SHARP, values).impedance
@@ -288,11 +283,16 @@ def test_a_basis_that_is_exact_at_its_own_parameters_does_not_vouch_for_others(s
 
 
 def coordinates(model: ReducedModel, vectors: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """What of vectors (size, n) lies outside the basis of a model, relative (n,), in its norm."""
-    weighted = model.weights[:, None] * (vectors - np.outer(model.basis[:, -1], vectors[-1]))
-    basis = model.weights[:, None] * model.basis[:, :-1]
-    outside = weighted - basis @ (basis.T @ weighted)
-    return np.asarray(np.linalg.norm(outside, axis=0) / np.linalg.norm(weighted, axis=0))
+    """What of vectors (size, n) lies outside the basis of a model, relative (n,), in the root of the energy."""
+    apart = (vectors - np.outer(model.basis[:, -1], vectors[-1]))[:-1]
+    basis = model.basis[:-1, :-1]
+    outside = apart - basis @ (basis.T @ (model.energy @ apart))
+    return np.asarray(np.sqrt(energy_of(model, outside) / energy_of(model, apart)))
+
+
+def energy_of(model: ReducedModel, vectors: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Energy (n,) of vectors (size - 1, n)."""
+    return np.einsum("in,in->n", vectors.conj(), model.energy @ vectors).real
 
 
 def begins_with(new: ReducedModel, old: ReducedModel) -> bool:
@@ -300,72 +300,73 @@ def begins_with(new: ReducedModel, old: ReducedModel) -> bool:
     rank = old.basis.shape[1] - 1
     kept = np.append(np.arange(rank), new.basis.shape[1] - 1)
     return (np.array_equal(new.basis[:, kept], old.basis)
+            and np.array_equal(new.sizes[:rank], old.sizes)
             and np.array_equal(new.sketch[:, :, kept], old.sketch)
             and np.array_equal(new.operators.matrices[:, kept[:, None], kept], old.operators.matrices))
 
 
 def assert_consistent(model: ReducedModel) -> None:
-    """Matrices and sketch are those of the basis, the basis is orthonormal, and its last column lifts."""
+    """Matrices and sketch are those of the basis, which is orthonormal in energy, and its last column lifts."""
     expected = model.full.project(model.basis, model.test)
     rank = model.basis.shape[1]
     size = np.abs(expected).max(axis=(1, 2), keepdims=True)
     assert (np.abs(model.operators.matrices - expected[:, :rank]) < 1e-9 * size).all()
     assert (np.abs(model.sketch - expected[:, rank:]) < 1e-9 * size).all()
     assert model.basis[-1].tolist() == [0.0] * (rank - 1) + [1.0]
-    columns = model.weights[:, None] * model.basis[:, :-1]
-    assert np.abs(columns.T @ columns - np.eye(rank - 1)).max() < 1e-6
+    columns = model.basis[:-1, :-1]
+    assert np.abs(columns.T @ (model.energy @ columns) - np.eye(rank - 1)).max() < 1e-6
+    assert model.sizes.shape == (rank - 1,)
 
 
-def test_an_extended_model_spans_what_it_is_given(
+def test_a_joined_model_spans_what_it_is_given(
     wide: Problem, operators: FullOperators, reduced: ReducedModel
 ) -> None:
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
-    states = solve_full(operators, GRID[[10, 70]], values).states
+    found = solve_full(operators, GRID[[10, 70]], values)
+    states = found.states / np.sqrt(np.abs(found.charge))
     assert coordinates(reduced, states).min() > 1e-4  # or this test says nothing
-    found = reduced.extended(states)
-    assert begins_with(found, reduced)
-    assert found.basis.shape[1] == reduced.basis.shape[1] + 4  # real and imaginary parts
-    assert coordinates(found, states).max() < 1e-9
-    assert_consistent(found)
+    joined = reduced.joined([(states, 1e-7)])
+    assert begins_with(joined, reduced)
+    assert joined.basis.shape[1] == reduced.basis.shape[1] + 4  # real and imaginary parts
+    assert coordinates(joined, states).max() < 1e-7
+    assert_consistent(joined)
     # Again there is nothing new.
-    assert found.extended(states).basis.shape == found.basis.shape
-    solution = found.solve(GRID[[10, 70]], values)
-    exact = solve_full(operators, GRID[[10, 70]], values).impedance
-    assert solution.impedance == pytest.approx(exact, rel=1e-9)
+    assert joined.joined([(states, 1e-7)]) is joined
+    assert joined.solve(GRID[[10, 70]], values).impedance == pytest.approx(found.impedance, rel=1e-9)
 
 
 def test_changes_are_taken_by_their_energy_and_no_further_than_needed(
     wide: Problem, operators: FullOperators, reduced: ReducedModel
 ) -> None:
-    system = System(operators, wide.values)
-    states, _ = system.krylov(GRID[40], 1, tangents=("pla.shear_modulus", "pla.bulk_modulus"))
-    size = np.sqrt(abs(system.charge(GRID[40], states[:, 0])))
-    reach = np.array([0.05, 1e-7]) * [abs(wide.values[f"pla.{name}_modulus"]) for name in ("shear", "bulk")]
-    changes = states[:, 1:] * reach / size
-    outside = changes[:-1] - (reduced.basis[:, :-1] @ (reduced.weights[:, None] ** 2 * reduced.basis[:, :-1]).T
-                              @ changes)[:-1]
-    energy = np.sqrt(np.einsum("in,in->n", outside.conj(), reduced.energy @ outside).real)
+    reach = {f"pla.{name}_modulus": share * abs(wide.values[f"pla.{name}_modulus"])
+             for name, share in (("shear", 0.05), ("bulk", 1e-7))}
+    changes = sample(System(operators, wide.values), GRID[40], 1, reach).changes
+    basis = reduced.basis[:-1, :-1]
+    outside = changes[:-1] - basis @ (basis.T @ (reduced.energy @ changes[:-1]))
+    energy = np.sqrt(energy_of(reduced, outside))
     print(f"energy of what is outside: {energy}")
-    unneeded = 0.05 * float(energy[0])
-    assert unneeded > 100.0 * energy[1]
-    found = reduced.extended(states[:, :1], changes, unneeded)
+    smallest = 0.05 * float(energy[0])
+    assert smallest > 100.0 * energy[1]
+    found = grow(reduced, [], smallest=smallest, changes=changes)
     assert begins_with(found, reduced)
     assert_consistent(found)
     left = coordinates(found, changes) / coordinates(reduced, changes)
     assert left[0] < 0.1 < left[1]
-    assert 1 <= found.basis.shape[1] - reduced.extended(states[:, :1]).basis.shape[1] <= 2
+    assert 1 <= found.basis.shape[1] - reduced.basis.shape[1] <= 2
+    assert (found.sizes[reduced.sizes.size :] > smallest).all()
 
 
-def test_a_grown_model_keeps_only_what_the_given_values_need(
+def test_an_enriched_model_keeps_only_what_the_given_values_need(
     wide: Problem, operators: FullOperators, reduced: ReducedModel
 ) -> None:
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
-    states = np.concatenate([System(operators, values).krylov(float(f), DEPTH)[0] for f in GRID[[10, 70, 130]]], axis=1)
-    whole = reduced.extended(states)
+    system = System(operators, values)
+    trial = TrialBasis.of(reduced, system, GRID).joined([sample(system, float(f), DEPTH) for f in GRID[[10, 70, 130]]])
+    whole = grow(reduced, [trial], smallest=1e-7)
     ranks, errors = [], []
     exact = solve_full(operators, BETWEEN, values).impedance
-    for tolerance in (1e-2, 1e-4, 1e-6):
-        found = reduced.grown(states, None, [(GRID, values)], smallest_part(tolerance))
+    for tolerance in (1e-3, 1e-4, 1e-6):
+        found = grow(reduced, [trial], smallest=smallest_part(tolerance))
         assert begins_with(found, reduced)
         assert_consistent(found)
         ranks.append(found.basis.shape[1])
@@ -377,14 +378,40 @@ def test_a_grown_model_keeps_only_what_the_given_values_need(
     assert reduced.basis.shape[1] < ranks[0] < ranks[1] < ranks[2] <= whole.basis.shape[1]
 
 
-def test_a_model_within_a_part_of_its_basis_is_projected_again(wide: Problem, reduced: ReducedModel) -> None:
+def test_a_trial_is_the_model_that_all_of_its_candidates_would_make(
+    wide: Problem, operators: FullOperators, reduced: ReducedModel
+) -> None:
+    """At its values, though only the sums of the operators there are projected; grown in two steps or in one."""
+    values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
+    system = System(operators, values)
+    samples = [sample(system, float(f), 4) for f in GRID[[30, 100]]]
+    one = TrialBasis.of(reduced, system, BETWEEN).joined(samples)
+    two = TrialBasis.of(reduced, system, BETWEEN).joined(samples[:1]).joined(samples[1:])
+    whole = grow(reduced, [one], smallest=1e-9)
+    solution = whole.solve(BETWEEN, values)
+    for trial in (one, two):
+        states, error = trial.states()
+        assert error == pytest.approx(whole.error(solution), rel=1e-3, abs=1e-9)
+        expanded = np.column_stack([reduced.basis[:, :-1], trial.columns]) @ states
+        exact = (whole.expand(solution) - whole.basis[:, -1:]) / np.sqrt(np.abs(solution.charge))
+        assert np.sqrt(energy_of(whole, (expanded - exact)[:-1])).max() < 1e-5
+
+
+def test_a_restricted_model_is_projected_again(wide: Problem, reduced: ReducedModel) -> None:
     rank = reduced.basis.shape[1]
-    part = np.zeros((rank, rank // 2))
-    part[:-1, :-1] = np.linalg.qr(np.random.default_rng(1).standard_normal((rank - 1, rank // 2 - 1)))[0]
-    part[-1, -1] = 1.0
-    found = reduced.within(part)
-    assert found.basis == pytest.approx(reduced.basis @ part)
+    part = np.linalg.qr(np.random.default_rng(1).standard_normal((rank - 1, rank // 2 - 1)))[0]
+    found = reduced.restricted(part, np.ones(part.shape[1]))
+    assert found.basis[:, :-1] == pytest.approx(reduced.basis[:, :-1] @ part)
     assert_consistent(found)
+
+
+def test_a_coarser_model_keeps_its_largest_directions(wide: Problem, reduced: ReducedModel) -> None:
+    found = reduced.coarser(1e-3)
+    assert 1 < found.operators.size < reduced.operators.size
+    assert found.sizes.min() ** 2 > 1e-3
+    assert_consistent(found)
+    there = np.abs(found.solve(GRID, wide.values).impedance / reduced.solve(GRID, wide.values).impedance - 1.0)
+    assert TOLERANCE < there.max() < 0.1
 
 
 def test_the_worst_frequency_is_where_the_estimate_is_largest(
@@ -397,33 +424,6 @@ def test_the_worst_frequency_is_where_the_estimate_is_largest(
     assert np.array_equal(solution.states, reduced.solve(GRID, values).states)
 
 
-def test_a_covering_model_holds_states_changes_and_corners(wide: Problem, operators: FullOperators) -> None:
-    shear, bulk = (f"pla.{name}_modulus" for name in ("shear", "bulk"))
-    band = GRID[:61]
-    moves = {shear: 0.05 * abs(wide.values[shear])}
-    corner = {**wide.values, bulk: 0.8 * wide.values[bulk]}
-    found = covering(operators, band, wide.values, moves, tolerance=TOLERANCE, corners=[corner])
-    assert found.solves == 10  # five nodes, here and in the corner
-    assert 0.0 < found.residual < 1e-10
-    assert_consistent(found)
-    plain = covering(operators, band, wide.values, {}, tolerance=TOLERANCE)
-    assert plain.basis.shape[1] < found.basis.shape[1]
-    moved = {**wide.values, shear: 1.05 * wide.values[shear]}
-    between = 0.5 * (band[:-1] + band[1:])[::6]
-    # Derivatives are of the nodes' states, and tell to first order.
-    for values, most, share in ((wide.values, 1e-5, np.inf), (moved, 1e-3, 0.3), (corner, 1e-4, 0.1)):
-        exact = solve_full(operators, between, values).impedance
-        error, alone = (float(np.abs(each.solve(between, values).impedance / exact - 1.0).max())
-                        for each in (found, plain))
-        print(f"covered {error:.1e}, without {alone:.1e}")
-        assert error < most
-        assert error < share * alone
-    # From a start it goes on.
-    again = covering(operators, band, moved, {}, tolerance=TOLERANCE, start=plain)
-    assert begins_with(again, plain)
-    assert again.solves == plain.solves + 5
-
-
 def test_the_reduced_state_stands_for_the_full_one(
     wide: Problem, operators: FullOperators, reduced: ReducedModel
 ) -> None:
@@ -431,8 +431,7 @@ def test_the_reduced_state_stands_for_the_full_one(
     found = reduced.expand(reduced.solve(BETWEEN[:3], wide.values))
     assert found.shape == full.states.shape
     assert (found[-1] == 1.0).all()
-    weights = reduced.weights[:, None]
-    error = np.linalg.norm(weights * (found - full.states), axis=0) / np.linalg.norm(weights * full.states, axis=0)
+    error = np.sqrt(energy_of(reduced, (found - full.states)[:-1]) / energy_of(reduced, full.states[:-1]))
     # The square of the state's error is the error of the charge, up to the resonance's own factor.
     assert error.max() < 10.0 * np.sqrt(TOLERANCE)
 
@@ -441,9 +440,8 @@ def test_the_basis_is_real_orthonormal_and_lifts_in_its_last_column(reduced: Red
     basis = reduced.basis
     assert np.isrealobj(basis)
     assert basis[-1].tolist() == [0.0] * (basis.shape[1] - 1) + [1.0]
-    columns = reduced.weights[:, None] * basis[:, :-1]
-    # A vector is kept from a part of 1e-9 outside the others on, which holds 1e-7 of rounding.
-    assert np.abs(columns.T @ columns - np.eye(columns.shape[1])).max() < 1e-6
+    columns = basis[:-1, :-1]
+    assert np.abs(columns.T @ (reduced.energy @ columns) - np.eye(columns.shape[1])).max() < 1e-9
     assert basis.shape[1] <= 2 * DEPTH * reduced.solves
 
 

@@ -80,7 +80,7 @@ def test_a_fit_predicts_it_as_a_mesh_of_that_shape(chip: Chip) -> None:
     plain = build(fill(chip, None, Registry()), band=BAND, accuracy=COARSE)
     measured = Spectrum(frequency, np.full(5, 100.0 + 0j))
     parameters = [dimension_parameter(chip, name) for name in ("sidewall.draft", "couplant.thickness")]
-    objective = Objective([FitRecording("filled", plain, measured, chip)], parameters, tolerance=1e-7)
+    objective = Objective.of([FitRecording("filled", plain, measured, chip)], parameters, tolerance=1e-7)
     x = np.array([DRAFT, 47e-6])
     found, gradient, _ = objective.predict(x, 0)
     moved = chip.with_dimensions({"sidewall.draft": DRAFT, "couplant.thickness": 47e-6})

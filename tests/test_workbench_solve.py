@@ -22,7 +22,7 @@ from workbench.fem.solve import (
     sweep,
 )
 from workbench.model.problem import Problem
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 
 FREQUENCY = np.linspace(300e3, 400e3, 5)
 

@@ -48,7 +48,7 @@ from workbench.instruments.simulated import SimulatedBench  # noqa: E402
 from workbench.model.numbers import placed  # noqa: E402
 from workbench.model.problem import build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
 #: What the chip files state, with the numbers that fits start from.

@@ -42,14 +42,14 @@ from workbench.diagnosis.descent import Candidate  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
 from workbench.diagnosis.findings import InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
-from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
+from workbench.diagnosis.local_models import LocalModels  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
 from workbench.diagnosis.tasks import SearchTask  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402
 from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.report.diagnosis import diagnosis_record  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
@@ -157,7 +157,7 @@ class Replay:
         with one_thread():
             if self._model is None:
                 self._model = device_model(read_campaign(self._given[0]), accuracy=self._given[1])
-                self._models = Neighbourhoods(self._model)
+                self._models = LocalModels(self._model)
             search = Replayed(self._model)
             search.kept, search.budget = self._kept, math.inf if minutes is None else 60.0 * minutes
             search.__dict__["models"] = self._models

@@ -28,7 +28,7 @@ from support import with_fields  # noqa: E402
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.likelihood import Likelihood  # noqa: E402
-from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
+from workbench.diagnosis.local_models import LocalModels  # noqa: E402
 from workbench.diagnosis.ranking import ranked  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import sweep  # noqa: E402
@@ -68,7 +68,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         print(f"full-order spectrum, {operators.size} unknowns, 481 frequencies (from {options.points}): {full:.0f} s")
         print(f"diagnosis of two states: {found.seconds:.0f} s, {found.seconds / full:.2f} of it")
 
-        models = Neighbourhoods(found.model)
+        models = LocalModels(found.model)
         bare = Likelihood.noise_only(found.model, models.narrow)
         started = time.perf_counter()
         scores = ranked(bare, models.belief.x, 0.0)

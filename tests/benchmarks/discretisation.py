@@ -36,7 +36,7 @@ from workbench.fem.operators import assemble  # noqa: E402
 from workbench.files.errors import InputError  # noqa: E402
 from workbench.model.discretisation import ROWS, Discretisation  # noqa: E402
 from workbench.model.problem import build, fill  # noqa: E402
-from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.simulation.mesh_error import estimate  # noqa: E402
 
 Complex = NDArray[np.complex128]

@@ -135,8 +135,8 @@ def coverage(arguments: argparse.Namespace) -> None:
     exact = prepared.recordings[0].measured
     first = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=0, profiles=False)
     optimum = np.array([e.value for e in first.estimates])
-    objective = Objective(prepared.recordings, prepared.parameters, tolerance=FINE)
-    coarser = Objective(prepared.coarse, prepared.parameters, tolerance=COARSE)
+    objective = Objective.of(prepared.recordings, prepared.parameters, tolerance=FINE)
+    coarser = Objective.of(prepared.coarse, prepared.parameters, tolerance=COARSE)
     random = np.random.default_rng(arguments.seed)
     rows = [["noise", "parameter", "inside", "of", "rms of (fitted - truth) / standard error", "determined"]]
     for level in arguments.noise:

@@ -39,7 +39,7 @@ from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import System, solve_full, sweep  # noqa: E402
 from workbench.model.discretisation import ACCURACY  # noqa: E402
 from workbench.model.problem import build, fill  # noqa: E402
-from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.reduced.at_point import reduce  # noqa: E402
 
 
 def memory() -> float:

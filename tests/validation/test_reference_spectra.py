@@ -19,7 +19,7 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.discretisation import ACCURACY, discretisation
 from workbench.model.problem import problem
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 

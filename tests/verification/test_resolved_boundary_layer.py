@@ -22,7 +22,7 @@ from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from workbench.fem.operators import assemble
 from workbench.model.problem import Problem
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 

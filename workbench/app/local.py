@@ -15,9 +15,9 @@ import numpy as np
 
 from workbench.fem.solve import Solution
 from workbench.model.numbers import placed
+from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Prediction
 from workbench.reduced.ranges import RangeModel, Ranges, Response
-from workbench.reduced.reduction import ReducedModel, narrowed
 
 #: Number of states, besides the centre, along the range of one number, and for each of many numbers; and the step by
 #: which frequencies of the model are skipped.
@@ -26,9 +26,8 @@ ALONG, AROUND, EVERY = 9, 2, 3
 NEAR_SHARE = 0.125
 #: Largest number of unknowns with which a range model itself answers within some ten milliseconds.
 SMALL_RANK = 100
-#: Size of directions, relative to the largest, below which they are left out, for states over the root of their charge.
-#: On the reference chip the impedance is then off by 1e-3 at most; at three times as much by 6e-3.
-NEGLIGIBLE_DIRECTION = 1e-3
+#: Relative error of Z that the basis is truncated to.
+LEFT_OUT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +99,8 @@ def local_model(
     for values in (centre, *points):
         if stopped():
             return None
-        found = compact.solve(watched, placed(model.problem.values, values))
-        states.append(found.states / np.sqrt(np.abs(found.charge)))
-    narrow = narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE_DIRECTION)
-    made = LocalModel(model, dict(centre), reach, narrow)
+        states.append(compact.states(watched, placed(model.problem.values, values)))
+    made = LocalModel(model, dict(centre), reach, compact.truncated(np.concatenate(states, axis=1), LEFT_OUT))
     for name, (low, high) in reach.items():
         if stopped():
             return None

@@ -32,7 +32,7 @@ from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
 from workbench.model.problem import build, fill, with_boundary_layers
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.report.page import TextTable
 from workbench.results.spectrum import Spectrum
 from workbench.simulation.run import frequency_grid

@@ -25,8 +25,10 @@ from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
 from workbench.model.numbers import ParameterName, placed
 from workbench.physics.term import Values
-from workbench.reduced.ranges import Progress, RangeModel, compacted, range_keys
-from workbench.reduced.reduction import ReducedModel, sketched_error, smallest_part
+from workbench.reduced.basis import smallest_part
+from workbench.reduced.compact import compacted
+from workbench.reduced.model import ReducedModel, sketched_error
+from workbench.reduced.ranges import Progress, RangeModel, range_keys
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -126,8 +128,7 @@ def bases_of(
         first = rough[: max(LEAST, TAKEN * len(names))]
         columns = list(pool.map(lambda each: _columns(made, each, names, moves, width), first))
         for turn in range(ROUNDS):
-            basis = _decomposed(np.concatenate(columns, axis=1), made, smallest_part(tolerance))
-            operating = made.reduced.on(basis)
+            operating = made.reduced.spanning(np.concatenate(columns, axis=1), smallest_part(tolerance))
             checked = points.drawn(CHECKED, pool)
             fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each.values).linearised(each.driven),
                                   checked))
@@ -142,7 +143,7 @@ def bases_of(
     band = made.frequency[-1] - made.frequency[0]
     grid = np.linspace(made.frequency[0], made.frequency[-1], int(np.ceil(ACROSS * band / width)) + 1)
     small = compacted(operating, range_keys(made.ranges), made.problem.values, by_place=by_place)
-    rows = places[0].pressure_rows(basis) if places else None
+    rows = places[0].pressure_rows(operating.basis) if places else None
     return Bases(small.operators, small.sketch, rows, sweeping, grid, error, pressure_error)
 
 
@@ -184,36 +185,19 @@ def _columns(made: RangeModel, sample: _Sample, names: tuple[str, ...], moves: R
     return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
 
 
-def _decomposed(columns: Complex, made: RangeModel, least: float) -> Real:
-    """A basis (size, r) of all that `columns` (size, n) have more of than `least`, in the root of the energy; the lift
-    of the range model is its last vector."""
-    lift = made.reduced.basis[:, -1:]
-    apart = columns - lift * columns[-1:]
-    parts = np.column_stack([apart.real, apart.imag])
-    squares, vectors = np.linalg.eigh(parts[:-1].T @ (made.reduced.energy @ parts[:-1]))
-    kept = squares > least**2
-    basis = parts @ (vectors[:, kept] / np.sqrt(squares[kept]))
-    basis[-1] = 0.0
-    return np.column_stack([basis, lift])
-
-
 def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_Sample]) -> ReducedOperators:
     """The operators of the rough spectrum: as few vectors as leave :data:`ROUGH` of |Z| at points not used for them."""
-    inner = model.basis[:-1, :-1]
-    root = np.linalg.cholesky(inner.T @ (model.energy @ inner)).T
-    whole = root @ np.concatenate([each.sweep.states[:-1] / np.sqrt(np.abs(each.sweep.charge)) for each in taken], 1)
-    squares, directions = np.linalg.eigh((whole @ whole.conj().T).real)
-    kept = 1
+    states = np.concatenate([each.sweep.states / np.sqrt(np.abs(each.sweep.charge)) for each in taken], axis=1)
+    whole = model.truncated(states, 0.0)
+    smallest = FINER * float(whole.sizes.max())
     while True:
-        part = np.zeros((len(directions) + 1, kept + 1))
-        part[:-1, :-1], part[-1, -1] = np.linalg.solve(root, directions[:, -kept:]), 1.0
-        found = model.within(part).operators
+        found = whole.coarser(smallest**2).operators
         off = max(float(np.abs(np.log(np.abs(
             ReducedSystem(found, each.values).sweep(each.sweep.frequency).charge / each.sweep.charge))).max())
             for each in checked)
-        if off <= ROUGH or kept == squares.size:
+        if off <= ROUGH or found.size == whole.operators.size:
             return found
-        kept = max(kept + 1, int(np.sum(squares > FINER**2 * squares[-kept])))
+        smallest *= FINER
 
 
 def _errors(

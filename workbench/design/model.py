@@ -36,8 +36,8 @@ from workbench.model.dimensions import parametrised, parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
+from workbench.reduced.at_point import reduced
 from workbench.reduced.ranges import LIMIT, RangeModel, Ranges, numbers_in_ranges, range_model
-from workbench.reduced.reduction import reduced
 from workbench.results.brief import Brief
 from workbench.results.spectrum import Spectrum
 

@@ -28,8 +28,8 @@ from workbench.jobs.progress import no_progress
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
+from workbench.reduced.at_point import reduced
 from workbench.reduced.ranges import NotCovered, Progress
-from workbench.reduced.reduction import reduced
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 

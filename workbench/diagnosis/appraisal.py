@@ -20,7 +20,7 @@ from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
-from workbench.diagnosis.neighbourhoods import ROUGH
+from workbench.diagnosis.local_models import ROUGH
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Remainder, SuspectPlace, estimates
@@ -87,7 +87,7 @@ def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
     fitted = search.models.bare()
-    if search.models.doubts(fitted.data(Hypothesis(), x).error, LEVELS[1]):
+    if search.models.are_inaccurate(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
         fitted = Likelihood.noise_only(model, model.fitted.near(x, {}, ROUGH, only=()))
     impedances = fitted.impedances(x)

@@ -62,7 +62,7 @@ class Model:
     over either kind (None without states held out); ``effects`` the hypotheses, whose parameters follow the known ones.
     Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
     given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
-    layer.
+    layer; ``refusals`` holds the reason of every step of a search that could not be taken.
     """
 
     campaign: Campaign
@@ -75,6 +75,7 @@ class Model:
     accuracy: float | Discretisation
     widths: Mapping[str, float]
     others: tuple[str, ...] = ()
+    refusals: list[str] = field(default_factory=list)
     _made: list[Model] = field(default_factory=list)
 
     def about(self, chosen: Sequence[Effect], x: Real) -> Model:
@@ -181,10 +182,10 @@ def device_model(
                   for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
 
     # Models grow where they are told to (`Objective.cover`), not on the way.
-    whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
+    whole = Objective.of(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
-    return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
-                 whole.of(held_out) if held_out else None, accuracy, dict(widths or {}), others)
+    return Model(campaign, parameters, len(known), hypotheses, whole, whole.among(fitted),
+                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), others)
 
 
 def _lines(

@@ -99,7 +99,7 @@ def smallest_body(recordings: Objective) -> Objective | None:
     size = {predictor: predictor.operators.size for predictor in recordings.predictors}
     names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)
              if size[predictor] == min(size.values())]
-    return recordings.of(names) if len(size) > 1 else None
+    return recordings.among(names) if len(size) > 1 else None
 
 
 def multimodal(likelihood: Likelihood, prior: GaussianPrior) -> list[int]:

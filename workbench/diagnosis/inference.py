@@ -32,7 +32,7 @@ from workbench.diagnosis.findings import (
 )
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, LaplaceApproximation, Likelihood
-from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
+from workbench.diagnosis.local_models import PLACES, ROUGH, LocalModels
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.profile_scan import corners, scan_profiles
 from workbench.diagnosis.ranking import Score, ranked
@@ -99,9 +99,9 @@ class DiagnosisSearch:
             self.trace(" ".join([f"{time.perf_counter() - self.started:6.1f}", *map(str, words)]))
 
     @cached_property
-    def models(self) -> Neighbourhoods:
+    def models(self) -> LocalModels:
         """The models that predict the recordings."""
-        return Neighbourhoods(self.model)
+        return LocalModels(self.model)
 
     @cached_property
     def least_evidence(self) -> float:
@@ -181,7 +181,8 @@ class DiagnosisSearch:
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
         narrow = Likelihood.noise_only(self.model, self.models.narrow)
         self.models.places = tuple(
-            each.x for each in ends if self.models.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
+            each.x for each in ends
+            if self.models.are_inaccurate(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.run_tasks([
             SearchTask.of("a basin where nothing is wrong", self.continue_null, each) for each in ends], must=1)
             if each is not None]
@@ -214,7 +215,7 @@ class DiagnosisSearch:
         end = likelihood.laplace(nothing, optimum.x, LEVELS[0])
         try:
             for _ in range(PLACES):
-                if not self.models.doubts(end.error_estimate, LEVELS[1]):
+                if not self.models.are_inaccurate(end.error_estimate, LEVELS[1]):
                     break
                 likelihood = likelihood.with_objective(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.solve(likelihood.search(nothing), STAGE, end.x).x
@@ -402,7 +403,7 @@ class DiagnosisSearch:
         The discrepancy of the model is that `at` a point (p,).
         """
         hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
-        if not self.models.doubts(candidate.laplace.error_estimate, LEVELS[0]):
+        if not self.models.are_inaccurate(candidate.laplace.error_estimate, LEVELS[0]):
             likelihood = likelihood.with_objective(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.refit_on_new_models(likelihood, candidate, LEVELS[0])
         found = refit_from(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
@@ -412,7 +413,7 @@ class DiagnosisSearch:
                             level: float) -> tuple[Likelihood, Candidate]:
         """A candidate refitted on models made about it while their error estimate is too large; the last likelihood."""
         for _ in range(PLACES):
-            if not self.models.doubts(candidate.laplace.error_estimate, level):
+            if not self.models.are_inaccurate(candidate.laplace.error_estimate, level):
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.laplace[-1])
             likelihood = self.models.about(likelihood, candidate)
@@ -439,7 +440,7 @@ class DiagnosisSearch:
         optima = [self.refit_optimum(likelihood, hypothesis, end, limits) for end in candidate.ends]
         likelihood, found = max(optima, key=lambda each: each[1].log_evidence)
         for _ in range(0 if far_behind else PLACES - 1):
-            if not (limits or self.models.doubts(found.error_estimate, found.accuracy)
+            if not (limits or self.models.are_inaccurate(found.error_estimate, found.accuracy)
                     or self.needs_other_meshes(likelihood, hypothesis, found.x)):
                 break
             limits = {}
@@ -465,7 +466,7 @@ class DiagnosisSearch:
         """The optimum at full weight near an end, on models made about it where the error estimate of the likelihood's
         is too large."""
         # An inaccurate explanation needs no accurate models.
-        if self.needs_other_meshes(likelihood, hypothesis, end.x) or self.models.doubts(
+        if self.needs_other_meshes(likelihood, hypothesis, end.x) or self.models.are_inaccurate(
                 likelihood.data(hypothesis, end.x).error, end.accuracy if limits else 0.0):
             likelihood = likelihood.with_objective(self.models.near(hypothesis, end.x, end.errors))
         likelihood = likelihood.with_discrepancy(end.x)

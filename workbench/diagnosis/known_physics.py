@@ -40,8 +40,8 @@ class Contribution(NamedTuple):
 def contributions(found: Diagnosis) -> list[Contribution]:
     """The change of every fitted state by every effect with known constants, at the parameters found."""
     model: Model = found.model
-    objective, x = model.fitted, found.conclusion.chosen.explanation.x
-    objective.cover(x, {}, UNNEEDED)
+    x = found.conclusion.chosen.explanation.x
+    objective = model.fitted.near(x, {}, UNNEEDED, only=(), enriches=False)
     rows = []
     for index, (state, recording) in enumerate(zip(found.campaign.fitted, objective.recordings, strict=True)):
         values = {**recording.problem.values, **objective.settings(x, index)[0]}

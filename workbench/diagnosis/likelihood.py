@@ -278,7 +278,7 @@ class Likelihood:
     def search(self, hypothesis: Hypothesis) -> FitSearch:
         """The least-squares problem under a hypothesis, without discrepancy."""
         free, released = self.model.free(hypothesis.effects)
-        return FitSearch(self.objective, free=free, released=released)
+        return FitSearch(self.objective, free=free, released=released, refusals=self.model.refusals)
 
     def solve(self, search: FitSearch, stage: ContinuationStage, x: Real, *, accuracy: float = 0.0) -> Optimum:
         """The optimum of a stage from x (p,), on few of the points; `accuracy` is that of the model."""

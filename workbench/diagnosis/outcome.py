@@ -292,7 +292,7 @@ class Diagnosis(Shown):
                    for name, others in self.campaign.tied.items() if name in self.campaign.known]
         result += [f"Not looked at: {text}." for text in self.model.others]
         result += [f"Not tried: {plain_words(each.name)}, because {each.reason}." for each in self.found.not_tried]
-        return (*result, *refused_steps(self.model.fitted.refusals))
+        return (*result, *refused_steps(self.model.refusals))
 
     def _so_far(self, found: Diagnosis) -> Iterator[str]:
         """Results of a search that was cut short, which the rest of it may overturn."""

@@ -35,7 +35,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, LocalProblem, Scales
-from workbench.diagnosis.neighbourhoods import Neighbourhoods
+from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.starts import start
 from workbench.files.errors import nearest_names
 from workbench.fitting.search import REFUSED, FitSearch
@@ -68,7 +68,7 @@ class Posterior(Brief):
 
     Everywhere theta (k,) are the free parameters alone, those of :attr:`names`, in SI units (that of a ``relative``
     parameter is 1). All else stays at the place ``x`` (p,), of which also the deviations B are. Reduced models predict
-    the recordings; they are made for the neighbourhood of x, and :meth:`doubt` estimates their error elsewhere.
+    the recordings; they are made about x, and :meth:`error_estimate` estimates their error elsewhere.
 
     ``scales`` are those of the deviations, averaged over as in the diagnosis if None.
     """
@@ -91,7 +91,7 @@ class Posterior(Brief):
         Raises:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
-        models = Neighbourhoods(model)
+        models = LocalModels(model)
         if errors is None:
             there = Likelihood.noise_only(model, models.near(hypothesis, x, np.zeros(x.size)))
             errors = there.with_discrepancy(x).laplace(hypothesis, x, 0.0).errors
@@ -106,7 +106,7 @@ class Posterior(Brief):
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
         found = refit.explanation
-        near = Neighbourhoods(model).near(found.hypothesis, found.x, found.errors)
+        near = LocalModels(model).near(found.hypothesis, found.x, found.errors)
         own = Likelihood(model, near, refit.columns, refit.region_discrepancy)
         return cls(own, found.hypothesis, found.x, scales)
 
@@ -212,7 +212,7 @@ class Posterior(Brief):
         prior = self.log_prior(theta)
         return prior if prior == -math.inf else prior + self.log_likelihood(theta)
 
-    def doubt(self, theta: Real) -> float:
+    def error_estimate(self, theta: Real) -> float:
         """The estimated relative error of Z of the reduced models at theta (k,): a bound, some hundred times the error.
 
         Raises:

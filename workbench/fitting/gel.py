@@ -19,7 +19,7 @@ from workbench.fitting.prepare import Prepared
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import placed
 from workbench.model.problem import build, fill
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
 

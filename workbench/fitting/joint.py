@@ -135,7 +135,7 @@ def fit_parameters(
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
-    coarse_search = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    coarse_search = FitSearch(Objective.of(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(coarse_search, recordings)
     begins = [StartPoint("start", coarse_search.centre),
               *(StartPoint(label, np.asarray(x, dtype=float)) for label, x in (starts or {}).items())]
@@ -149,7 +149,7 @@ def fit_parameters(
     ends = [trial.end.descent for trial in found if trial.end is not None and trial.end.descent is not None]
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
-    search = FitSearch(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
+    search = FitSearch(Objective.of(recordings, parameters, tolerance=FINE), poisson=poisson)
 
     def refine(x: Real) -> Refined:
         show("refining", 0.6)
@@ -163,25 +163,33 @@ def fit_parameters(
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else coarse_search.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
-    check = uncertainty.reduced_model_error(search.objective, minimum.x)
+    off, where, checks = uncertainty.reduced_model_error(search.objective, minimum.x)
+    check = off, where
     matches = _matches(recordings, before, minimum, noise)
     listed = listed_starts([*found, *further.trials], further.reached, coarse_search, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
-    solves = search.objective.solves + coarse_search.objective.solves
+    solves = search.objective.solves + coarse_search.objective.solves + checks
     show("done", 1.0)
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
         (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
-         *refused_steps([*coarse_search.objective.refusals, *search.objective.refusals])),
+         *refused_steps([*coarse_search.refusals, *search.refusals])),
         time.perf_counter() - started, solves,
     )
 
 
-def _start_spectra(search: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
-    """The impedance of every recording's start, as it would be recorded, on the mesh of the search."""
-    return [uncertainty.unrefined(search.objective, search.centre, index, recording.measured.frequency, COARSE)
-            for index, recording in enumerate(recordings)]
+def _start_spectra(coarse_search: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
+    """The impedance of every recording's start, as it would be recorded, on the mesh of the search.
+
+    The search goes on with the models that predicted it.
+    """
+    found = []
+    for index, recording in enumerate(recordings):
+        impedance, coarse_search.objective = uncertainty.unrefined(
+            coarse_search.objective, coarse_search.centre, index, recording.measured.frequency, COARSE)
+        found.append(impedance)
+    return found
 
 
 def reweighted_descent(search: FitSearch, x: Real) -> tuple[Optimum, tuple[Noise, ...]]:

@@ -12,7 +12,6 @@ the one broad resonance that every parameter set has. The width is then let down
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +27,7 @@ from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
 from workbench.model.problem import Problem
-from workbench.reduced.neighbourhood import TERMS, Neighbourhood, neighbourhood
+from workbench.reduced.about_point import TERMS, LocalBasis, local_basis
 from workbench.reduced.predictor import Prediction, Predictor
 from workbench.results.spectrum import Spectrum
 
@@ -84,139 +83,175 @@ class Residual:
         return 0.5 * float(self.vector @ self.vector)
 
 
+@dataclass(frozen=True, eq=False)
+class RecordingView:
+    """A recording with what predicts it and what the parameters of an objective do to it.
+
+    ``moved`` are the columns and parameters that move a value of its problem, and which, offsets last, which add to
+    what the others set; ``scaled`` the columns that scale values of its problem, which, and by what power; ``bench``
+    the columns and parameters of the bench.
+    """
+
+    recording: FitRecording
+    predictor: Predictor
+    moved: tuple[tuple[int, Parameter, str], ...]
+    scaled: tuple[tuple[int, str, float], ...]
+    bench: tuple[tuple[int, Parameter], ...]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The values that parameters move."""
+        return _keys(self.moved, self.scaled)
+
+
+@dataclass(frozen=True, eq=False)
 class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
     A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; dimensions
-    of the chip are put among them (`dimensions.parametrised_within`). Recordings of one problem share a predictor.
-    ``tolerance`` as of a `Predictor`.
+    of the chip are put among them (`dimensions.parametrised_within`). Recordings of one problem share a predictor. An
+    objective is a value: where its models do not predict within their tolerance, residuals come with predictions of
+    enriched ones, which :meth:`holding` goes on with.
     """
 
-    def __init__(
-        self, recordings: Sequence[FitRecording], parameters: Sequence[Parameter], *, tolerance: float
-    ) -> None:
-        self.parameters = tuple(parameters)
+    views: tuple[RecordingView, ...]
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(
+        cls, recordings: Sequence[FitRecording], parameters: Sequence[Parameter], *, tolerance: float
+    ) -> Objective:
+        """The objective of some recordings; `tolerance` as of a `Predictor`.
+
+        Raises:
+            ValueError: two recordings of one name.
+        """
         names = [r.name for r in recordings]
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
-        acting = [[(column, p) for column, p in enumerate(self.parameters)
-                   if p.acts_in(r.name)] for r in recordings]
         flexed: dict[Any, Problem] = {}
-        self.recordings = tuple(_with_lengths(r, self.parameters, flexed) for r in recordings)
-        self._bench = [[(column, p) for column, p in own if p.is_bench] for own in acting]
-        #: Of every recording, the columns and parameters that move a value of its problem, and which; offsets last,
-        #: which add to what the others set.
-        self._moved = [sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
-                              key=lambda each: each[1].offset)
-                       for r, own in zip(self.recordings, acting, strict=True)]
-        #: Of every recording, the columns that scale values of its problem, which, and by what power.
-        self._scaled = [[(column, key, power) for column, p in own for key, power in p.powers
-                         if key in r.problem.values] for r, own in zip(self.recordings, acting, strict=True)]
-        #: Of every recording, the values that parameters move.
-        self.moved = [_keys(*both) for both in zip(self._moved, self._scaled, strict=True)]
-        self.predictors = _shared(self.recordings, self.moved, tolerance)
-        #: Why steps of searches could not be taken, one entry for each; shared by all that are made of this.
-        self.refusals: list[str] = []
+        recordings = [_with_lengths(r, parameters, flexed) for r in recordings]
+        parts = []
+        for r in recordings:
+            own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(r.name)]
+            moved = sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
+                           key=lambda each: each[1].offset)
+            scaled = [(column, key, power) for column, p in own for key, power in p.powers if key in r.problem.values]
+            parts.append((tuple(moved), tuple(scaled), tuple((column, p) for column, p in own if p.is_bench)))
+        predictors = _shared(recordings, [_keys(*each[:2]) for each in parts], tolerance)
+        return cls(tuple(RecordingView(r, predictor, *each)
+                         for r, predictor, each in zip(recordings, predictors, parts, strict=True)), tuple(parameters))
+
+    @cached_property
+    def recordings(self) -> tuple[FitRecording, ...]:
+        return tuple(view.recording for view in self.views)
+
+    @cached_property
+    def predictors(self) -> tuple[Predictor, ...]:
+        """Of every recording; those of one model are the same."""
+        return tuple(view.predictor for view in self.views)
 
     @property
     def solves(self) -> int:
+        """Full solves spent on the models there are."""
         return sum(p.solves for p in set(self.predictors))
 
-    def cover(self, x: Real, reach: Mapping[str, float], tolerance: float, corners: Sequence[Real] = ()) -> None:
-        """Let every model grow for parameters about x (p,) that move by so much, by name (`Predictor.cover`).
+    def predicted_by(self, predictors: Sequence[Predictor]) -> Objective:
+        """A copy whose recordings are predicted by others."""
+        return replace(self, views=tuple(replace(view, predictor=each)
+                                         for view, each in zip(self.views, predictors, strict=True)))
 
-        `corners` are further points (p,) to hold the states of.
-        """
-        for predictor, indices in self._sharing().items():
-            values, _ = self.settings(x, indices[0])
-            moves = self._moves_about(x, indices, reach)
-            others = [self.settings(corner, indices[0])[0] for corner in corners]
-            predictor.cover(values, moves, tolerance, [other for other in others if other != values])
+    def holding(self, predictions: Sequence[Prediction]) -> Objective:
+        """The objective that goes on with the models that `predictions`, one for each recording, were made with."""
+        latest = {predictor: prediction.model
+                  for predictor, prediction in zip(self.predictors, predictions, strict=True)}
+        if all(predictor.model is model for predictor, model in latest.items()):
+            return self
+        made = {predictor: predictor.holding(model) for predictor, model in latest.items()}
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
 
     def near(
         self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None,
-        widens: bool = True,
+        enriches: bool = True,
     ) -> Objective:
-        """The same on models for the neighbourhood of x (p,), where parameters move by so much, by name.
+        """A copy on local bases about x (p,), where parameters move by so much, by name (`about_point.local_basis`).
 
-        See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are. Where
-        nothing but the parameters of the indices `only` is going to move, models hold no more than that takes, and say
-        nothing of what others would change. Unless they are to be `widened`, the factors of the full solves, most of
-        their memory, are let go.
+        Its models stay as they are, and nothing is taken over from those there are. Where nothing but the parameters of
+        the indices `only` is going to move, models hold no more than that takes, and say nothing of what others would
+        change. Unless they are to be `neumann_enriched`, the factors of the full solves, most of their memory, are let
+        go.
         """
-        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
-            made = neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
-                                 self._moves_about(x, indices, reach), tolerance=tolerance)
-            return made if widens else made.closed()
+        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
+            made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
+                               self._moves_about(x, indices, reach), tolerance=tolerance)
+            return made if enriches else made.without_factors()
 
         own = self if only is None else self._acting(x, only)
-        # Recordings of one model whose values differ, by their offsets, have a neighbourhood each.
-        return own._placed(place, [(predictor, alike) for predictor, indices in own._sharing().items()
-                                   for alike in own._alike(x, indices)])
+        # Recordings of one model whose values differ, by their offsets, have a basis each.
+        return own._on_bases(local, [(predictor, alike) for predictor, indices in own._sharing().items()
+                                     for alike in own._alike(x, indices)])
 
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
-        """The same without what is nothing at x (p,) and stays so while no others move."""
+        """A copy without what is nothing at x (p,) and stays so while no others move."""
         moving = sorted(only)
         # Anywhere else: what vanishes there too vanishes everywhere, but for what a number brings in further on.
         scales = np.array([self.parameters[i].scale for i in moving])
         y = x.copy()
         y[moving] += 0.01 * scales * np.random.default_rng(0).uniform(0.5, 1.0, len(moving))
-        other, made = copy.copy(self), {}
+        made = {}
         for predictor, indices in self._sharing().items():
             there = {key: value for index in indices for key, value in self.settings(y, index)[0].items()}
-            brought = {key for index in indices for i, p, key in self._moved[index]
+            brought = {key for index in indices for i, p, key in self.views[index].moved
                        if i in only and p.prior is None and p.parsed.kind is ParameterKind.TERM}
-            made[predictor] = predictor.of_acting(self._values(x, indices[0]), there, brought)
-        other.predictors = tuple(made[predictor] for predictor in self.predictors)
-        return other
+            made[predictor] = predictor.restricted(self._values(x, indices[0]), there, brought)
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
 
-    def widened(
-        self, x: Real, corners: Sequence[Real], tolerance: float, *, only: Collection[int], terms: int = TERMS
+    def neumann_enriched(
+        self, x: Real, places: Sequence[Real], tolerance: float, *, only: Collection[int], terms: int = TERMS
     ) -> Objective:
-        """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,).
+        """A copy, of :meth:`near`, on models that also hold the states on the way from x to `places` (p,).
 
         Nothing but the parameters of the indices `only` is going to move.
         """
-        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
-            assert predictor.place is not None  # one of `near`
-            return predictor.place.widened(self._led(predictor.place, indices[0], x, corners), tolerance, terms)
+        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
+            assert predictor.local is not None  # one of `near`
+            there = self._relative(predictor.local, indices[0], x, places)
+            return predictor.local.neumann_enriched(there, tolerance, terms)
 
         own = self._acting(x, only)
-        return own._placed(place, own._sharing().items())
+        return own._on_bases(local, own._sharing().items())
 
     def coarser(self, tolerance: float) -> Objective:
-        """The same, of :meth:`near`, on no more of its models than an error of Z of `tolerance` needs."""
-        def place(predictor: Predictor, _indices: Sequence[int]) -> Neighbourhood:
-            assert predictor.place is not None  # one of `near`
-            return predictor.place.coarser(tolerance)
+        """A copy, of :meth:`near`, with its models truncated to what an error of Z of `tolerance` needs."""
+        def local(predictor: Predictor, _indices: Sequence[int]) -> LocalBasis:
+            assert predictor.local is not None  # one of `near`
+            return predictor.local.coarser(tolerance)
 
-        return self._placed(place, self._sharing().items())
+        return self._on_bases(local, self._sharing().items())
 
-    def solved_at(self, x: Real, places: Sequence[Real], tolerance: float) -> Objective:
-        """The same, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
-        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
-            assert predictor.place is not None  # one of `near`
-            there = self._led(predictor.place, indices[0], x, places)
-            return predictor.place.solved_at(there, predictor.frequencies, tolerance)
+    def enriched_at(self, x: Real, places: Sequence[Real], tolerance: float) -> Objective:
+        """A copy, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
+        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
+            assert predictor.local is not None  # one of `near`
+            there = self._relative(predictor.local, indices[0], x, places)
+            return predictor.local.enriched_at(there, predictor.frequencies, tolerance)
 
-        return self._placed(place, self._sharing().items())
+        return self._on_bases(local, self._sharing().items())
 
-    def _led(self, place: Neighbourhood, index: int, x: Real, places: Sequence[Real]) -> list[dict[str, complex]]:
-        """The values of one recording where what leads from x (p,) to other places leads from where solves were made.
+    def _relative(self, local: LocalBasis, index: int, x: Real, places: Sequence[Real]) -> list[dict[str, complex]]:
+        """Parameter values of one recording at each of `places`, relative to the point the local basis was made at.
 
-        Without those that are the same as at x.
+        Places equal to x (p,) are left out.
         """
-        here, own = self._values(x, index), place.values
+        here, own = self._values(x, index), local.values
         return [{name: own[name] + values[name] - here[name] for name in own}
                 for values in (self._values(each, index) for each in places) if values != here]
 
     def with_every(self, x: Real) -> Objective:
-        """The same at x (p,) alone, on models that say what every parameter would change there."""
-        other = copy.copy(self)
+        """A copy for x (p,) alone, on models that say what every parameter would change there."""
         made = {predictor: predictor.with_every([self.settings(x, index)[0] for index in indices])
                 for predictor, indices in self._sharing().items()}
-        other.predictors = tuple(made[predictor] for predictor in self.predictors)
-        return other
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
 
     def _values(self, x: Real, index: int) -> dict[str, complex]:
         """All values of the problem of the recording of that index at x (p,)."""
@@ -235,16 +270,15 @@ class Objective:
                 known.append(index)
         return [group for _, group in groups]
 
-    def _placed(
-        self, place: Callable[[Predictor, Sequence[int]], Neighbourhood],
+    def _on_bases(
+        self, local: Callable[[Predictor, Sequence[int]], LocalBasis],
         groups: Iterable[tuple[Predictor, Sequence[int]]],
     ) -> Objective:
-        """The same in other neighbourhoods, one for each predictor and some of its recordings, by index."""
-        other, made = copy.copy(self), dict[int, Predictor]()
+        """A copy on other local bases, one for each predictor and some of its recordings, by index."""
+        made = dict[int, Predictor]()
         for predictor, indices in groups:
-            made.update(dict.fromkeys(indices, predictor.placed(place(predictor, indices))))
-        other.predictors = tuple(made[index] for index in range(len(self.predictors)))
-        return other
+            made.update(dict.fromkeys(indices, predictor.on_basis(local(predictor, indices))))
+        return self.predicted_by([made[index] for index in range(len(self.views))])
 
     def _moves_about(self, x: Real, indices: Sequence[int], reach: Mapping[str, float]) -> dict[str, float]:
         """How far values of recordings that share a model move from those of the first of them at x (p,)."""
@@ -273,82 +307,61 @@ class Objective:
         """
         problem = self.recordings[index].problem
         parts: dict[tuple[str, bool], float] = {}
-        for _, p, key in self._moved[index]:
+        for _, p, key in self.views[index].moved:
             if p.name in reach:
                 size = reach[p.name] * (abs(problem.values[key]) if p.relative else 1.0)
                 before = parts.get((key, p.is_loss), 0.0)
                 parts[key, p.is_loss] = before + size if p.offset else max(before, size)
-        for column, key, power in self._scaled[index]:
+        for column, key, power in self.views[index].scaled:
             size = abs(power * problem.values[key]) * reach.get(self.parameters[column].name, 0.0)
             if size:
                 parts[key, False] = max(parts.get((key, False), 0.0), size)
         return {key: max(parts.get((key, False), 0.0), parts.get((key, True), 0.0)) for key, _ in parts}
 
-    def of(self, names: Collection[str]) -> Objective:
-        """The same of some recordings only, sharing what the predictors have learnt."""
-        kept = [k for k, recording in enumerate(self.recordings) if recording.name in names]
-        other = copy.copy(self)
-        other.recordings = tuple(self.recordings[k] for k in kept)
-        other.predictors = tuple(self.predictors[k] for k in kept)
-        other._moved, other._bench = [self._moved[k] for k in kept], [self._bench[k] for k in kept]
-        other.moved, other._scaled = [self.moved[k] for k in kept], [self._scaled[k] for k in kept]
-        return other
+    def among(self, names: Collection[str]) -> Objective:
+        """A copy of the recordings of these names only."""
+        return replace(self, views=tuple(view for view in self.views if view.recording.name in names))
 
     def joined(self, other: Objective) -> Objective:
-        """The same with the recordings of another objective of the same parameters after its own."""
-        both = copy.copy(self)
-        both.recordings, both.predictors = self.recordings + other.recordings, self.predictors + other.predictors
-        both._moved, both._bench = [*self._moved, *other._moved], [*self._bench, *other._bench]
-        both.moved, both._scaled = [*self.moved, *other.moved], [*self._scaled, *other._scaled]
-        return both
+        """A copy with the recordings of another objective of the same parameters after its own."""
+        return replace(self, views=self.views + other.views)
 
-    def narrowed(self, points: Sequence[Real]) -> Objective:
-        """The same :meth:`apart`, on no more of each basis than the spectra at `points` (p,) need: for a neighbourhood.
+    def truncated(self, points: Sequence[Real]) -> Objective:
+        """A copy truncated to what the spectra at `points` (p,) need of each basis, with a count of its own.
 
-        Elsewhere the estimated error rises, and the models grow again.
+        Elsewhere error estimates are above tolerance, and the models are enriched again.
         """
-        other, done = copy.copy(self), dict[Predictor, Predictor]()
+        made = dict[Predictor, Predictor]()
         for predictor, indices in self._sharing().items():
             settings: list[dict[str, complex]] = []
             for each in (self.settings(point, index)[0] for point in points for index in indices):
                 settings += [each] if each not in settings else []
-            done[predictor] = predictor.narrowed(settings)
-        other.predictors = tuple(done[predictor] for predictor in self.predictors)
-        return other
-
-    def apart(self) -> Objective:
-        """The same with predictors of its own, beginning with the bases there are now."""
-        return self._apart(self.recordings)
+            made[predictor] = predictor.truncated(settings)
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
 
     def thinned(self, points: int) -> Objective:
-        """The same :meth:`apart`, of at most about so many points of each recording."""
-        return self._apart([recording.thinned(points) for recording in self.recordings])
-
-    def _apart(self, recordings: Sequence[FitRecording]) -> Objective:
-        other = copy.copy(self)
-        other.recordings = tuple(recordings)
-        # What recordings share they go on sharing.
-        copies: dict[tuple[int, bytes], Predictor] = {}
-        predictors = []
-        for predictor, recording in zip(self.predictors, recordings, strict=True):
-            frequency = recording.measured.frequency
-            key = (id(predictor), frequency.tobytes())
-            if key not in copies:
-                copies[key] = predictor.at(frequency)
-            predictors.append(copies[key])
-        other.predictors = tuple(predictors)
-        return other
+        """A copy of at most about so many points of each recording, with a count of its own."""
+        views, known = [], dict[tuple[Predictor, bytes], Predictor]()
+        for view in self.views:
+            recording = view.recording.thinned(points)
+            # What recordings share they go on sharing.
+            key = view.predictor, recording.measured.frequency.tobytes()
+            if key not in known:
+                known[key] = view.predictor.at(recording.measured.frequency)
+            views.append(replace(view, recording=recording, predictor=known[key]))
+        return replace(self, views=tuple(views))
 
     def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float]]:
         """Complex values and bench elements that x (p,) means for the recording of that index."""
-        problem = self.recordings[index].problem
-        result = {name: complex(problem.values[name]) for name in self.moved[index]}
-        for column, p, key in self._moved[index]:
+        view = self.views[index]
+        problem = view.recording.problem
+        result = {name: complex(problem.values[name]) for name in view.keys}
+        for column, p, key in view.moved:
             number = float(x[column]) * (real_part(problem.values, p.name) if p.relative else 1.0)
             where = key + LOSS if p.is_loss else key
             result = placed(result, {where: number + (real_part(result, where) if p.offset else 0.0)})
         bench: dict[str, float] = {}
-        for column, p in self._bench[index]:
+        for column, p in view.bench:
             # What is ideal is zero, so what all recordings have and an offset of one add up.
             bench[p.parsed.key] = bench.get(p.parsed.key, 0.0) + float(x[column])
         result = {key: value * self._scale(x, index, key) for key, value in result.items()}
@@ -356,26 +369,30 @@ class Objective:
 
     def _scale(self, x: Real, index: int, key: str) -> float:
         """What all that scale a value of a recording's problem multiply it by."""
-        powers = [(1.0 + x[column]) ** power for column, own, power in self._scaled[index] if own == key]
+        powers = [(1.0 + x[column]) ** power for column, own, power in self.views[index].scaled if own == key]
         return float(np.prod(powers))
 
     def predict(
-        self, x: Real, index: int, free: Collection[int] | None = None
+        self, x: Real, index: int, free: Collection[int] | None = None, known: Prediction | None = None
     ) -> tuple[Complex, Complex, Prediction]:
         """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them.
 
-        Derivatives by other parameters than those of the indices `free`, if these are given, are left zero.
+        Derivatives by other parameters than those of the indices `free`, if these are given, are left zero. A
+        prediction `known` of the same problem stands for this one where it is of the same system.
         """
-        problem, predictor = self.recordings[index].problem, self.predictors[index]
-        moved = [each for each in self._moved[index] if free is None or each[0] in free]
-        scaled = [each for each in self._scaled[index] if free is None or each[0] in free]
+        view = self.views[index]
+        problem, predictor = view.recording.problem, view.predictor
+        if known is not None:
+            predictor = predictor.holding(known.model)
+        moved = [each for each in view.moved if free is None or each[0] in free]
+        scaled = [each for each in view.scaled if free is None or each[0] in free]
         keys = _keys(moved, scaled)
         values, bench = self.settings(x, index)
-        prediction = predictor({**problem.values, **values}, bench.get(CLOCK, 0.0))
+        prediction = predictor({**problem.values, **values}, bench.get(CLOCK, 0.0), known)
         omega = prediction.solution.omega
         seen, device, elements = through_bench(prediction.impedance, omega, bench, lambda: prediction.frequency_slope)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
-        for column, p in self._bench[index]:
+        for column, p in view.bench:
             if free is None or column in free:
                 gradient[:, column] = elements[p.parsed.key]
         slopes = np.conj(prediction.logarithmic_gradient(keys))
@@ -400,9 +417,11 @@ class Objective:
         Raises:
             NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
-        parts, rows, logs, seen, predictions = [], [], [], [], []
-        for index, recording in enumerate(self.recordings):
-            impedance, gradient, prediction = self.predict(x, index, free)
+        parts, rows, logs, seen, predictions = [], [], [], [], list[Prediction]()
+        known: dict[Predictor, Prediction] = {}
+        for index, (recording, predictor) in enumerate(zip(self.recordings, self.predictors, strict=True)):
+            impedance, gradient, prediction = self.predict(x, index, free, known.get(predictor))
+            known[predictor] = prediction
             measured = recording.measured.impedance
             predictions.append(prediction)
             logs.append(log_ratio(impedance, measured))

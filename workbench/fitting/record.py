@@ -29,7 +29,7 @@ from workbench.fitting.multistart import NOISY, Start
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.model.numbers import LOSS, ParameterName, placed
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.reproduction.fits import PaperFit
 from workbench.results.comparison import compare
 from workbench.results.merit import NoResonance, figures

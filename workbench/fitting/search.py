@@ -15,7 +15,7 @@ from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
 from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import FitRecording, Objective, Residual
-from workbench.reduced.reduction import NotEnriched
+from workbench.reduced.at_point import NotEnriched
 from workbench.search.constrained import Inequality, Minimum, interior, minimise
 from workbench.search.continuation import ContinuationStage, Progress, Schedule, TemperedMinimum, tempered
 from workbench.search.optimum import standard_errors
@@ -68,9 +68,12 @@ class FitSearch:
 
     def __init__(
         self, objective: Objective, *, poisson: tuple[float, float] | None = None, free: Sequence[int] | None = None,
-        released: Collection[int] = (),
+        released: Collection[int] = (), refusals: list[str] | None = None,
     ) -> None:
+        #: The objective with the models that the search has come to.
         self.objective, self.parameters = objective, objective.parameters
+        #: Why steps could not be taken, one entry for each; shared by all that are made of this.
+        self.refusals = [] if refusals is None else refusals
         self.free = np.arange(len(self.parameters)) if free is None else np.array(sorted(free), dtype=int)
         self.low = np.array([p.low for p in self.parameters])
         self.high = np.array([p.high for p in self.parameters])
@@ -114,6 +117,7 @@ class FitSearch:
     ) -> Weighted:
         """Data and prior, about the parameters' own starts, at x (p,); `free` as in `Objective.predict`."""
         data = self.objective(x, deviation=deviation, smoothing=smoothing, free=free)
+        self.objective = self.objective.holding(data.predictions)
         vector, jacobian = data.vector, data.jacobian
         if self.covariance is not None:
             vector, jacobian = self.covariance.whitened(vector), self.covariance.whitened(jacobian)
@@ -140,7 +144,7 @@ class FitSearch:
         found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
                          inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
                          refused=REFUSED)
-        self.objective.refusals.extend(found.refusals)
+        self.refusals.extend(found.refusals)
         return replace(found, x=whole(found.x))
 
     def inside(self, x: Real) -> Real:

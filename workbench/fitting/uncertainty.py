@@ -170,7 +170,7 @@ def estimate_uncertainty(
     here = search.evaluate(minimum.x, deviation)
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
-    near = search.with_objective(search.objective.narrowed(_around(search, minimum.x, covariance)))
+    near = search.with_objective(search.objective.truncated(_around(search, minimum.x, covariance)))
     evaluated = near.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
@@ -235,17 +235,23 @@ def _mesh_error(search: FitSearch, coarser: Objective, x: Real, deviation: Seque
         ratio = np.sqrt(cells / fewer) ** (2 * recording.problem.mesh.order) - 1.0
         # An error of the coarse reduced model is divided by the ratio too.
         tolerance = max(1.0, ratio) * objective.predictors[index].tolerance
-        coarse = unrefined(coarser, x, index, recording.measured.frequency, tolerance)
+        coarse, coarser = unrefined(coarser, x, index, recording.measured.frequency, tolerance)
         error = log_ratio(coarse, fine) / ratio / deviation[index]
         result += [error.real, error.imag]
     return np.concatenate(result)
 
 
-def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
-    """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
+def unrefined(
+    coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float
+) -> tuple[Complex, Objective]:
+    """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz), and the objective that
+    goes on with the model of that."""
     values, bench = coarser.settings(x, index)
-    prediction = coarser.predictors[index].elsewhere(frequency * (1.0 + bench.get(CLOCK, 0.0)), tolerance, values)
-    return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
+    predictor = coarser.predictors[index]
+    prediction = predictor.at(frequency * (1.0 + bench.get(CLOCK, 0.0)), tolerance)(values)
+    enriched = predictor.holding(prediction.model)
+    going_on = [enriched if each is predictor else each for each in coarser.predictors]
+    return through_bench(prediction.impedance, prediction.solution.omega, bench)[0], coarser.predicted_by(going_on)
 
 
 def deviations(search: FitSearch, noise: Sequence[Noise]) -> list[Real]:
@@ -416,22 +422,23 @@ def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise],
     return tuple(result)
 
 
-def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, float]:
-    """The largest relative difference of the reduced model from full solves, and where (Hz).
+def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, float, int]:
+    """The largest relative difference of the reduced model from full solves, where (Hz), and how many these were.
 
     At the smallest and largest |Z| of every recording, where errors are largest, and where the estimate is worst.
     """
-    worst, where = 0.0, 0.0
+    worst, where, solves = 0.0, 0.0, 0
     for index, predictor in enumerate(objective.predictors):
         values, _ = objective.settings(x, index)
         _, _, prediction = objective.predict(x, index)
         size = np.abs(prediction.impedance)
         chosen = sorted({int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(prediction.error))})[:count]
         full = predictor.full(values, predictor.frequencies[chosen])
+        solves += len(chosen)
         off = np.abs(prediction.impedance[chosen] / full - 1.0)
         if off.max() > worst:
             worst, where = float(off.max()), float(predictor.frequencies[chosen][int(np.argmax(off))])
-    return worst, where
+    return worst, where, solves
 
 
 def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:

@@ -1,6 +1,10 @@
-"""Vectors of the basis of a reduced model: what states add to it, and what part of it they need.
+"""The basis of a reduced model: real vectors of unit energy, orthogonal in energy, and a lift.
 
-The last vector is the lift: the only one with a voltage at the electrode, 1 V.
+The lift is the last vector and the only one with a voltage at the electrode, 1 V. Energy is the matrix R of
+`workbench.reduced.estimate`.
+
+One truncation serves all strategies, the proper orthogonal decomposition of states over the roots of their charges in
+the norm of the energy: the relative error of the charge, and so of Z, is at most the energy of what is left out.
 """
 
 from __future__ import annotations
@@ -8,45 +12,79 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy import sparse
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
+#: A vector whose part outside the others is smaller than this (relative) adds nothing but rounding.
 DEPENDENT = 1e-9
 
+#: Squares of sizes below this times the largest are rounding: they come from sums of products.
+ROUNDING = 1e-14
 
-def new_directions(basis: Real, states: Complex, weights: Real, unneeded: float = DEPENDENT) -> Real:
-    """What `states` (size, n) add to a basis (size, r) with its lift last: (size, k).
 
-    Their real and imaginary parts without their share of the lift, orthonormal in the norm of `weights` (size,).
+def smallest_part(tolerance: float) -> float:
+    """Smallest part of a state over the root of its charge, in the root of its energy, that an error of Z needs."""
+    return float(np.sqrt(tolerance))
+
+
+def without_lift(vectors: Complex, lift: Real) -> Real:
+    """Real and imaginary parts (size, 2 n) of vectors (size, n) without their share of the lift (size,)."""
+    apart = vectors - np.outer(lift, vectors[-1])
+    return np.column_stack([apart.real, apart.imag])
+
+
+def truncated(
+    vectors: Real, energy: sparse.csr_matrix, smallest: float, basis: Real | None = None
+) -> tuple[Real, Real]:
+    """Directions (m, k) that `vectors` (m, n) have more of than `smallest` outside a basis, and how much of each (k,).
+
+    The directions have unit energy and are orthogonal in `energy` (m, m) to each other and to `basis` (m, r), which is
+    likewise; sizes are in the root of the energy.
     """
-    apart = states - np.outer(basis[:, -1], states[-1])
-    new = weights[:, None] * np.column_stack([apart.real, apart.imag])
-    length = np.linalg.norm(new, axis=0)
-    new = new[:, length > 0.0] / length[length > 0.0]
-    scaled = weights[:, None] * basis[:, :-1]
+    basis = np.zeros((len(vectors), 0)) if basis is None else basis
+    images = energy @ vectors
+    large = np.sum(vectors * images, axis=0) > smallest**2
+    parts, images, seen = vectors[:, large], images[:, large], energy @ basis
+    # Twice, for what cancels.
     for _ in range(2):
-        new = new - scaled @ (scaled.T @ new)
-    new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
-    new = new[:, np.abs(np.diag(triangle)) > unneeded]
-    new[-1] = 0.0
-    return np.asarray(new / weights[:, None])
+        along = basis.T @ images
+        parts, images = parts - basis @ along, images - seen @ along
+    squares, directions = np.linalg.eigh(parts.T @ images)
+    kept = squares > max(smallest**2, ROUNDING * squares.max(initial=0.0))
+    sizes = np.sqrt(squares[kept])
+    found = parts @ (directions[:, kept] / sizes)
+    found = found - basis @ (seen.T @ found)
+    return _orthonormal(found, found.T @ (energy @ found)), sizes
 
 
-def needed(states: Complex, tolerance: float) -> Real:
-    """The part of a basis that reduced `states` (r, n) need, in that basis: (r, k), its lift last.
+def truncated_coordinates(vectors: Real, energy: Real, smallest: float) -> tuple[Real, Real]:
+    """:func:`truncated` of `vectors` (m, n) in coordinates of m others, few, of which the `energy` (m, m) is dense.
 
-    Directions below `tolerance`, relative to the largest, are left out.
+    Sizes ascend as there.
     """
-    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-    directions, sizes, _ = np.linalg.svd(coordinates, full_matrices=False)
-    directions = directions[:, sizes > tolerance * sizes[0]]
-    result = np.zeros((len(states), directions.shape[1] + 1))
-    result[:-1, :-1], result[-1, -1] = directions, 1.0
-    return result
+    root = np.linalg.cholesky(energy)
+    directions, sizes, _ = np.linalg.svd(root.T @ vectors, full_matrices=False)
+    kept = np.flatnonzero(sizes > smallest)[::-1]
+    return np.linalg.solve(root.T, directions[:, kept]), sizes[kept]
 
 
-def joined(basis: Real, new: Real) -> Real:
-    """`basis` with further columns before its last one, the lift."""
-    return np.column_stack([basis[:, :-1], new, basis[:, -1:]])
+def _orthonormal(vectors: Real, energy: Real) -> Real:
+    """Combinations of `vectors` (m, k), of which the `energy` (k, k) is close to one, of unit energy."""
+    return np.linalg.solve(np.linalg.cholesky(energy), vectors.T).T
+
+
+def span(vectors: Real, energy: sparse.csr_matrix, basis: Real) -> Real:
+    """Independent vectors (m, k) that span what `vectors` (m, n) have outside `basis` (m, r), however small.
+
+    Orthonormal in the norm of the diagonal of the energy, in which small differences of vectors are exact.
+    """
+    weights = np.sqrt(energy.diagonal())[:, None]
+    length = np.linalg.norm(weights * vectors, axis=0)
+    new = vectors[:, length > 0.0] / length[length > 0.0]
+    seen = energy @ basis
+    for _ in range(2):
+        new = new - basis @ (seen.T @ new)
+    new, triangle, _ = scipy.linalg.qr(weights * new, mode="economic", pivoting=True)
+    return np.asarray(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / weights)

@@ -1,16 +1,16 @@
 """The spectrum of a problem, and its exact derivatives, at one set of parameters after the other.
 
 A fit asks for the same spectrum hundreds of times while its parameters wander, lengths among them. A reduced model
-answers. A model is a value: where its own estimate says that it is not good enough for the present parameters, a larger
-one is made that begins with the same basis; every prediction holds the model it was made with.
+answers. Models and predictors are values: where the error estimate is above tolerance for the present parameters, an
+enriched model is made that begins with the same basis. Every prediction holds the model it was made with, and the next
+one is made by a predictor that holds that model (:meth:`Predictor.holding`).
 """
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,29 +18,26 @@ from numpy.typing import NDArray
 
 from workbench.fem.coefficients import Groups
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, solve_full, solve_groups
 from workbench.model.problem import Problem
-from workbench.reduced.basis import needed
-from workbench.reduced.neighbourhood import Neighbourhood
-from workbench.reduced.reduction import ReducedModel, covering, narrowed, projected_on, reduced
+from workbench.reduced.about_point import LocalBasis
+from workbench.reduced.at_point import reduced
+from workbench.reduced.growth import DEPTH, ENRICHING_DEPTH
+from workbench.reduced.model import ReducedModel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Vectors from each factorisation: for the first model, and when it is enriched, where less is new.
-FIRST_DEPTH, DEPTH = 12, 6
-
-#: How far, relative, a parameter is expected to move before the basis grows again.
+#: How far, relative, a parameter is expected to move before the basis is enriched again.
 MOVED = 0.1
 
-#: Directions that no state in a neighbourhood needs more of than this, relative, are left out of a model for it.
-NEGLIGIBLE = 1e-6
+#: Error of Z that truncation to the states at given values may add there: to all that follows from these states alone,
+#: and as a share of the tolerance where a search goes on about them.
+UNSEEN, UNSEEN_SHARE = 1e-9, 1e-3
 
-#: Vectors from which on a basis forgets where it has been, and how small directions it then leaves out, relative.
-#: Above the second number a basis that is made for a whole neighbourhood is begun anew: all of it is solved for there.
-WIDE, LEFT_BEHIND = 200, 1e-4
-OLD = 100
+#: Vectors from which on a basis is truncated to the present states before it is enriched, to an error of Z of this
+#: share of the tolerance: dense solves cost the cube of the rank.
+WIDE, LEFT_BEHIND = 200, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,155 +86,124 @@ class Prediction:
         return result
 
 
+@dataclass(frozen=True, eq=False)
 class Predictor:
-    """Spectra of one problem at fixed frequencies (n,) Hz, for any values of its parameters.
+    """Spectra of one problem at fixed ``frequencies`` (n,) Hz, for any values of its parameters.
 
     ``tangents`` are the parameters about to be moved: the basis prepares for them. ``tolerance`` bounds the relative
-    error of the impedance: where the estimate is above, the model grows; infinite, it grows by :meth:`cover` only.
-    ``model`` is the present one. ``solves`` counts the full solves spent.
+    error of the impedance: where the estimate is above, a prediction is made by an enriched model; infinite, by the
+    ``model`` there is. ``local`` is the local basis that is the model's, if it has one; ``solves`` counts the full
+    solves spent; ``every`` are all operators of the problem, and ``operators`` those of them that predict.
     """
 
-    def __init__(
-        self, problem: Problem, frequencies: Real, *, tangents: tuple[str, ...] = (), tolerance: float = 1e-4
-    ) -> None:
-        self.problem, self.frequencies = problem, np.asarray(frequencies, dtype=float)
-        self.tangents, self.tolerance = tangents, tolerance
-        #: All that the problem holds, and what of it the model does.
-        self.every = assemble(problem.mesh, problem.terms)
-        self.operators = self.every
-        self.solves = 0
-        self.model: ReducedModel | None = None
-        #: Where the model is for, if it was made for one neighbourhood.
-        self.place: Neighbourhood | None = None
-        self._latest: Prediction | None = None
+    problem: Problem
+    frequencies: Real
+    _: KW_ONLY
+    tangents: tuple[str, ...] = ()
+    tolerance: float = 1e-4
+    model: ReducedModel | None = None
+    local: LocalBasis | None = None
+    solves: int = 0
+    every: FullOperators = field(default=None)  # type: ignore[assignment]  # set below
+    operators: FullOperators = field(default=None)  # type: ignore[assignment]
 
-    def __call__(self, values: Mapping[str, complex], clock: float = 0.0) -> Prediction:
-        """The spectrum at these parameters, of a larger model if need be; those not given are the problem's own.
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequencies", np.asarray(self.frequencies, dtype=float))
+        if self.every is None:
+            object.__setattr__(self, "every", assemble(self.problem.mesh, self.problem.terms))
+        if self.operators is None:
+            object.__setattr__(self, "operators", self.every)
 
-        It is that at the frequencies of a generator whose `clock` is off by so much, relative.
+    def __call__(
+        self, values: Mapping[str, complex], clock: float = 0.0, known: Prediction | None = None
+    ) -> Prediction:
+        """The spectrum at these parameters, of an enriched model if need be; those not given are the problem's own.
+
+        It is that at the frequencies of a generator whose `clock` is off by so much, relative. A prediction `known`
+        already stands for all values that make the same system.
 
         Raises:
             NotEnriched: the reduced model did not reach the tolerance.
         """
         values = {**self.problem.values, **values}
-        known, frequencies = self._latest, self.frequencies * (1.0 + clock)
         if self.model is None:
-            prediction = self._grow(values, None, clock)
-        else:
-            operators = self.model.operators
-            groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
-            if known is not None and known.model is self.model and _alike(known.solution.groups, groups):
-                # Another state of a device, or a step of what does not act here.
-                return replace(known, values=values)
-            prediction = Prediction(solve_groups(operators, frequencies, groups), self.model, values)
-            if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
-                prediction = self._grow(values, float(self.frequencies[np.argmax(prediction.error)]), clock)
-        self._latest = prediction
+            return self._enriched(values, None, clock)
+        frequencies, operators = self.frequencies * (1.0 + clock), self.model.operators
+        groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
+        if known is not None and known.model is self.model and _alike(known.solution.groups, groups):
+            # Another state of a device, or a step of what does not act here.
+            return replace(known, values=values)
+        prediction = Prediction(solve_groups(operators, frequencies, groups), self.model, values)
+        if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
+            return self._enriched(values, float(self.frequencies[np.argmax(prediction.error)]), clock)
         return prediction
 
+    def holding(self, model: ReducedModel) -> Predictor:
+        """The predictor that goes on with a `model` that one of its predictions was made with."""
+        if model is self.model:
+            return self
+        return replace(self, model=model, solves=self.solves + model.solves - (self.model.solves if self.model else 0))
+
     def at(self, frequencies: Real, tolerance: float | None = None) -> Predictor:
-        """The same at other frequencies (n,) Hz and perhaps to another tolerance, beginning with the present model."""
-        other = copy.copy(self)
-        other.frequencies, other._latest, other.solves = np.asarray(frequencies, dtype=float), None, 0
-        other.tolerance = self.tolerance if tolerance is None else tolerance
-        return other
+        """A predictor at other frequencies (n,) Hz and perhaps to another tolerance, with a count of its own."""
+        return replace(self, frequencies=frequencies, solves=0,
+                       tolerance=self.tolerance if tolerance is None else tolerance)
 
-    def placed(self, place: Neighbourhood) -> Predictor:
-        """The same on the model of a neighbourhood, which stays as it is."""
-        other = copy.copy(self)
-        other.place, other.model, other.solves = place, place.model, place.model.solves
-        other.tolerance, other._latest = math.inf, None
-        return other
+    def on_basis(self, local: LocalBasis) -> Predictor:
+        """A predictor on a local basis, which stays as it is."""
+        return replace(self, local=local, model=local.model, solves=local.model.solves, tolerance=math.inf)
 
-    def of_acting(
+    def restricted(
         self, values: Mapping[str, complex], moved: Mapping[str, complex], named: Collection[str] = ()
     ) -> Predictor:
-        """The same of those integrals alone that are something at these values, or where those `moved` are others, or
-        that depend on a value that is `named`."""
+        """A predictor restricted to the integrals whose coefficient is not zero at `values` or at `moved`, or that
+        depend on one of `named`."""
         here = {**self.problem.values, **values}
         omega = 2.0 * np.pi * self.frequencies[[0, -1]]
         acting = [self.every.coefficients(omega, each).any(axis=0) for each in (here, {**here, **moved})]
         names = set(named)
         depends = np.array([not names.isdisjoint(each.coefficient.parameters) for each in self.every.integrals])
-        other = copy.copy(self)
-        other.operators = self.every.of(np.flatnonzero(acting[0] | acting[1] | depends))
-        if self.place is not None:
-            return other.placed(self.place.of(other.operators))
-        other.model = other._latest = None
-        return other
+        operators = self.every.of(np.flatnonzero(acting[0] | acting[1] | depends))
+        if self.local is not None:
+            return replace(self, operators=operators).on_basis(self.local.of(operators))
+        return replace(self, operators=operators, model=None)
 
     def with_every(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
-        """The same of all integrals that act at these values or begin to, on no more of the basis than spectra there
-        need."""
+        """A predictor of all integrals that act at these values or begin to, truncated to the spectra there."""
         assert self.model is not None
-        states = np.concatenate([self.model.solve(self.frequencies, {**self.problem.values, **each}).states
-                                 for each in settings], axis=1)
-        part = needed(states, NEGLIGIBLE)
-        basis = self.model.basis @ part
-        acting = [self.every.coefficients.acting({**self.problem.values, **each}) for each in settings]
+        every = [{**self.problem.values, **each} for each in settings]
+        acting = [self.every.coefficients.acting(each) for each in every]
         operators = self.every.of(np.flatnonzero(np.any(acting, axis=0)))
-        matrices, sketch = projected_on(operators, basis, self.model.test)
-        inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
-        other = copy.copy(self)
-        other.operators, other.place, other._latest, other.tolerance = operators, None, None, math.inf
-        other.model = replace(self.model, full=operators, operators=inner, basis=basis, sketch=sketch)
-        return other
+        states = np.concatenate([self.model.states(self.frequencies, each) for each in every], axis=1)
+        return replace(self, operators=operators, local=None, tolerance=math.inf,
+                       model=self.model.truncated(states, UNSEEN).of(operators))
 
-    def elsewhere(self, frequencies: Real, tolerance: float, values: Mapping[str, complex]) -> Prediction:
-        """A prediction at other frequencies (n,) Hz and to another tolerance; the model it takes is kept."""
-        other = self.at(frequencies, tolerance)
-        prediction = other(values)
-        self.model, self.solves = other.model, self.solves + other.solves
-        return prediction
-
-    def narrowed(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
-        """The same, beginning with no more of the basis than the spectra at these values need.
+    def truncated(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
+        """A predictor that begins with no more of the basis than the spectra at these values need, with a count of its
+        own.
 
         The first are the values that the others lie about.
         """
-        other = self.at(self.frequencies)
-        if self.model is not None:
-            every = [self.model.solve(self.frequencies, {**self.problem.values, **each}).states for each in settings]
-            states = np.concatenate([every[0], *(each - every[0] for each in every[1:])], axis=1)
-            other.model = narrowed(self.model, states, NEGLIGIBLE)
-        return other
-
-    def cover(
-        self, values: Mapping[str, complex], moves: Mapping[str, float], tolerance: float,
-        corners: Sequence[Mapping[str, complex]] = (),
-    ) -> None:
-        """Let the model grow for parameters about `values` of which each of `moves` changes by so much.
-
-        What an error of Z of `tolerance` does not need is left out; `corners` are further values that the basis must
-        hold the states of (`reduction.covering`). A model of a rank above :data:`OLD` is left to the predictions that
-        hold it, and a new one begun: dense solves cost the cube of the rank.
-        """
-        around = {**self.problem.values, **values}
-        start = self.model if self.model is not None and self.model.operators.size <= OLD else None
-        before = 0 if start is None else start.solves
-        self.model = covering(self.operators, self.frequencies, around, moves, tolerance=tolerance, depth=DEPTH,
-                              corners=[{**around, **corner} for corner in corners], start=start)
-        self.solves += self.model.solves - before
+        if self.model is None:
+            return self.at(self.frequencies)
+        every = [self.model.states(self.frequencies, {**self.problem.values, **each}) for each in settings]
+        states = np.concatenate([every[0], *(each - every[0] for each in every[1:])], axis=1)
+        error = UNSEEN_SHARE * self.tolerance if math.isfinite(self.tolerance) else UNSEEN
+        return replace(self, model=self.model.truncated(states, error), solves=0)
 
     def full(self, values: Mapping[str, complex], at: Real) -> Complex:
         """The impedance (e^{+j w t}) by full solves at the frequencies `at`, to check the reduced model with."""
-        self.solves += len(at)
         return np.conj(solve_full(self.operators, at, {**self.problem.values, **values}).impedance)
 
-    def _grow(self, values: Mapping[str, complex], worst: float | None, clock: float) -> Prediction:
-        """The prediction of a model that is large enough; `worst` is the frequency (Hz) where the last one was least
-        so."""
-        start = self.model
-        if start is not None and self._latest is not None and start.basis.shape[1] > WIDE:
-            # Of a long way what was needed at its last place: dense solves cost the cube of the rank.
-            start = narrowed(start, start.solve(self.frequencies, self._latest.values).states, LEFT_BEHIND)
+    def _enriched(self, values: Mapping[str, complex], worst: float | None, clock: float) -> Prediction:
+        """The prediction of an enriched model; `worst` is the frequency (Hz) where the error estimate was largest."""
+        start, tolerance = self.model, 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
+        if start is not None and start.basis.shape[1] > WIDE:
+            start = start.truncated(start.states(self.frequencies, values), LEFT_BEHIND * tolerance)
         moves = {name: MOVED * abs(values[name]) for name in self.tangents}
-        tolerance = 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
         model, solution = reduced(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves,
-                                  start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False,
+                                  start=start, depth=DEPTH if start is None else ENRICHING_DEPTH, confirmed=False,
                                   worst=worst)
-        self.solves += model.solves - (0 if start is None else start.solves)
-        self.model = model
         # The model is made, and its error estimated, at the frequencies themselves: a clock is off by far less than
         # the width of a resonance.
         return Prediction(solution if clock == 0.0 else model.solve(self.frequencies * (1.0 + clock), values), model,

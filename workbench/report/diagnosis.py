@@ -271,7 +271,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         "not_tried": [vars(each) for each in found.found.not_tried],
         # Of a search that was cut short: what explains best of what it looked at.
         "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
-        "findings": list(found.findings), "seconds": found.seconds, "full_solves": found.model.whole.solves,
+        "findings": list(found.findings), "seconds": found.seconds,
     }
 
 

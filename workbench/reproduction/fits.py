@@ -45,8 +45,8 @@ from workbench.fitting.parameter import CERAMIC_LOSS, POLYMER_FOUR, TRANSDUCER_T
 from workbench.jobs.progress import Progress
 from workbench.model.numbers import LOSS, ParameterName, placed
 from workbench.model.problem import Problem
+from workbench.reduced.at_point import NotEnriched
 from workbench.reduced.predictor import Predictor
-from workbench.reduced.reduction import NotEnriched
 from workbench.results.brief import Brief
 
 Real = NDArray[np.float64]
@@ -331,7 +331,9 @@ class _Search:
 
     def spectrum(self, values: Mapping[str, float]) -> Complex:
         """The impedance (n,) at the points of the window."""
-        return self._models[self._window](placed(self.problem.values, values)).impedance
+        prediction = self._models[self._window](placed(self.problem.values, values))
+        self._models[self._window] = self._models[self._window].holding(prediction.model)
+        return prediction.impedance
 
     def cost(self) -> float:
         """Eq. 28 at the present values."""

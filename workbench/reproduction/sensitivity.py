@@ -174,6 +174,7 @@ def sensitivity(
     # Well within that error, so that what hardly moves the spectrum needs no solve of its own.
     reference = nominal.at(frequencies, 0.2 * relative_error)
     baseline_spectrum = reference(values)
+    reference = reference.holding(baseline_spectrum.model)
     solves, error = reference.solves, float(baseline_spectrum.error.max())
     coefficients = tuple(dict.fromkeys(ParameterName.parse(name).key for name in full_names))
     gradient = baseline_spectrum.logarithmic_gradient(coefficients)
@@ -192,6 +193,7 @@ def sensitivity(
         # From the ends inwards: what a model holds at both it mostly holds in between.
         for j in sorted(range(scalings), key=lambda j: -abs(scaling[j] - 1.0)):
             spectrum = spectra(_scaled(values, name, float(scaling[j])))
+            spectra = spectra.holding(spectrum.model)
             difference = np.log(np.abs(spectrum.impedance)) - logarithm
             costs[i, j] = float(difference @ difference)
             error = max(error, float(spectrum.error.max()))

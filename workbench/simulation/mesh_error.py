@@ -30,7 +30,7 @@ from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import Place
 from workbench.fem.solve import System, factorise, one_thread
 from workbench.physics.term import Values
-from workbench.reduced.reduction import ReducedModel
+from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
 
 Real = NDArray[np.float64]

@@ -36,7 +36,8 @@ from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
 from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip, Problem, build, fill
-from workbench.reduced.reduction import ReducedModel, reduced
+from workbench.reduced.at_point import reduced
+from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
 from workbench.results.circuit import CircuitFit
 from workbench.results.merit import Figures, NoResonance, figures

@@ -1,4 +1,4 @@
-"""The models that a search predicts with, each for a neighbourhood: none of them is right all over what is known."""
+"""The models that a search predicts with, each on local bases: none of them is right all over what is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smalle
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
-from workbench.reduced.neighbourhood import TERMS
+from workbench.reduced.about_point import TERMS
+from workbench.reduced.estimate import SLACK
 
 Real = NDArray[np.float64]
 
@@ -27,19 +28,19 @@ ROUGH, FINE = 3e-4, 0.03
 #: of it a rim was found a tenth too wide.
 COARSE = 0.02 * LEVELS[0]
 
-#: Terms of the series to a place where sizes are looked at (`neighbourhood.TERMS`).
+#: Terms of the series to a place where sizes are looked at (`about_point.TERMS`).
 FEW = 3
 
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
 
-#: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
-#: no more than so many deviations of the points (it is some hundred times the true one).
-PLACES, TRUSTED = 3, 20.0
+#: An optimum is looked for on models made again about it, at most so many times, until their error estimate there is
+#: within tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
+PLACES = 3
 
 
 @dataclass(eq=False)
-class Neighbourhoods:
+class LocalModels:
     """The recordings of a model predicted where a search asks for it.
 
     ``places`` (p,) of optima that :attr:`wide` has to be right at besides where the known numbers are believed to be.
@@ -66,9 +67,9 @@ class Neighbourhoods:
         """How far models reach, by name."""
         return self.belief.reach(self.model, FAR)
 
-    def around(self, x: Real, belief: GaussianPrior, recordings: Objective, *, widens: bool = False) -> Objective:
+    def around(self, x: Real, belief: GaussianPrior, recordings: Objective, *, enriches: bool = False) -> Objective:
         """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
-        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known), widens=widens)
+        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known), enriches=enriches)
 
     @cached_property
     def noise(self) -> float:
@@ -83,7 +84,7 @@ class Neighbourhoods:
     @cached_property
     def narrow(self) -> Objective:
         """The same, but for the places."""
-        return self.around(self.belief.x, self.belief, self.model.fitted, widens=True)
+        return self.around(self.belief.x, self.belief, self.model.fitted, enriches=True)
 
     @cached_property
     def multimodal(self) -> list[int]:
@@ -95,7 +96,7 @@ class Neighbourhoods:
         """What the present places are known by, the models for these, and the likelihoods on them."""
         key = b"".join(each.tobytes() for each in self.places)
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self.narrow.solved_at(self.belief.x, self.places, ROUGH), {}
+            self._latest = key, self.narrow.enriched_at(self.belief.x, self.places, ROUGH), {}
         return self._latest
 
     _latest: tuple[bytes, Objective, dict[bytes, Likelihood]] | None = None
@@ -125,11 +126,11 @@ class Neighbourhoods:
         assert recordings is not None
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), widens=False)
+        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), enriches=False)
 
-    def doubts(self, doubt: float, level: float = 0.0) -> bool:
-        """Whether models of that estimated error are not trusted where points have a further deviation `level`."""
-        return doubt > TRUSTED * math.hypot(self.noise, level)
+    def are_inaccurate(self, error: float, level: float = 0.0) -> bool:
+        """Whether an error estimate is above tolerance where points have a further deviation `level`."""
+        return error > SLACK * math.hypot(self.noise, level)
 
     def predicted(
         self, likelihood: Likelihood, found: Explanation, *, rounds: int, limit: int
@@ -150,7 +151,7 @@ class Neighbourhoods:
             else:
                 seen = held.impedances(found.x)
             every = likelihood.joined(held).refit(hypothesis, every.x, rounds=rounds, limit=limit)
-            if not self.doubts(every.error_estimate, every.accuracy):
+            if not self.are_inaccurate(every.error_estimate, every.accuracy):
                 break
         return every.log_evidence - found.log_evidence, seen
 
@@ -171,8 +172,8 @@ class Neighbourhoods:
         terms: int = TERMS,
     ) -> Objective:
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        corners = [replaced(self.centre, own, place[own]) for place in places]
-        return objective.widened(self.centre, corners, tolerance, only=self.moving(hypothesis), terms=terms)
+        there = [replaced(self.centre, own, place[own]) for place in places]
+        return objective.neumann_enriched(self.centre, there, tolerance, only=self.moving(hypothesis), terms=terms)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""
@@ -186,4 +187,4 @@ class Neighbourhoods:
                 i = self.model.index(name)
                 reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
         return likelihood.with_objective(self.model.fitted.near(candidate.x, reach, ROUGH,
-                                                    only=self.moving(candidate.hypothesis), widens=False))
+                                                    only=self.moving(candidate.hypothesis), enriches=False))

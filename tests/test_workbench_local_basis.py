@@ -1,4 +1,4 @@
-"""Models for a neighbourhood of parameters, against full solves there."""
+"""Local reduced bases about a point, against full solves there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from workbench.fitting.parameter import Parameter, parameters
 from workbench.model.problem import Problem
 from workbench.physics.softening import DRIVE_SQUARED, Softening
 from workbench.physics.surface_load import SurfaceLoad
-from workbench.reduced.neighbourhood import Neighbourhood, neighbourhood
+from workbench.reduced.about_point import LocalBasis, local_basis
 from workbench.reduced.predictor import Predictor
 from workbench.results.spectrum import Spectrum
 
@@ -55,18 +55,18 @@ def operators(stack: Problem) -> FullOperators:
 
 
 @pytest.fixture(scope="module")
-def place(stack: Problem, operators: FullOperators) -> Neighbourhood:
-    return neighbourhood(operators, GRID, stack.values, MOVES, tolerance=TOLERANCE)
+def place(stack: Problem, operators: FullOperators) -> LocalBasis:
+    return local_basis(operators, GRID, stack.values, MOVES, tolerance=TOLERANCE)
 
 
-def off(place: Neighbourhood, operators: FullOperators, values: Mapping[str, complex]) -> float:
+def off(place: LocalBasis, operators: FullOperators, values: Mapping[str, complex]) -> float:
     """The largest relative error of Z at the frequencies that are checked."""
     reduced = place.model.solve(CHECKED, values).impedance
     return float(np.abs(reduced / solve_full(operators, CHECKED, values).impedance - 1.0).max())
 
 
 def test_the_spectrum_is_that_of_the_full_model(
-    place: Neighbourhood, operators: FullOperators, stack: Problem
+    place: LocalBasis, operators: FullOperators, stack: Problem
 ) -> None:
     """At the centre, and where every parameter has moved to one side or the other.
 
@@ -80,42 +80,42 @@ def test_the_spectrum_is_that_of_the_full_model(
         assert off(place, operators, moved) < 100.0 * TOLERANCE
 
 
-def test_less_is_kept_where_less_is_asked_for(operators: FullOperators, stack: Problem, place: Neighbourhood) -> None:
-    coarse = neighbourhood(operators, GRID, stack.values, MOVES, tolerance=1e-3)
-    still = neighbourhood(operators, GRID, stack.values, {}, tolerance=TOLERANCE)
+def test_less_is_kept_where_less_is_asked_for(operators: FullOperators, stack: Problem, place: LocalBasis) -> None:
+    coarse = local_basis(operators, GRID, stack.values, MOVES, tolerance=1e-3)
+    still = local_basis(operators, GRID, stack.values, {}, tolerance=TOLERANCE)
     assert coarse.model.operators.size < place.model.operators.size
     assert still.model.operators.size < place.model.operators.size
     assert TOLERANCE < off(coarse, operators, stack.values) < 1e-3
 
 
-def test_a_corner_is_held_without_a_further_factorisation(
-    place: Neighbourhood, operators: FullOperators, stack: Problem
+def test_another_value_is_held_without_a_further_factorisation(
+    place: LocalBasis, operators: FullOperators, stack: Problem
 ) -> None:
-    corner = {**stack.values, f"{GEL}.sound_speed": 0.6 * stack.values[f"{GEL}.sound_speed"],
+    there = {**stack.values, f"{GEL}.sound_speed": 0.6 * stack.values[f"{GEL}.sound_speed"],
               f"{PLA}.shear_modulus": 0.7 * stack.values[f"{PLA}.shear_modulus"]}
-    before = off(place, operators, corner)
-    wider = place.widened([corner], TOLERANCE)
-    assert wider.model.solves == place.model.solves
+    before = off(place, operators, there)
+    enriched = place.neumann_enriched([there], TOLERANCE)
+    assert enriched.model.solves == place.model.solves
     # Three terms of a series that does not converge so far out: what they span does.
-    assert off(wider, operators, corner) < 0.03 * before
-    assert off(wider, operators, stack.values) < TOLERANCE
+    assert off(enriched, operators, there) < 0.03 * before
+    assert off(enriched, operators, stack.values) < TOLERANCE
 
 
 def test_states_elsewhere_are_held_by_full_solves_there(
-    place: Neighbourhood, operators: FullOperators, stack: Problem
+    place: LocalBasis, operators: FullOperators, stack: Problem
 ) -> None:
     """Where the series of the check above does not converge: as right as at the centre, on fewer frequencies than that
     was made of, and by a few more vectors."""
     there = {**stack.values, f"{GEL}.sound_speed": 0.6 * stack.values[f"{GEL}.sound_speed"],
              f"{PLA}.shear_modulus": 0.7 * stack.values[f"{PLA}.shear_modulus"]}
-    wider = place.solved_at([there], GRID, TOLERANCE)
-    assert off(wider, operators, there) < 2.0 * TOLERANCE < 1e-2 * off(place, operators, there)
-    assert off(wider, operators, stack.values) < TOLERANCE
-    assert wider.model.basis.shape[1] < 2 * place.model.basis.shape[1]
+    enriched = place.enriched_at([there], GRID, TOLERANCE)
+    assert off(enriched, operators, there) < 2.0 * TOLERANCE < 1e-2 * off(place, operators, there)
+    assert off(enriched, operators, stack.values) < TOLERANCE
+    assert enriched.model.basis.shape[1] < 2 * place.model.basis.shape[1]
 
 
-def test_no_corner_no_change(place: Neighbourhood, stack: Problem) -> None:
-    assert place.widened([dict(stack.values)], TOLERANCE) is place
+def test_no_place_no_change(place: LocalBasis, stack: Problem) -> None:
+    assert place.neumann_enriched([dict(stack.values)], TOLERANCE) is place
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ def objective(stack: Problem, chip: Chip, wanted: tuple[Parameter, ...]) -> Obje
                              {"backing.normal_impedance": 0.0, "backing.tangential_impedance": 0.0})
     shifted = {key: 1.02 * value for key, value in stack.values.items()}
     seen = Spectrum(GRID, Predictor(stack, GRID, tolerance=1e-4)(shifted).impedance)
-    return Objective([FitRecording("chip", stack, seen, chip)], wanted, tolerance=np.inf)
+    return Objective.of([FitRecording("chip", stack, seen, chip)], wanted, tolerance=np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_an_objective_holds_places_of_full_solves(objective: Objective, x: Real)
     place = objective.near(x, {"couplant.thickness": 2e-6}, TOLERANCE, only=[0, 2])
     there = x.copy()
     there[2] *= 0.5
-    found = place.solved_at(x, [there], TOLERANCE)
+    found = place.enriched_at(x, [there], TOLERANCE)
     full = found.predictors[0].full(found.settings(there, 0)[0], CHECKED)
     error, before = (float(np.abs(each.predict(there, 0)[2].impedance[::10] / full - 1.0).max())
                      for each in (found, place))
@@ -179,17 +179,17 @@ def test_an_objective_holds_places_of_full_solves(objective: Objective, x: Real)
     assert error < 5.0 * TOLERANCE < 1e-2 * before
 
 
-def test_a_closed_model_says_the_same_and_has_let_its_factors_go(objective: Objective, x: Real) -> None:
+def test_a_basis_without_factors_says_the_same(objective: Objective, x: Real) -> None:
     reach = {p.name: 0.02 * p.scale for p in objective.parameters}
-    whole, closed = (objective.near(x, reach, TOLERANCE, widens=widens) for widens in (True, False))
+    whole, closed = (objective.near(x, reach, TOLERANCE, enriches=enriches) for enriches in (True, False))
     assert whole(x, deviation=[0.01]).vector.tolist() == closed(x, deviation=[0.01]).vector.tolist()
-    place = closed.predictors[0].place
+    place = closed.predictors[0].local
     assert place is not None
-    assert all(node.factor is None for node in place.nodes)
+    assert all(node.factor is None for node in place.samples)
     there = x.copy()
     there[2] *= 0.5
     # Full solves elsewhere need none of the old ones.
-    assert closed.solved_at(x, [there], TOLERANCE).predictors[0].operators.integrals
+    assert closed.enriched_at(x, [there], TOLERANCE).predictors[0].operators.integrals
 
 
 def test_states_share_a_model_until_something_depends_on_what_sets_them_apart(
@@ -203,7 +203,7 @@ def test_states_share_a_model_until_something_depends_on_what_sets_them_apart(
     def models(softening: float) -> int:
         drives = [replace(softer, values={**softer.values, f"{PZT}.softening": softening, DRIVE_SQUARED: squared})
                   for squared in (1.0, 16.0)]
-        both = Objective([FitRecording(f"drive {k}", each, seen, chip) for k, each in enumerate(drives)], wanted,
+        both = Objective.of([FitRecording(f"drive {k}", each, seen, chip) for k, each in enumerate(drives)], wanted,
                          tolerance=np.inf)
         assert len(set(both.predictors)) == 1
         return len(set(both.near(x, {}, 1e-3, only=[0]).predictors))
@@ -212,20 +212,20 @@ def test_states_share_a_model_until_something_depends_on_what_sets_them_apart(
     assert models(1e-4) == 2
 
 
-def test_a_wider_objective_holds_what_newly_moves(objective: Objective, x: Real) -> None:
+def test_a_enriched_objective_holds_what_newly_moves(objective: Objective, x: Real) -> None:
     """A thickness of the couplant that is half of what is stated, of which the models knew nothing."""
     place = objective.near(x, {}, TOLERANCE, only=[0])
-    corner = x.copy()
-    corner[2] *= 0.5
-    wider = place.widened(x, [corner], TOLERANCE, only=[0, 2])
-    values = wider.settings(corner, 0)[0]
-    full = wider.predictors[0].full(values, CHECKED)
+    there = x.copy()
+    there[2] *= 0.5
+    enriched = place.neumann_enriched(x, [there], TOLERANCE, only=[0, 2])
+    values = enriched.settings(there, 0)[0]
+    full = enriched.predictors[0].full(values, CHECKED)
 
     def error(predicted: Objective) -> float:
-        return float(np.abs(predicted.predict(corner, 0)[2].impedance[::10] / full - 1.0).max())
+        return float(np.abs(predicted.predict(there, 0)[2].impedance[::10] / full - 1.0).max())
 
     # Twice as stiff as the series converges for: 0.7 % beside a sharp resonance.
-    assert error(wider) < min(0.01, 0.1 * error(place))
+    assert error(enriched) < min(0.01, 0.1 * error(place))
 
 
 # --------------------------------------------------------------------------------------------------------------------

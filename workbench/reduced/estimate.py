@@ -1,6 +1,23 @@
 """The energy that the error of a reduced model is measured in, and the estimate from random projections on it.
 
-See `workbench.reduced.reduction` for why it bounds the error of the charge.
+Because the charge is a quadratic form of the state, its error is second order in the residual,
+
+    Q - Q_r = e^T A e = r^T A^{-1} r .
+
+A^{-1} is not at hand, but that of the energy is: R, the sum of elastic, kinetic, dielectric and acoustic energy, each
+counted positive. The basis holds what resonates in the band, and of all other motions |A^{-1}| is about R^{-1}, so that
+
+    |Q - Q_r| < SAFETY r^H R^{-1} r ,
+
+in units of charge, at any frequency and parameter values: there is no factor to be learned. The norm is that of a few
+random projections of the residual, which cost next to nothing for any parameter values (Balabanov and Nouy 2019, Adv.
+Comput. Math. 45, 2969: randomised linear algebra for model order reduction, part I; Smetana, Zahm and Patera 2019, SIAM
+J. Sci. Comput. 41, A900: randomized residual-based error estimators for parametrized equations).
+
+Terms of either sign cancel in Q - Q_r, not in the bound. Calibration, on the filled reference chip
+(`tests/benchmarks/error_estimate.py`, 419 points): the error is above its estimate at 0.5 % of the points, by a factor
+of 1.1 at most; the estimate is 12 times the error in the median, and the largest in a band 2 to 54 times the largest
+error there, 12 times in the median. That is what :data:`SLACK` is for.
 """
 
 from __future__ import annotations
@@ -17,6 +34,11 @@ Complex = NDArray[np.complex128]
 
 #: Random projections of the residual: their mean square is below half of its norm's with a probability of 2 %.
 PROJECTIONS = 24
+
+#: An estimate may be above what is asked of the error by this factor, where that is far below the noise of the data. At
+#: 30 the error is some 2.5 times what is asked for in the median; doubled, a model takes fewer solves, and is off by
+#: twice as much.
+SLACK = 30.0
 
 #: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.
 SAFETY = 2.0

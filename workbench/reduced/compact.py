@@ -1,0 +1,70 @@
+"""Reduced models of few parameters: what does not move is summed once, so that such a model is small and quick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.names import parent_place
+from workbench.fem.coefficients import Coefficients
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
+from workbench.reduced.model import ReducedModel
+
+Real = NDArray[np.float64]
+
+
+def compacted(
+    model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
+) -> ReducedModel:
+    """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
+
+    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow. With `by_place` each
+    region and boundary keeps integrals of its own.
+    """
+    groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
+    for q, integral in enumerate(model.operators.integrals):
+        coefficient, constant = _separated(integral.coefficient, moving, values)
+        if constant != 0.0:
+            place = parent_place(integral.place) if by_place else ""
+            groups.setdefault((coefficient, place), {})[q] = constant
+    integrals: list[Integral] = []
+    weights: list[Real] = []
+    for (coefficient, place), members in groups.items():
+        constants = np.zeros(len(model.operators.integrals), dtype=complex)
+        constants[list(members)] = list(members.values())
+        for turn, each in ((1.0, constants.real), (1j, constants.imag)):
+            if each.any():
+                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
+                weights.append(each)
+    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
+    matrices = np.tensordot(combine, model.operators.matrices, axes=1)
+    operators = ReducedOperators(tuple(integrals), Coefficients.of(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
+
+
+def _separated(
+    coefficient: Coefficient, moving: set[str], values: Mapping[str, complex]
+) -> tuple[Coefficient, complex]:
+    """What of a coefficient depends on frequency or on parameters that move, and the constant rest."""
+    constant, kept = 1.0 + 0.0j, list[Constant]()
+    while isinstance(coefficient, Times):
+        if moving & set(coefficient.second.parameters):
+            kept.append(coefficient.second)
+        else:
+            constant *= coefficient.second.constant(values)
+        coefficient = coefficient.first
+    if isinstance(coefficient, Monomial):
+        still = tuple((name, power) for name, power in coefficient.factors if name not in moving)
+        constant *= Monomial(coefficient.scale, 0, still).constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power,
+                               tuple((name, power) for name, power in coefficient.factors if name in moving))
+    elif isinstance(coefficient, Formula) and not moving & set(coefficient.parameters):
+        constant *= coefficient.constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power)
+    for each in reversed(kept):
+        coefficient = times(coefficient, each)
+    return coefficient, constant
