@@ -86,7 +86,7 @@ def diagnose_model(
 def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
-    fitted = search.models.bare()
+    fitted = search.models.noise_only()
     if search.models.are_inaccurate(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
         fitted = Likelihood.noise_only(model, model.fitted.near(x, {}, ROUGH, only=()))
