@@ -43,7 +43,7 @@ MODEL: Any = SimpleNamespace(
     free=lambda _effects: ([0, 1], []),
     bounds=lambda indices: (-np.ones(len(indices)), np.ones(len(indices))))
 #: Local models are never asked for.
-NEIGHBOURHOODS: Any = SimpleNamespace(places=(), wide=SimpleNamespace(predictors=()))
+NEIGHBOURHOODS: Any = SimpleNamespace(places=(), over_prior_and_places=SimpleNamespace(predictors=()))
 PLACE = np.zeros(2)
 SMALL_CAMPAIGN = Path(__file__).parents[1] / "examples" / "small_campaign" / "campaign.toml"
 

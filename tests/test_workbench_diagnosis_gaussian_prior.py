@@ -87,10 +87,10 @@ def test_what_bends_the_data_along_its_profile_is_multimodal() -> None:
     alone = GaussianPrior(START, np.diag([0.0, 30.0, 0.0]), START[:3] - 500.0, START[:3] + 500.0)
     bent = np.array([0.0, 2.0 * CURVED / (30.0**2 * np.sqrt(12.0)), 0.0, 0.0])
 
-    def found(squares: Real, bench: int = -1, belief: GaussianPrior = alone) -> list[int]:
-        return multimodal(Linear(numbers(bench), squares), belief)  # type: ignore[arg-type]
+    def found(squares: Real, bench: int = -1, prior: GaussianPrior = alone) -> list[int]:
+        return multimodal(Linear(numbers(bench), squares), prior)  # type: ignore[arg-type]
 
     assert found(bent) == [1]
     assert found(0.4 * bent) == found(bent, bench=1) == found(np.zeros(4)) == []
     # What the data see less of than they could bend by is not asked either.
-    assert found(1e9 * bent, belief=GaussianPrior(START, 1e-3 * alone.root, alone.low, alone.high)) == []
+    assert found(1e9 * bent, prior=GaussianPrior(START, 1e-3 * alone.root, alone.low, alone.high)) == []

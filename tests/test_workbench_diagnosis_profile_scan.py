@@ -55,7 +55,7 @@ def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path)
     assert abs(at - 0.2) < 0.02
     assert [each.cost for each in best] == sorted(each.cost for each in best)
     # No tangent at nothing asks for that much.
-    (score,) = (each for each in search.scored(search.models.belief.x, LEVELS[0]) if each.effect.name == ordered[0])
+    (score,) = (each for each in search.scored(search.models.prior.x, LEVELS[0]) if each.effect.name == ordered[0])
     print("score", score.amplitude)
     assert abs(score.amplitude[0] - 0.2) > 0.1
 
@@ -64,9 +64,9 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
     """The cost of a size is the least that the linear data leave, with what is known of the numbers."""
     search = searched(tmp_path, {WIDTH: 0.1})
     own = search.effect("electrode that ends before the rim")
-    at = search.models.belief.x
-    wider = search.models.wider(Hypothesis((own,)), corners(search.model, own, at))
-    likelihood = search.models.bare().with_objective(wider)
+    at = search.models.prior.x
+    wider = search.models.towards(Hypothesis((own,)), corners(search.model, own, at))
+    likelihood = search.models.noise_only().with_objective(wider)
     best = scan_profiles(likelihood, own, at)[0]
     problem = likelihood.search(Hypothesis((own,)))
     here = problem.evaluate(best.x, likelihood.point_deviations(LEVELS[0]))

@@ -196,8 +196,6 @@ def test_test_folders_are_not_packages() -> None:
     assert not list((ROOT / "tests").rglob("__init__.py"))
 
 
-#: Modules whose docstrings and comments are not held to plain sentences yet.
-NOT_PLAIN = ("workbench.reduced", "workbench.diagnosis.local_models", "workbench.fitting.objective")
 #: A sentence that begins so names its subject late or never.
 RIDDLE = re.compile(r"(?:^|[.:;!?]\s+|\n\s*\n\s*)(What|How|By what|As of|The same)\b")
 
@@ -224,7 +222,7 @@ def comment_blocks(text: str) -> Iterator[tuple[int, str]]:
     return ((begin, words) for begin, _, words in found)
 
 
-@pytest.mark.parametrize("module", [name for name in FILES if not name.startswith(NOT_PLAIN)])
+@pytest.mark.parametrize("module", FILES)
 def test_a_sentence_names_its_subject_first(module: str) -> None:
     text = FILES[module].read_text(encoding="utf-8")
     assert not [f"line {line}: {words[:60]}" for line, words in (*docstrings(TREES[module]), *comment_blocks(text))

@@ -69,9 +69,9 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         print(f"diagnosis of two states: {found.seconds:.0f} s, {found.seconds / full:.2f} of it")
 
         models = LocalModels(found.model)
-        bare = Likelihood.noise_only(found.model, models.narrow)
+        bare = Likelihood.noise_only(found.model, models.over_prior)
         started = time.perf_counter()
-        scores = ranked(bare, models.belief.x, 0.0)
+        scores = ranked(bare, models.prior.x, 0.0)
         scored = time.perf_counter() - started
         print(f"scores of {len(scores)} hypotheses: {scored:.2f} s; best {scores[0].effect.name}")
         for label, value in (("diagnosis of two states", found.seconds), ("full-order spectrum", full),

@@ -55,9 +55,9 @@ def label_of(requirement: Requirement, known: Sequence[DrivenFigure], drive: Dri
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """An `workbench.design.model.Evaluator` whose figures are the labels of ``asked``, on the reduced ``model``.
+    """An `workbench.design.model.Evaluator` whose figures are the labels of ``requested``, on the reduced ``model``.
 
-    ``operation`` is what all drives share: frequency and thermal resistances.
+    ``operation`` has the frequency and thermal resistances of all drives.
     """
 
     model: DesignModel

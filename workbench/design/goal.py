@@ -90,9 +90,9 @@ class SearchOptions:
 class Robust:
     """The statistics of a figure over the uncertainty of the chip that stand for the figure.
 
-    That is its ``quantile`` on the bad side (0.05: what 95 % of the chips reach), or its mean where that is None, by so
-    many ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the ``materials`` if
-    asked for; and of what fits left open, by their files (``posteriors``).
+    They are its ``quantile`` on the bad side (0.05: the figure that 95 % of the chips reach), or its mean where that is
+    None, over that number of ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the
+    ``materials`` if stated; and of the uncertainties that fits left, by their files (``posteriors``).
     """
 
     quantile: float | None = 0.05

@@ -170,19 +170,19 @@ def _is_felt(number: Number, device: FilledChip) -> bool:
 
 @dataclass
 class _Collected:
-    """Inputs by name, the correlations between some of them, and what was left out."""
+    """Inputs by name, the correlations between some of them, and notes on numbers left out."""
 
     inputs: dict[str, Number]
     correlations: list[Correlation]
     notes: list[str]
 
     def put(self, new: Number) -> None:
-        """Take an input in the place of what was known of it, correlations included."""
+        """Take an input in the place of the one there was, correlations included."""
         self.drop(new.name)
         self.inputs[new.name] = new
 
     def drop(self, name: str) -> None:
-        """Forget an input and what correlates it with others."""
+        """Forget an input and its correlations."""
         self.inputs.pop(name, None)
         self.correlations = [_without(each, name) for each in self.correlations]
 

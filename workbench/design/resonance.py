@@ -152,7 +152,7 @@ def find_resonance(
 
 
 def _inner(neighbour: float, f0: float, step: int) -> float:
-    """The end next to f0 of what holds a half-power frequency."""
+    """The end next to f0 of the interval of a half-power frequency."""
     return min(neighbour, f0) if step > 0 else max(neighbour, f0)
 
 

@@ -37,7 +37,7 @@ from workbench.jobs.workers import Task, Workers, begin_workers
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Points that a worker does at a time, about a second's work: what a kill loses at most, for each worker. Half as many
+#: Points that a worker does at a time, about a second's work, which a kill loses at most for each worker. Half as many
 #: would double the share of the time that goes into sending models, some 2 %.
 CHUNK = 50
 
@@ -92,7 +92,7 @@ def study(
     return found
 
 
-#: A piece of work, and what is done here with its result.
+#: A function of the result of a piece of work, and the work.
 Then = tuple[Callable[[Any], None], Task[Any]]
 
 
@@ -147,7 +147,7 @@ class _Run:
                    for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
 
     def _work(self, tasks: Iterable[Then]) -> None:
-        """Do all tasks, and what follows on each as soon as its result is there."""
+        """Do all tasks, and the step that follows each as soon as its result is there."""
         for then, done in self.workers.completed(tasks, ahead=AHEAD):
             then(done.result())
 

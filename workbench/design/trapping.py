@@ -1,4 +1,4 @@
-"""The deepest trap of a potential given as a polynomial, and the exact derivatives of what it is judged by.
+"""The deepest trap of a potential given as a polynomial, and the exact derivatives of its figures.
 
 The trap is the lowest place of the potential in the cavity: on a raster first, then by Newton's method. Its derivatives
 follow from grad U = 0 (implicit function theorem). A trap held at a wall moves along the wall only.

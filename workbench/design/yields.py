@@ -130,7 +130,7 @@ class Tightening:
 
 @dataclass(frozen=True, eq=False)
 class Yields:
-    """Yields of every requirement, of all ``together``, and what tightening each input would buy, best first."""
+    """Yields of every requirement, of all ``together``, and the gain of tightening each input, best first."""
 
     each: tuple[RequirementYield, ...]
     together: RequirementYield

@@ -41,11 +41,11 @@ def diagnose(
 ) -> Diagnosis:
     """Explain the mismatch between the recordings of a campaign and their models, or say what cannot be explained.
 
-    Interrupted once, it ends with what it has by then, as it does when its time is over.
+    Interrupted once, or when its time is over, it ends with its results so far.
 
     Args:
         accuracy: of the meshes, see `discretisation`.
-        progress: called with what is done and the share that is.
+        progress: called with the present step and the share of the work that is done.
         jobs: processes that share the work, this one among them.
         minutes: after which nothing new is begun; None for no limit.
 
@@ -86,7 +86,7 @@ def diagnose_model(
 def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
-    fitted = search.models.bare()
+    fitted = search.models.noise_only()
     if search.models.are_inaccurate(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
         fitted = Likelihood.noise_only(model, model.fitted.near(x, {}, ROUGH, only=()))

@@ -23,7 +23,7 @@ def check_assignment(campaign: Campaign, stated: Sequence[StateFit]) -> None:
     """Refuse recordings that fit far better with the states of the two exchanged; `stated` are the states as stated.
 
     Raises:
-        InputError: two are exchanged; it gives what both states leave, and what is left by exchanging them.
+        InputError: two are exchanged; it gives the residuals of both states, as they are and exchanged.
     """
     for one, other in itertools.combinations(zip(campaign.fitted, stated, strict=True), 2):
         # Of the recording of `other`, and of that of `one`.

@@ -2,8 +2,8 @@
 
 A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
 term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
-hypothesis is a direction in one and the same model, and its score and its refit need no other. Which numbers a term
-brings in, and what they may be, it says itself (`workbench.physics.term.Term.free`).
+hypothesis is a direction in one and the same model, and its score and its refit need no other. A term
+declares the numbers that it brings in, with their ranges (`workbench.physics.term.Term.free`).
 
 To add one: a function below, or in `transducer`, that yields it, listed in :data:`SOURCES`.
 """
@@ -70,7 +70,7 @@ SHAPED: Mapping[tuple[str, str], str] = {
     (TRANSDUCER, "dome"): "the disc is not plane-parallel: thicker on its axis than at its rim, or thinner",
 }
 
-#: Most that a shape is off what is stated, to either side (m or rad), and why.
+#: Largest error of a stated shape to either side (m or rad), and why.
 SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
     "draft": (math.radians(5.0), "a hole printed layer on layer: a tenth of a line of 0.4 mm wider at its top than "
               "at the first layer, which is pressed out, is 3 degrees of a wall of 0.7 mm"),
@@ -83,7 +83,7 @@ SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
 #: thickness is mistaken too.
 TAKEN_UP = 0.4
 
-#: The gas where a layer is missing: what it is called there, and in the registry.
+#: The gas where a layer is missing: its names there and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 
 #: Widths of the ring that a cavity's liquid does not reach, in shares of the cavity's radius; more than the last one
@@ -93,7 +93,7 @@ NOT_FULL = (0.04, 0.1, 0.18, 0.28)
 #: Largest share of a joint that is open.
 HELD = 0.9
 
-#: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
+#: Distance (K) to either side at which the parabola meets a fluid's law.
 STEP = 5.0
 
 

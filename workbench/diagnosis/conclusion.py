@@ -84,7 +84,7 @@ def explained_share(model: Model, base: Explanation, found: Explanation) -> floa
     take up by leaving their priors is still one.
     """
     before, after = (float(np.sum(each.residual.vector**2)) + _pull(model, each) for each in (base, found))
-    # Noise leaves a chi-square of the number of data, or the one it is seen to leave.
+    # Noise leaves a chi-square of the number of data, or the one of the base.
     beyond = before - min(after, base.residual.vector.size)
     return float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
 

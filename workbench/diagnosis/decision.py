@@ -57,9 +57,9 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """A verdict, the hypothesis it names (that nothing is wrong, if none), and what cannot be ruled out.
+    """A verdict, the hypothesis it names (the null hypothesis, if none), and those that cannot be ruled out.
 
-    ``rivals`` best first; ``log_odds`` posterior, of every hypothesis against nothing being wrong, by name.
+    ``rivals`` best first; ``log_odds`` posterior, of every hypothesis against the null hypothesis, by name.
     """
 
     verdict: str
@@ -78,7 +78,7 @@ def decide(
         stated_explains: whether what is stated leaves nothing but noise, with no known parameter moved.
 
     Raises:
-        ValueError: nothing being wrong is not among them once, or there are more single ones than `hypotheses`.
+        ValueError: the null hypothesis is not among them once, or there are more single ones than `hypotheses`.
     """
     criteria = criteria or Criteria()
     nothing = [each for each in evidences if each.is_null]

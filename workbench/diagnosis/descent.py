@@ -37,7 +37,7 @@ SCHEDULE = Schedule((replace(STAGE, smoothing=0.01), STAGE))
 #: Descents begin no closer to the ends of a range than this share of it.
 INSIDE = 1e-4
 
-#: Of the optima of one hypothesis so many go on to the next stage, if they are not far behind (`odds.CLOSE`).
+#: Optima of one hypothesis that go on to the next stage, at most, if they are not far behind (`odds.CLOSE`).
 KEPT = 3
 
 #: Chi-square relative to noise from which on other basins are looked at.
@@ -62,7 +62,7 @@ def inside(values: Real, low: Real | float, high: Real | float) -> Real:
 
 
 class OptimumFound(Protocol):
-    """An end at x (p,), and the standard errors (p,) there, zero of what did not move."""
+    """An end at x (p,), and the standard errors (p,) there, zero of parameters that did not move."""
 
     @property
     def x(self) -> Real: ...

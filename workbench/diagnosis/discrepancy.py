@@ -205,7 +205,7 @@ def changes(operators: FullOperators, states: Complex, prediction: Prediction) -
 
 
 def _kind(integral: Integral) -> str | None:
-    """Whether an integral over cells stores what stiffness or what mass stores; None for all others."""
+    """The kind, stiffness or mass, of an integral over cells; None for all others."""
     if integral.on_boundary:
         return None
     taken = {(component[0], kind == "value") for product in integral.products

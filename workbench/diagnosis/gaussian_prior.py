@@ -25,7 +25,7 @@ Real = NDArray[np.float64]
 DESCENTS = 4
 
 #: A number is multimodal where one uncertainty along its profile changes the data at little weight by this many
-#: deviations more than the tangent says. There are at most so many.
+#: deviations more than the tangent says. The second number is the most there are.
 CURVED, MULTIMODAL = 10.0, 2
 
 

@@ -91,7 +91,7 @@ class DiagnosisSearch:
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> DiagnosisSearch:
         """A search for a worker, with its first models."""
         made = cls(device_model(campaign, accuracy=accuracy))
-        _ = made.models.narrow
+        _ = made.models.over_prior
         return made
 
     def say(self, *words: object) -> None:
@@ -120,7 +120,8 @@ class DiagnosisSearch:
             NotEnriched, NotConverged, MeshError, InputError: the device as it is stated cannot be predicted.
         """
         self._workers = workers or Workers()
-        self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.models.wide.predictors) if p.model])
+        predictors = dict.fromkeys(self.models.over_prior_and_places.predictors)
+        self.say("wide", [each.model.basis.shape[1] for each in predictors if each.model])
         self.progress("nothing wrong", 0.1)
         ends, null = self.initial_optima()
         refits = dict[Candidate, Refitted]()
@@ -156,7 +157,7 @@ class DiagnosisSearch:
 
         They are searched for from the mean of the prior, and from draws of it.
         """
-        prior, ends, null = self.models.belief, list[InitialOptimum](), None
+        prior, ends, null = self.models.prior, list[InitialOptimum](), None
         starts: list[tuple[Real, tuple[int, ...]]] = [(place, ()) for place in (prior.x, *prior.draws(PAIRS, 0))]
         for steps in STEPS:
             starts += [(place, (i,)) for i in self.models.multimodal for place in prior.profile_points(i, steps)]
@@ -179,7 +180,7 @@ class DiagnosisSearch:
                              lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
-        narrow = Likelihood.noise_only(self.model, self.models.narrow)
+        narrow = Likelihood.noise_only(self.model, self.models.over_prior)
         self.models.places = tuple(
             each.x for each in ends
             if self.models.are_inaccurate(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
@@ -199,19 +200,19 @@ class DiagnosisSearch:
 
         Parameters of the indices `held` move only after the others.
         """
-        bare = self.models.bare()
+        simple = self.models.noise_only()
         if held:
-            bare = bare.with_objective(self.models.around(x, self.models.belief, self.model.fitted))
-        search = bare.search(Hypothesis())
+            simple = simple.with_objective(self.models.around(x, self.models.prior, self.model.fitted))
+        search = simple.search(Hypothesis())
         try:
-            end = initial_optimum(bare, search, x, held)
+            end = initial_optimum(simple, search, x, held)
         except NO_END:
             return None
         return InitialOptimum(end.x, end.cost, search.errors(end))
 
     def continue_null(self, optimum: InitialOptimum) -> LaplaceApproximation | None:
         """The next continuation stage of the null hypothesis from an initial optimum, on models made about it."""
-        nothing, likelihood = Hypothesis(), self.models.bare()
+        nothing, likelihood = Hypothesis(), self.models.noise_only()
         end = likelihood.laplace(nothing, optimum.x, LEVELS[0])
         try:
             for _ in range(PLACES):
@@ -240,10 +241,10 @@ class DiagnosisSearch:
 
         A hypothesis is left out if none of its numbers can change the recordings by as much as the residual there.
         """
-        x = self.models.belief.x
+        x = self.models.prior.x
         scores = self.run_tasks([SearchTask.of("scores of the hypotheses", self.scored, x, LEVELS[0])])[0] or []
-        bare = self.models.bare()
-        residual = math.sqrt(2.0 * bare.solve(bare.search(Hypothesis()), STAGE, x).cost)
+        simple = self.models.noise_only()
+        residual = math.sqrt(2.0 * simple.solve(simple.search(Hypothesis()), STAGE, x).cost)
         effects = [each.effect for each in scores if each.most > residual]
         self.say("   swept", len(effects), "of", len(scores), "left", residual)
         scans = self.run_tasks([
@@ -257,9 +258,9 @@ class DiagnosisSearch:
 
     def scan_effect(self, name: str) -> list[InitialOptimum]:
         """The sizes of an effect of least cost about the mean of the prior."""
-        effect, x = self.effect(name), self.models.belief.x
-        wider = self.models.coarsely_wider(Hypothesis((effect,)), corners(self.model, effect, x))
-        return scan_profiles(self.models.bare().with_objective(wider), effect, x)
+        effect, x = self.effect(name), self.models.prior.x
+        wider = self.models.coarsely_towards(Hypothesis((effect,)), corners(self.model, effect, x))
+        return scan_profiles(self.models.noise_only().with_objective(wider), effect, x)
 
     def effect(self, name: str) -> Effect:
         """The hypothesis of that name."""
@@ -274,8 +275,7 @@ class DiagnosisSearch:
             for effect, own in starts if len(own)]) if each is not None]
         further = [each for each in self.run_tasks([
             SearchTask.of(f"{each.hypothesis.name}, further", self.continue_candidate, each, at)
-            for each in leading_of(little, CONTINUED[0], candidate_evidence)])
-            if each is not None]
+            for each in leading_of(little, CONTINUED[0], candidate_evidence)]) if each is not None]
         for candidate in further:
             self.say("   more", candidate.hypothesis.name, candidate.log_evidence - null.log_evidence,
                      *candidate.laplace[3:])
@@ -351,7 +351,7 @@ class DiagnosisSearch:
         except KeyboardInterrupt:
             if self.interrupted or any(index not in results for index in range(min(must, len(tasks)))):
                 raise
-            # Nobody waits any more for what the workers do.
+            # Nobody waits any more for the workers' results.
             self.interrupted, self._workers = True, Workers()
         self.undone += [task.name for index, task in enumerate(tasks) if index not in results]
         for index, result in results.items():
@@ -372,7 +372,7 @@ class DiagnosisSearch:
 
     def scored(self, x: Real, level: float) -> list[Score]:
         """The scores of all hypotheses at x (p,)."""
-        return ranked(self.models.bare(), x, level)
+        return ranked(self.models.noise_only(), x, level)
 
     def most_promising(self, scores: Sequence[Sequence[Score]]) -> list[Effect]:
         """The hypotheses of largest predicted gain at any point."""
@@ -391,20 +391,18 @@ class DiagnosisSearch:
         hypothesis = Hypothesis((self.effect(name),))
         own = [self.model.index(each) for each in hypothesis.effects[0].names]
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
-        likelihood = self.models.likelihood(at).with_objective(self.models.wider(hypothesis, [largest]))
+        likelihood = self.models.likelihood(at).with_objective(self.models.towards(hypothesis, [largest]))
         candidate = refit_from(likelihood, hypothesis, starts, LEVELS[0])
         self.say("   little", name, candidate.log_evidence, candidate.laplace.error_estimate,
                  [float(candidate.x[i]) for i in own])
         return candidate
 
     def continue_candidate(self, candidate: Candidate, at: Real) -> Candidate:
-        """The next continuation stage of a candidate, on models made again where their error estimate is too large.
-
-        The discrepancy of the model is that `at` a point (p,).
-        """
+        """The next continuation stage of a candidate, on models made again where their error estimate is too large; the
+        discrepancy of the model is that `at` a point (p,)."""
         hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
         if not self.models.are_inaccurate(candidate.laplace.error_estimate, LEVELS[0]):
-            likelihood = likelihood.with_objective(self.models.wider(hypothesis, [candidate.x]))
+            likelihood = likelihood.with_objective(self.models.towards(hypothesis, [candidate.x]))
         likelihood, little = self.refit_on_new_models(likelihood, candidate, LEVELS[0])
         found = refit_from(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
         return self.refit_on_new_models(likelihood, found, LEVELS[1])[1]
@@ -416,7 +414,7 @@ class DiagnosisSearch:
             if not self.models.are_inaccurate(candidate.laplace.error_estimate, level):
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.laplace[-1])
-            likelihood = self.models.about(likelihood, candidate)
+            likelihood = self.models.about_candidate(likelihood, candidate)
             candidate = refit_from(likelihood, candidate.hypothesis, [candidate.x], level)
         return likelihood, candidate
 
@@ -432,9 +430,9 @@ class DiagnosisSearch:
 
         One `far_behind` the others is refitted roughly: the size of its distance does not matter.
         """
-        hypothesis, likelihood = candidate.hypothesis, self.models.bare()
+        hypothesis, likelihood = candidate.hypothesis, self.models.noise_only()
         if hypothesis.effects:
-            likelihood = likelihood.with_objective(self.models.wider(hypothesis, [candidate.x]))
+            likelihood = likelihood.with_objective(self.models.towards(hypothesis, [candidate.x]))
         # Of several ends full weight tells on a model of its own which it is.
         limits = SHORT_REFIT if far_behind or len(candidate.ends) > 1 else {}
         optima = [self.refit_optimum(likelihood, hypothesis, end, limits) for end in candidate.ends]
@@ -450,7 +448,8 @@ class DiagnosisSearch:
         density, predicted = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
             rounds = 0 if far_behind or found.accuracy > INACCURATE else 1
-            density, predicted = self.models.predicted(likelihood, found, rounds=rounds, limit=SHORT_REFIT["limit"])
+            limit = SHORT_REFIT["limit"]
+            density, predicted = self.models.predict_held_out(likelihood, found, rounds=rounds, limit=limit)
             self.say("   with all", density)
         scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
         self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])

@@ -218,9 +218,9 @@ def _together(
     numbers: DeviceNumbers, statements: Iterable[_Statement], fixed: tuple[str, ...],
     correlations: Mapping[tuple[str, str], float],
 ) -> Knowledge:
-    """One uncertainty for each number, and for what each state adds to it.
+    """One uncertainty for each number, and for each offset of a state.
 
-    Where one state alone has the number, what all states share and what that one adds only act together: they are one.
+    Where one state alone has the number, the shared uncertainty and that of the offset only act together: they are one.
     """
     said: dict[tuple[str, str], list[_Statement]] = {}
     for each in statements:

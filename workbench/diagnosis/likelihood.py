@@ -45,7 +45,7 @@ T = TypeVar("T")
 #: Cosines along the band that the error of a term is a sum of.
 WAVES = 5
 
-#: A recording is searched on about so many of its points while the data weigh little.
+#: Points of a recording that a search uses at little weight, about.
 SEARCHED = 121
 
 #: Rounds of a fit: the accuracy of the model is that of the largest evidence at the last optimum, and then this share
@@ -121,7 +121,7 @@ class LocalProblem:
             every.append(self.problem.averaged(scales).log_evidence + self.problem.added(scales, blocks, sizes))
         whole = np.stack(every)
         found = np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
-        # No likelihood is above that of data without a residual, and what deviates takes of it.
+        # No likelihood is above that of data without a residual, and deviations lower it.
         return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])
 
 

@@ -1,4 +1,4 @@
-"""The models that a search predicts with, each on local bases: none of them is right all over what is known."""
+"""The models that a search predicts with, each on local bases: none of them is right over the whole prior."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ Real = NDArray[np.float64]
 #: Error of Z that models are made for: for a search, and about an optimum, that relative to noise.
 ROUGH, FINE = 3e-4, 0.03
 
-#: The same where sizes are looked at, a fiftieth of the deviation that points have then (`descent.LEVELS`): at a tenth
-#: of it a rim was found a tenth too wide.
+#: Error of Z that models of a profile scan are made for, a fiftieth of the deviation of the points there
+#: (`descent.LEVELS`): at a tenth of it a rim was found a tenth too wide.
 COARSE = 0.02 * LEVELS[0]
 
-#: Terms of the series to a place where sizes are looked at (`about_point.TERMS`).
+#: Terms of the series to a point of a profile scan (`about_point.TERMS`).
 FEW = 3
 
-#: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
+#: Reach of models: over the prior, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
 
-#: An optimum is looked for on models made again about it, at most so many times, until their error estimate there is
+#: Times, at most, that an optimum is searched for on models made again about it, until their error estimate there is
 #: within tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
 PLACES = 3
 
 
 @dataclass(eq=False)
 class LocalModels:
-    """The recordings of a model predicted where a search asks for it.
+    """Predictions of the recordings, on models made where a search needs them.
 
-    ``places`` (p,) of optima that :attr:`wide` has to be right at besides where the known numbers are believed to be.
+    ``places`` (p,) are optima that :attr:`over_prior_and_places` has to be right at besides the prior.
     """
 
     model: Model
@@ -51,12 +51,12 @@ class LocalModels:
 
     @cached_property
     def centre(self) -> Real:
-        """What is stated (p,)."""
+        """The stated values of all parameters (p,)."""
         return np.array([p.start for p in self.model.parameters])
 
     @cached_property
-    def belief(self) -> GaussianPrior:
-        """Where the known numbers are, by the smallest body of several."""
+    def prior(self) -> GaussianPrior:
+        """The prior of the known numbers, updated by the smallest body of several."""
         prior = GaussianPrior.prior(self.model)
         first = smallest_body(self.model.fitted)
         return prior if first is None else prior.updated(
@@ -64,12 +64,12 @@ class LocalModels:
 
     @cached_property
     def known_reach(self) -> dict[str, float]:
-        """How far models reach, by name."""
-        return self.belief.reach(self.model, FAR)
+        """The reach of models over the prior, by name."""
+        return self.prior.reach(self.model, FAR)
 
-    def around(self, x: Real, belief: GaussianPrior, recordings: Objective, *, enriches: bool = False) -> Objective:
-        """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
-        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known), enriches=enriches)
+    def around(self, x: Real, prior: GaussianPrior, recordings: Objective, *, enriches: bool = False) -> Objective:
+        """Recordings predicted about x (p,), as far as a `prior` reaches from there."""
+        return recordings.near(x, prior.reach(self.model, FAR), ROUGH, only=range(self.model.known), enriches=enriches)
 
     @cached_property
     def noise(self) -> float:
@@ -77,40 +77,40 @@ class LocalModels:
         return min(float(np.median(state.noise)) for state in self.model.campaign.states)
 
     @property
-    def wide(self) -> Objective:
-        """The recordings predicted all over what is believed of what is known, and at :attr:`places` too."""
+    def over_prior_and_places(self) -> Objective:
+        """The recordings predicted over the updated prior, and at :attr:`places` too."""
         return self._made[1]
 
     @cached_property
-    def narrow(self) -> Objective:
-        """The same, but for the places."""
-        return self.around(self.belief.x, self.belief, self.model.fitted, enriches=True)
+    def over_prior(self) -> Objective:
+        """The recordings predicted over the updated prior alone."""
+        return self.around(self.prior.x, self.prior, self.model.fitted, enriches=True)
 
     @cached_property
     def multimodal(self) -> list[int]:
         """Indices of the known numbers along which there are several optima."""
-        return multimodal(Likelihood.noise_only(self.model, self.narrow), self.belief)
+        return multimodal(Likelihood.noise_only(self.model, self.over_prior), self.prior)
 
     @property
     def _made(self) -> tuple[bytes, Objective, dict[bytes, Likelihood]]:
-        """What the present places are known by, the models for these, and the likelihoods on them."""
+        """A key of the present places, the models for these, and the likelihoods on them."""
         key = b"".join(each.tobytes() for each in self.places)
         if self._latest is None or self._latest[0] != key:
-            self._latest = key, self.narrow.enriched_at(self.belief.x, self.places, ROUGH), {}
+            self._latest = key, self.over_prior.enriched_at(self.prior.x, self.places, ROUGH), {}
         return self._latest
 
     _latest: tuple[bytes, Objective, dict[bytes, Likelihood]] | None = None
 
-    def bare(self) -> Likelihood:
-        """Of noise alone, all over what is known."""
-        return Likelihood.noise_only(self.model, self.wide)
+    def noise_only(self) -> Likelihood:
+        """The likelihood without discrepancy, over the prior."""
+        return Likelihood.noise_only(self.model, self.over_prior_and_places)
 
     def likelihood(self, x: Real) -> Likelihood:
-        """All over what is known, with what the model does not get right at x (p,)."""
+        """The likelihood over the prior, with the discrepancy of the model at x (p,)."""
         known = self._made[2]
         if (key := x.tobytes()) not in known:
             known.clear()
-            known[key] = self.bare().with_discrepancy(x)
+            known[key] = self.noise_only().with_discrepancy(x)
         return known[key]
 
     def near(
@@ -132,42 +132,43 @@ class LocalModels:
         """Whether an error estimate is above tolerance where points have a further deviation `level`."""
         return error > SLACK * math.hypot(self.noise, level)
 
-    def predicted(
+    def predict_held_out(
         self, likelihood: Likelihood, found: Explanation, *, rounds: int, limit: int
     ) -> tuple[float, list[NDArray[np.complex128]]]:
-        """What the states held out add to the log evidence, with the optimum of all, and their impedances as predicted.
+        """The log evidence that the states held out add at the optimum of all, and their predicted impedances.
 
-        `likelihood` of those that were fitted, to what was `found`; `rounds` and `limit` as of `Likelihood.settled`.
-        A number that only they have (how thick a gel is that was laid anew) may be far from where it was expected: the
-        models are made again where the optimum of all is, unless that does not move.
+        `likelihood` is that of the fitted states, `found` the explanation of them; `rounds` and `limit` as in
+        `Likelihood.refit`. A number of the held-out states alone (the thickness of a gel that was laid anew) may be far
+        from its prior: the models are made again about the optimum of all, unless that does not move.
         """
-        hypothesis, every, seen = found.hypothesis, found, list[NDArray[np.complex128]]()
+        hypothesis, every, impedances = found.hypothesis, found, list[NDArray[np.complex128]]()
         for _ in range(PLACES if rounds else 1):
             held = Likelihood.noise_only(self.model, self.near(
                 hypothesis, every.x, found.errors, held_out=True)).with_discrepancy(every.x)
-            if seen:
+            if impedances:
                 near = self.near(hypothesis, every.x, found.errors)
                 likelihood = likelihood.with_objective(near).with_discrepancy(every.x)
             else:
-                seen = held.impedances(found.x)
+                impedances = held.impedances(found.x)
             every = likelihood.joined(held).refit(hypothesis, every.x, rounds=rounds, limit=limit)
             if not self.are_inaccurate(every.error_estimate, every.accuracy):
                 break
-        return every.log_evidence - found.log_evidence, seen
+        return every.log_evidence - found.log_evidence, impedances
 
-    def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
-        """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
-        return self._wider(self.wide, hypothesis, places, ROUGH)
+    def towards(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
+        """The recordings predicted over the prior, and on the way to a hypothesis as it is at `places` (p,)."""
+        return self._towards(self.over_prior_and_places, hypothesis, places, ROUGH)
 
-    def coarsely_wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
-        """As :meth:`wider`, no better than it takes where points have a deviation of the first of `descent.LEVELS`."""
-        return self._wider(self._coarse, hypothesis, places, COARSE, FEW)
+    def coarsely_towards(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
+        """:meth:`towards` to the accuracy that a profile scan needs, with points of the first deviation of
+        `descent.LEVELS`."""
+        return self._towards(self._coarse, hypothesis, places, COARSE, FEW)
 
     @cached_property
     def _coarse(self) -> Objective:
-        return self.narrow.coarser(COARSE)
+        return self.over_prior.coarser(COARSE)
 
-    def _wider(
+    def _towards(
         self, objective: Objective, hypothesis: Hypothesis, places: Sequence[Real], tolerance: float,
         terms: int = TERMS,
     ) -> Objective:
@@ -176,11 +177,11 @@ class LocalModels:
         return objective.neumann_enriched(self.centre, there, tolerance, only=self.moving(hypothesis), terms=terms)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
-        """Indices of what moves under a hypothesis."""
+        """Indices of the parameters that move under a hypothesis."""
         return self.model.free(hypothesis.effects)[0]
 
-    def about(self, likelihood: Likelihood, candidate: Candidate) -> Likelihood:
-        """The likelihood on models for all that is known about where a candidate is."""
+    def about_candidate(self, likelihood: Likelihood, candidate: Candidate) -> Likelihood:
+        """The likelihood on models for the prior about the optimum of a candidate."""
         reach = dict(self.known_reach)
         for effect in candidate.hypothesis.effects:
             for name in effect.names:

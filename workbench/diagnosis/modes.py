@@ -5,8 +5,8 @@ to the admittance Y of every state of one body
 
     dY = a s(f),   s = (i f f0 / q) / (f0^2 - f^2 + i f f0 / q),   e^{+j w t},
 
-with an unknown complex amplitude a, so that d ln Z = -Z dY. Frequency and quality are searched for: among so many that
-were tried each was as likely.
+with an unknown complex amplitude a, so that d ln Z = -Z dY. Frequency and quality are chosen from a
+grid on which each was as likely.
 """
 
 from __future__ import annotations

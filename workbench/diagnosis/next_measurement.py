@@ -1,13 +1,13 @@
-"""Which measurement would tell the hypotheses that are still alive apart, by the information expected of it.
+"""The next measurement: the one of largest expected information about which of the rival hypotheses is true.
 
 Hypothesis i, of probability p_i, predicts for n recordings of a state a mean m_i and a covariance C_i: noise, what
-every recording draws anew (clips, gain), how uncertain its parameters are, and what the recordings there are leave open
-of what the model does not get right, or of the region where anything may be. With
+every recording draws anew (clips, gain), the uncertainty of its parameters, and the posterior of the discrepancy, of
+the model or of a region, from the recordings there are. With
 
     D_ij^2 = (m_i - m_j)^T ((C_i + C_j) / 2)^-1 (m_i - m_j),   I = -sum_i p_i ln sum_j p_j exp(-D_ij^2 / 8),
 
 I is a lower bound of the information about which is true (Kolchinsky and Tracey 2017, Entropy 19, 361), and D_ij^2 / 2
-the logarithm of the odds expected between two. All is linear about what was found.
+the logarithm of the odds expected between two. All is linear about the explanations found.
 """
 
 from __future__ import annotations

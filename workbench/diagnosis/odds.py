@@ -11,9 +11,9 @@ import numpy as np
 ACCURACIES = np.logspace(-4.0, -1.5, 11)
 REGION_SIZES = np.logspace(-3.0, 0.0, 7)
 
-#: Nothing else is looked for where nothing being wrong leaves noise by a model of the first accuracy: what a larger one
-#: hides no tangent shows. Beyond the second the search goes on for a better explanation: hardly a part is that
-#: different from place to place. The bound of a verdict is :attr:`Criteria.inaccurate`.
+#: The search ends where the null hypothesis leaves noise by a model of the first accuracy: tangents do not show effects
+#: that a larger one hides. Beyond the second it goes on for a better explanation: hardly a part is that inhomogeneous.
+#: The bound of a verdict is :attr:`Criteria.inaccurate`.
 INCONSPICUOUS, INACCURATE = 0.001, 0.005
 
 #: Log evidences that are further behind the best are given up on the way: odds of 160000, where a final optimum has
@@ -29,21 +29,21 @@ class Criteria:
     """The criteria of a verdict.
 
     Attributes:
-        accepted: posterior odds against the null hypothesis from which an effect is named. Doubled, half as many
-            of the campaigns in which nothing is wrong are blamed, and effects have to be a twentieth of a standard
-            deviation larger.
-        hinted: the same, from which a hint is mentioned.
-        looked_at: the same of one hypothesis, as its score promises them, from which it is tried at all.
+        accepted: posterior odds against the null hypothesis from which an effect is named. Doubled, half as many of the
+            campaigns in which nothing is wrong are blamed, and effects have to be a twentieth of a standard deviation
+            larger.
+        hinted: posterior odds from which a hint is mentioned.
+        looked_at: posterior odds of one hypothesis, as its score predicts them, from which it is refitted at all.
         rival: odds of the best explanation against another, up to which the data cannot rule the other out.
         nothing_wrong: prior probability that nothing is.
         redundant: standard deviations from its neutral value within which a further parameter is redundant: an
             explanation that has the best one's parameters and redundant ones is no rival of it.
-        inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which what is left is no
-            inaccuracy: neither nothing being wrong nor an effect explains all then. No part is a per cent different
-            from place to place. Doubled, mismatches twice as large pass for inaccuracy.
-        most: share of the mismatch that an effect has to take away to be said where more than that is left: all but a
+        inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which the remainder is
+            no inaccuracy: neither the null hypothesis nor an effect explains all then. No part is inhomogeneous by a
+            per cent. Doubled, mismatches twice as large pass for inaccuracy.
+        most: share of the mismatch that an effect has to take away to be named where more than that is left: all but a
             tenth, so that nobody takes the rest for the larger part.
-        at_odds: standard uncertainties from what is known of it beyond which a parameter is at odds with that: of a
+        at_odds: distance from its prior, in standard uncertainties, beyond which a parameter is at odds with it: of a
             hundred parameters, one in twenty campaigns. Doubled, mistakes that campaigns state are not mentioned.
     """
 

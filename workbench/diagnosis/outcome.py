@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-#: So many of what was not looked at are named.
+#: Steps left out that are named, at most.
 NAMED = 6
 
 
@@ -92,7 +92,8 @@ class Remainder:
 
 
 class SuspectPlace(NamedTuple):
-    """A region, or modes, with anything in it: the log ``evidence`` it adds to what explains best, and in sigmas."""
+    """A region with a change of any kind, or modes: the log ``evidence`` added to the best explanation, and in sigmas.
+    """
 
     region: str
     kind: str
@@ -382,5 +383,5 @@ def _remainder_in_words(remainder: Remainder) -> str:
 
 
 def _noise_in_words(remainder: Remainder) -> str:
-    """The noise as it is stated, of the real and of the imaginary part, and what both leave together."""
+    """The stated noise of the real and of the imaginary part, and the rms that both leave together."""
     return f"a noise of {100.0 * remainder.noise / math.sqrt(2.0):.2g} % leaves {100.0 * remainder.noise:.2g} %"

@@ -182,7 +182,7 @@ class Posterior(Brief):
         return np.asarray(np.clip(theta, self.low, self.high))
 
     def log_likelihood(self, theta: Real) -> float:
-        """ln L at theta (k,), up to what all hypotheses share; the cost of modes that were looked for is taken off.
+        """ln L at theta (k,), up to a constant of all hypotheses, less the cost of the choice of modes.
 
         -inf outside the bounds, where a material would make energy, and where nothing can be predicted.
 

@@ -28,13 +28,13 @@ SIZES = (0.01, 0.03, 0.1, 0.3, 0.6, 0.95)
 #: Sizes that models are made for; the span of their states serves between and beyond.
 HELD = (0.1, 0.3, 0.6)
 
-#: A recording is scanned on about so many of its points.
+#: Points of a recording that a scan uses, about.
 LOOKED_AT = 41
 
-#: Steps about the best size are halved so many times.
+#: Times that steps about the best size are halved.
 HALVED = 2
 
-#: So many of the places are returned.
+#: Points that a scan returns, at most.
 LEFT = 3
 
 

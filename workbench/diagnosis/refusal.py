@@ -16,7 +16,7 @@ EXPECTED: tuple[type[Exception], ...] = (*NO_END, np.linalg.LinAlgError, Arithme
 
 @dataclass(frozen=True)
 class Refusal:
-    """The expected error that ended a task, in place of what the task returns."""
+    """The expected error that ended a task, in place of its result."""
 
     error: Exception
 

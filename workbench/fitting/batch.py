@@ -107,7 +107,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Batch:
-    """A list of jobs, and what to call it."""
+    """A list of jobs, and its name."""
 
     name: str
     jobs: tuple[Job, ...]

@@ -1,8 +1,8 @@
-"""How far a set of parameters is from the recordings, and its exact derivative.
+"""The objective of a fit: the distance of a set of parameters from the recordings, and its exact derivative.
 
 The residual is ln(Z_model / Z_measured), complex: the relative error of the magnitude and the error of the phase in
-radian, equally weighted, which is what an instrument of constant relative accuracy leaves. Each point is divided by
-its relative standard deviation.
+radian, equally weighted, which is what an instrument of constant relative accuracy leaves. Each point is divided by its
+relative standard deviation.
 
 A spectrum with sharp overtones has many local minima: one for every way to lay the overtones of the model on those of
 the recording. Both are therefore smoothed first, with the same Lorentzian weights applied to both admittances: for a
@@ -45,11 +45,11 @@ class FitRecording:
     chip: Chip | None = None
 
     def step(self, points: int) -> int:
-        """Every how many-th of its points leaves about so many of them."""
+        """The step through its points that leaves about `points` of them."""
         return max(1, round(self.measured.frequency.size / points))
 
     def thinned(self, points: int) -> FitRecording:
-        """The recording with at most about so many of its points, evenly; itself where it has no more."""
+        """The recording with at most about `points` of its points, evenly; itself where it has no more."""
         measured, every = self.measured, self.step(points)
         if every == 1:
             return self
@@ -85,7 +85,7 @@ class Residual:
 
 @dataclass(frozen=True, eq=False)
 class RecordingView:
-    """A recording with what predicts it and what the parameters of an objective do to it.
+    """A recording with its predictor and the parameters of an objective that act on it.
 
     ``moved`` are the columns and parameters that move a value of its problem, and which, offsets last, which add to
     what the others set; ``scaled`` the columns that scale values of its problem, which, and by what power; ``bench``
@@ -148,7 +148,7 @@ class Objective:
 
     @cached_property
     def predictors(self) -> tuple[Predictor, ...]:
-        """Of every recording; those of one model are the same."""
+        """The predictor of every recording; recordings of one model share theirs."""
         return tuple(view.predictor for view in self.views)
 
     @property
@@ -174,12 +174,11 @@ class Objective:
         self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None,
         enriches: bool = True,
     ) -> Objective:
-        """A copy on local bases about x (p,), where parameters move by so much, by name (`about_point.local_basis`).
+        """A copy on local bases about x (p,), where parameters move by `reach`, by name (`about_point.local_basis`).
 
-        Its models stay as they are, and nothing is taken over from those there are. Where nothing but the parameters of
-        the indices `only` is going to move, models hold no more than that takes, and say nothing of what others would
-        change. Unless they are to be `neumann_enriched`, the factors of the full solves, most of their memory, are let
-        go.
+        Its models stay as they are, and nothing is taken over from those there are. Where only the parameters of the
+        indices `only` are going to move, models hold no more than that takes, and say nothing of changes by others.
+        Unless they are to be `neumann_enriched`, the factors of the full solves, most of their memory, are let go.
         """
         def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
             made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
@@ -192,9 +191,9 @@ class Objective:
                                      for alike in own._alike(x, indices)])
 
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
-        """A copy without what is nothing at x (p,) and stays so while no others move."""
+        """A copy without terms that are zero at x (p,) and stay so while no others than `only` move."""
         moving = sorted(only)
-        # Anywhere else: what vanishes there too vanishes everywhere, but for what a number brings in further on.
+        # Anywhere else: a term that is zero there too is zero everywhere, unless a number brings it in further on.
         scales = np.array([self.parameters[i].scale for i in moving])
         y = x.copy()
         y[moving] += 0.01 * scales * np.random.default_rng(0).uniform(0.5, 1.0, len(moving))
@@ -248,7 +247,7 @@ class Objective:
                 for values in (self._values(each, index) for each in places) if values != here]
 
     def with_every(self, x: Real) -> Objective:
-        """A copy for x (p,) alone, on models that say what every parameter would change there."""
+        """A copy for x (p,) alone, on models that give the derivatives by every parameter there."""
         made = {predictor: predictor.with_every([self.settings(x, index)[0] for index in indices])
                 for predictor, indices in self._sharing().items()}
         return self.predicted_by([made[predictor] for predictor in self.predictors])
@@ -258,7 +257,7 @@ class Objective:
         return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
 
     def _alike(self, x: Real, indices: Sequence[int]) -> list[list[int]]:
-        """Recordings, by index, in groups of the same values at x (p,), of those that anything depends on."""
+        """Recordings, by index, in groups of equal values at x (p,), of the values that anything depends on."""
         groups: list[tuple[dict[str, complex], list[int]]] = []
         for index in indices:
             depending = self.predictors[index].operators.coefficients.parameters
@@ -281,7 +280,7 @@ class Objective:
         return self.predicted_by([made[index] for index in range(len(self.views))])
 
     def _moves_about(self, x: Real, indices: Sequence[int], reach: Mapping[str, float]) -> dict[str, float]:
-        """How far values of recordings that share a model move from those of the first of them at x (p,)."""
+        """The distances of values of recordings that share a model from those of the first of them at x (p,)."""
         values, _ = self.settings(x, indices[0])
         moves: dict[str, float] = {}
         for index in indices:
@@ -294,14 +293,14 @@ class Objective:
         return moves
 
     def _sharing(self) -> dict[Predictor, list[int]]:
-        """The recordings, by index, that each predictor is of."""
+        """The recordings of each predictor, by index."""
         found: dict[Predictor, list[int]] = {}
         for index, predictor in enumerate(self.predictors):
             found.setdefault(predictor, []).append(index)
         return found
 
     def _reach(self, index: int, reach: Mapping[str, float]) -> dict[str, float]:
-        """How far the values of one recording move where parameters do by `reach`: an offset goes on from the others.
+        """The moves of the values of one recording where parameters move by `reach`: an offset adds to the others.
 
         Only of values that parameters in `reach` move.
         """
@@ -340,11 +339,11 @@ class Objective:
         return self.predicted_by([made[predictor] for predictor in self.predictors])
 
     def thinned(self, points: int) -> Objective:
-        """A copy of at most about so many points of each recording, with a count of its own."""
+        """A copy of at most about `points` points of each recording, with a count of its own."""
         views, known = [], dict[tuple[Predictor, bytes], Predictor]()
         for view in self.views:
             recording = view.recording.thinned(points)
-            # What recordings share they go on sharing.
+            # Recordings go on sharing their predictors.
             key = view.predictor, recording.measured.frequency.tobytes()
             if key not in known:
                 known[key] = view.predictor.at(recording.measured.frequency)
@@ -362,13 +361,13 @@ class Objective:
             result = placed(result, {where: number + (real_part(result, where) if p.offset else 0.0)})
         bench: dict[str, float] = {}
         for column, p in view.bench:
-            # What is ideal is zero, so what all recordings have and an offset of one add up.
+            # An ideal element is zero, so the shared number and the offset of one recording add up.
             bench[p.parsed.key] = bench.get(p.parsed.key, 0.0) + float(x[column])
         result = {key: value * self._scale(x, index, key) for key, value in result.items()}
         return result, bench
 
     def _scale(self, x: Real, index: int, key: str) -> float:
-        """What all that scale a value of a recording's problem multiply it by."""
+        """The factor on a value of a recording's problem by all parameters that scale it."""
         powers = [(1.0 + x[column]) ** power for column, own, power in self.views[index].scaled if own == key]
         return float(np.prod(powers))
 
@@ -442,9 +441,9 @@ class Objective:
 def _shared(
     recordings: Sequence[FitRecording], moved: Sequence[tuple[str, ...]], tolerance: float
 ) -> tuple[Predictor, ...]:
-    """One predictor of every recording, the same for all of one problem, with tangents by all that is `moved` in any.
+    """One predictor of every recording, shared by all of one problem, with tangents by all parameters `moved` in any.
 
-    Values that only one of them moves do not set it apart: predictors are told all values with every call.
+    Values that only one of them moves do not set it apart: predictors get all values with every call.
     """
     alike = [(id(r.problem.mesh), r.problem.terms, r.measured.frequency.tobytes()) for r in recordings]
     found: dict[Any, Predictor] = {}

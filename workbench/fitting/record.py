@@ -169,7 +169,7 @@ def registry_entry(
     result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime, forced: bool,
     start: str = "", temperature: float | None = None,
 ) -> Material:
-    """The freed material with what was found, ready for `materials.save`.
+    """The freed material with the fitted numbers, ready for `materials.save`.
 
     Dimensions and bench elements that were free, and the sizes of the part, are noted with the sample.
 

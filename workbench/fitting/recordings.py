@@ -96,7 +96,7 @@ class MaterialFit(Shown):
         return save_fit(self.material, name, folder=user_folder() if folder is None else Path(folder))
 
     def summary(self) -> Summary:
-        """Values with their intervals and what speaks against the fit, for a notebook."""
+        """Values with their intervals and the reasons not to trust the fit, for a notebook."""
         match = self.result.recordings[0]
         rows = [("parameter", "value", "95 % interval", "unit")]
         rows += [(e.parameter.name, f"{e.value:.5g}", f"{e.low:.5g} to {e.high:.5g}" if math.isfinite(e.low) else "",

@@ -30,10 +30,10 @@ EXPLORATION = 0.05
 #: none.
 SCHEDULE = Schedule(tuple(ContinuationStage(EXPLORATION, smoothing) for smoothing in (0.03, 0.01, 0.003, 0.0)))
 
-#: A recording is searched on at most about so many of its points.
+#: Points of a recording that a search uses, at most about.
 SEARCHED_POINTS = 241
 
-#: A descent is given up where it costs more than this many times what the best cost at the same smoothing.
+#: A descent is given up where it costs more than this many times the cost of the best at the same smoothing.
 WORSE = 2.0
 
 #: Where nothing can be predicted.

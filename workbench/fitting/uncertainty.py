@@ -447,7 +447,7 @@ def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
     residual = np.abs(after.log_residual)
     power = residual**2
     frequency = after.measured.frequency
-    # The narrowest window that holds half of what is left.
+    # The narrowest window that holds half of the residual.
     total = np.concatenate(([0.0], np.cumsum(power)))
     ends = np.searchsorted(total, total[:-1] + 0.5 * total[-1])
     valid = ends < total.size

@@ -32,7 +32,7 @@ NODES, MOST_NODES = 3, 12
 #: other parameter values.
 NODE_DEPTH, TERMS = 8, 5
 
-#: How much the ratios of two changes of the operators differ by rounding where one is the other but for a factor.
+#: Difference by rounding of the ratios of two changes of the operators that are equal up to a factor.
 SAME_WAY = 1e-6
 
 #: Joint moves of the parameters that are drawn at each frequency.

@@ -1,4 +1,4 @@
-"""Reduced models of few parameters: what does not move is summed once, so that such a model is small and quick."""
+"""Reduced models of few parameters: constant parts are summed once, so that such a model is small and quick."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Real = NDArray[np.float64]
 def compacted(
     model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
 ) -> ReducedModel:
-    """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
+    """`model` for parameters of which only those named `moving` change: integrals that depend alike on them become one.
 
-    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow. With `by_place` each
-    region and boundary keeps integrals of its own.
+    Its predictions and error estimates are those of the other; it has no integrals of the full model, and cannot grow.
+    With `by_place` each region and boundary keeps integrals of its own.
     """
     groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
     for q, integral in enumerate(model.operators.integrals):
@@ -49,7 +49,7 @@ def compacted(
 def _separated(
     coefficient: Coefficient, moving: set[str], values: Mapping[str, complex]
 ) -> tuple[Coefficient, complex]:
-    """What of a coefficient depends on frequency or on parameters that move, and the constant rest."""
+    """The factor of a coefficient that depends on frequency or on parameters that move, and the constant rest."""
     constant, kept = 1.0 + 0.0j, list[Constant]()
     while isinstance(coefficient, Times):
         if moving & set(coefficient.second.parameters):

@@ -67,7 +67,7 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     """R (size - 1, size - 1), real, symmetric, positive: all energies of `system`, counted positive, the voltage held.
 
     Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
-    displacements, for potentials and for pressures. What couples these is left out.
+    displacements, for potentials and for pressures. Couplings between these are left out.
     """
     factors = system.factors(np.array([frequency]))[:, 0]
     pattern = system.operators.pattern

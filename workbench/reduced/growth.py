@@ -36,7 +36,7 @@ DEPTH, ENRICHING_DEPTH = 12, 6
 #: Frequencies at most that a trial is looked at while it grows, if there are more than the second number.
 WATCHED, FEW = 97, 256
 
-#: What is left out is made smaller by this until the estimated error is within its tolerance.
+#: Factor by which the part left out is made smaller until the estimated error is within its tolerance.
 TIGHTER = 0.3
 
 #: No parameter is about to move.

@@ -28,7 +28,7 @@ from workbench.reduced.model import ReducedModel
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: How far, relative, a parameter is expected to move before the basis is enriched again.
+#: Relative move of a parameter that is expected before the basis is enriched again.
 MOVED = 0.1
 
 #: Error of Z that truncation to the states at given values may add there: to all that follows from these states alone,

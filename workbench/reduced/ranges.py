@@ -7,8 +7,8 @@
 The basis of a reduced model is enriched for the ranges (weak greedy: Rozza, Huynh and Patera 2008, Arch. Comput.
 Methods Eng. 15, 229): at points spread evenly over them the error is estimated at frequencies all over the band, and
 where it is largest the full model is solved. Whether the model is good enough is what these solves say, since an
-estimate bounds the error by a factor of its own. What does not move is summed once, so that a model of few parameters
-is small.
+estimate bounds the error by a factor of its own. Constant parts are summed once, so that a model of few parameters is
+small.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ INDEPENDENT = 1e-6
 #: Most full solves of a model, unless told otherwise.
 LIMIT = 400
 
-#: What a stored model begins with; raise it where the layout changes.
+#: Number of the layout at the head of a stored model; raise it where the layout changes.
 FORMAT = 2
 
 
@@ -373,7 +373,7 @@ def _growth(
             first = first or error
             reduced = reduced.counted(*(each.residual for each in solved))
             if progress is not None and first > tolerance:
-                # How much of the way, in orders of magnitude, is behind.
+                # The share of the way, in orders of magnitude, that is behind.
                 share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
                 progress(share)
             done = replace(model, reduced=reduced, tolerance=tolerance, error=float(error),
@@ -419,7 +419,7 @@ def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]
 
 
 def fingerprint(problem: Problem) -> str:
-    """What tells a problem from others: its mesh, its terms and its values."""
+    """A digest of a problem: of its mesh, its terms and its values."""
     found = hashlib.sha256()
     found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
     found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
