@@ -88,7 +88,7 @@ class FormulaModels:
             write_atomic(path, pickle.dumps(self.formula(study, part, 1e-6)))
             if self.made:
                 (Path(self.made) / f"{part.number}-{time.time_ns()}").touch()
-        progress(1.0)
+        progress("model", 1.0)
         return path.read_bytes()
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:

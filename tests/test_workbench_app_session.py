@@ -160,7 +160,7 @@ def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
         True, True, False, False, True, True]
     assert not star.holds(model, near | {RADIUS: 1.502e-3})
     for local, values in ((line, far), (line, near), (star, near), (star, beside)):
-        assert np.abs(local(values).impedance / model(values).impedance - 1.0).max() < model.tolerance
+        assert np.abs(local(values).impedance / model(values).impedance - 1.0).max() < model.relative_error
     assert local_model(model, centre, local_ranges(model, centre), lambda: True) is None
     # First near all numbers, then for the one that moves; then nothing is left to do.
     assert [session.prepare() for _ in range(3)] == [True, True, False]

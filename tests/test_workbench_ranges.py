@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +64,7 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
 
 @pytest.fixture(scope="module")
 def made(chip: Chip) -> RangeModel:
-    return range_model(chip, None, RANGES, registry=Registry(), points=31, tolerance=TOLERANCE, accuracy=COARSE)
+    return range_model(chip, None, RANGES, registry=Registry(), points=31, relative_error=TOLERANCE, accuracy=COARSE)
 
 
 def drawn(model: RangeModel, random: np.random.Generator) -> dict[str, float]:
@@ -147,7 +146,7 @@ def test_a_model_is_kept_and_read_for_its_own_chip_only(made: RangeModel, chip: 
 
 def test_a_model_that_does_not_get_there_says_how_far_it_came(chip: Chip) -> None:
     with pytest.raises(NotCovered, match=r"above the tolerance of 1e-05 %; narrow the ranges") as caught:
-        range_model(chip, None, RANGES, registry=Registry(), points=31, tolerance=1e-7, limit=12, accuracy=COARSE)
+        range_model(chip, None, RANGES, registry=Registry(), points=31, relative_error=1e-7, limit=12, accuracy=COARSE)
     assert caught.value.model.error > 1e-7
     assert caught.value.model().impedance.shape == (31,)
 
@@ -168,15 +167,15 @@ def test_ranges_that_make_no_sense_are_refused(
 def test_progress_never_runs_backwards(chip: Chip) -> None:
     said: list[float] = []
     few = {"sample.thickness": RANGES["sample.thickness"]}
-    show: Callable[[float], None] = said.append
-    range_model(chip, None, few, registry=Registry(), points=31, tolerance=TOLERANCE, accuracy=COARSE, progress=show)
+    range_model(chip, None, few, registry=Registry(), points=31, relative_error=TOLERANCE, accuracy=COARSE,
+                progress=lambda _text, share: said.append(share))
     assert said
     assert said[-1] == 1.0
     assert all(0.0 <= each <= 1.0 for each in said)
 
 
 def test_the_models_on_the_way_end_with_the_same_one(chip: Chip, made: RangeModel) -> None:
-    *before, last = growing_model(chip, None, RANGES, registry=Registry(), points=31, tolerance=TOLERANCE,
+    *before, last = growing_model(chip, None, RANGES, registry=Registry(), points=31, relative_error=TOLERANCE,
                                   accuracy=COARSE)
     assert before[0].error == np.inf
     assert [model.rank for model in before] == sorted({model.rank for model in before})

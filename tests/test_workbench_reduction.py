@@ -461,7 +461,7 @@ def test_a_failed_reduction_survives_the_way_between_processes() -> None:
 
 def test_progress_never_runs_backwards(wide: Problem, operators: FullOperators) -> None:
     seen: list[float] = []
-    reduce(operators, GRID, wide.values, tolerance=TOLERANCE, first=1, progress=seen.append)
+    reduce(operators, GRID, wide.values, tolerance=TOLERANCE, first=1, progress=lambda _text, share: seen.append(share))
     assert seen
     assert seen == sorted(seen)
     assert 0.0 < seen[-1] <= 1.0

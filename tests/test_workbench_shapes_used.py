@@ -94,7 +94,8 @@ def test_a_fit_predicts_it_as_a_mesh_of_that_shape(chip: Chip) -> None:
 
 def test_a_range_model_covers_it(chip: Chip) -> None:
     ranges = {"sidewall.draft": (-0.05, 0.05), "sidewall.thickness": (0.68e-3, 0.76e-3)}
-    model = range_model(chip, None, ranges, registry=Registry(), band=BAND, points=9, tolerance=1e-3, accuracy=COARSE)
+    model = range_model(chip, None, ranges, registry=Registry(), band=BAND, points=9, relative_error=1e-3,
+                        accuracy=COARSE)
     answer = model({"sidewall.draft": DRAFT, "sidewall.thickness": 0.74e-3})
     expected = there(chip.with_dimensions({"sidewall.draft": DRAFT, "sidewall.thickness": 0.74e-3}), model.frequency)
     assert np.abs(answer.impedance / expected - 1.0).max() < 2e-3

@@ -74,7 +74,7 @@ def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     ranges = ranges_of(chip, build(fill(chip, "filled", Registry())), arguments)
     started = time.perf_counter()
     try:
-        model = range_model(chip, "filled", ranges, tolerance=arguments.tolerance, limit=arguments.limit)
+        model = range_model(chip, "filled", ranges, relative_error=arguments.tolerance, limit=arguments.limit)
     except NotCovered as short:
         model = short.model
         print(short)

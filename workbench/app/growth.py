@@ -44,7 +44,7 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
     """
     yield from growing_model(
         wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
-        tolerance=wanted.tolerance, limit=wanted.limit, accuracy=wanted.accuracy)
+        relative_error=wanted.tolerance, limit=wanted.limit, accuracy=wanted.accuracy)
 
 
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:

@@ -107,6 +107,6 @@ def local_model(
         number = high - 0.5 * (high - max(centre[name], high - (high - low) / (count - 1)))
         there = placed(model.problem.values, {**centre, name: float(number)})
         off = np.abs(made.reduced.solve(watched, there).impedance / compact.solve(watched, there).impedance - 1.0)
-        if off.max() > model.tolerance:
+        if off.max() > model.relative_error:
             return None
     return made

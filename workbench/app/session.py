@@ -357,7 +357,7 @@ class Session:
     def _has(self, ranges: Ranges) -> bool:
         """Whether there is a model within the tolerance that holds these ranges."""
         with self._lock:
-            return any(each.error <= each.tolerance and wraps(each.ranges, ranges) for each in self._models)
+            return any(each.error <= each.relative_error and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
         """Make models of `ranges` from at most `limit` full solves, described in words; given up once numbers are
@@ -493,7 +493,7 @@ def _bead(registry: Registry) -> Particle:
 
 def _told(model: RangeModel) -> str:
     rank, solves = f"{model.rank} unknowns", f"{model.reduced.solves} full solves"
-    if model.error <= model.tolerance:
+    if model.error <= model.relative_error:
         return f"model ready: {rank}, off by {100.0 * model.error:.2g} % at worst where {solves} checked it"
     if not np.isfinite(model.error):
         return f"first model: {rank}, right about the middle of the ranges; it grows"

@@ -23,12 +23,13 @@ from workbench.design.cavity import Cavity
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.numbers import ParameterName, placed
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.compact import compacted
 from workbench.reduced.model import ReducedModel, sketched_error
-from workbench.reduced.ranges import Progress, RangeModel, range_keys
+from workbench.reduced.ranges import RangeModel, range_keys
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -106,7 +107,7 @@ class _Sample:
 
 def bases_of(
     made: RangeModel, stated: float | None, places: Sequence[Cavity], *, tolerance: float, by_place: bool, seed: int,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Bases:
     """The bases for what a range model is of, for states at the frequency `stated` (Hz), or at f0.
 
@@ -133,8 +134,7 @@ def bases_of(
             fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each.values).linearised(each.driven),
                                   checked))
             error, pressure_error = _errors(operating, places, checked, fulls)
-            if progress is not None:
-                progress((turn + 1.0) / ROUNDS)
+            progress("figures", (turn + 1.0) / ROUNDS)
             if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
                 break
             columns += pool.map(lambda each: _columns(made, each, names, moves, width), checked)

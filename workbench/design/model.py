@@ -10,7 +10,7 @@ Figures need far less of a range model than its spectra (`workbench.design.bases
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -161,17 +161,17 @@ def design_model(
     """
     check_figures(figures, chip.regions, source=chip.file, field="figures")
     made = range_model(
-        chip, state, ranges, registry=registry, band=band, points=points, tolerance=SWEEP, limit=limit, seed=seed,
-        progress=lambda share: progress("spectra", 0.5 * share), accuracy=accuracy)
+        chip, state, ranges, registry=registry, band=band, points=points, relative_error=SWEEP, limit=limit, seed=seed,
+        progress=lambda text, share: progress(text, 0.5 * share), accuracy=accuracy)
     return of_range_model(
         made, chip, state, figures=figures, operation=operation, registry=registry, relative_error=relative_error,
-        seed=seed, progress=lambda share: progress("figures", 0.5 + 0.5 * share))
+        seed=seed, progress=lambda text, share: progress(text, 0.5 + 0.5 * share))
 
 
 def of_range_model(
     made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
     registry: Registry | None = None, relative_error: float = 1e-3, seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = no_progress,
 ) -> DesignModel:
     """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
 

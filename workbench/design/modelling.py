@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -24,12 +23,12 @@ from workbench.design.scenarios import ScenarioSample
 from workbench.design.variables import Selection, changed, first_name
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.jobs.progress import no_progress
+from workbench.jobs.progress import Progress
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduced
-from workbench.reduced.ranges import NotCovered, Progress
+from workbench.reduced.ranges import NotCovered
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
@@ -49,7 +48,7 @@ DRAWN, DRAWN_WITHIN = 481, 1e-3
 class Solver(Protocol):
     """Models of boxes of chips, and full solves of single chips."""
 
-    def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> Evaluator:
+    def model(self, chip: Chip, ranges: Box, progress: Progress) -> Evaluator:
         """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
 
         Raises:
@@ -68,18 +67,17 @@ class ChipSolver:
     registry: Registry | None
     accuracy: float | Discretisation
 
-    def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> DesignModel:
+    def model(self, chip: Chip, ranges: Box, progress: Progress) -> DesignModel:
         """The model of a box; see :class:`Solver`.
 
         Raises:
             InputError: the goal has figures of fields, and no chip with these lengths has any.
         """
         goal = self.goal
-        told = no_progress if progress is None else lambda _text, share: progress(share)
         made = design_model(
             chip, goal.state, ranges, figures=goal.figures, operation=goal.operation, registry=self.registry,
             band=goal.band, relative_error=goal.search.relative_error, limit=SOLVES, seed=goal.search.seed,
-            progress=told, accuracy=self.accuracy)
+            progress=progress, accuracy=self.accuracy)
         of_field = [name for name in goal.figures if name in OF_FIELD]
         if of_field and made.reason:
             raise InputError(goal.source, "goal", ", ".join(of_field), f"figures of the impedance: {made.reason}")
@@ -171,7 +169,8 @@ def modelled(
         ranges = _with_scenarios(box, chip, scenarios)
         say("model", 0.0)
         try:
-            model = solver.model(chip, ranges, partial(say, "model")) if ranges else Known(solver.full(chip))
+            model = (solver.model(chip, ranges, lambda _text, share: say("model", share)) if ranges
+                     else Known(solver.full(chip)))
         except NotCovered:
             if turn == HALVED:
                 raise

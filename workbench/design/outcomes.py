@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,6 +14,7 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.model import Evaluator
 from workbench.design.uncertainty import Uncertainty
 from workbench.fem.solve import one_thread
+from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers, itself
 
 Real = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Outcomes:
 
 def evaluate(
     evaluator: Evaluator, uncertainty: Uncertainty, points: Real, *, workers: Workers | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = no_progress,
 ) -> Outcomes:
     """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`, by `workers` or by this process."""
     labels, workers = tuple(evaluator.figures), workers or Workers()
@@ -54,8 +55,7 @@ def evaluate(
             (index, partial(_evaluated, uncertainty=uncertainty, points=part)) for index, part in enumerate(parcels)):
         found[index] = done.result()
         finished += len(found[index])
-        if progress is not None:
-            progress(finished / len(points))
+        progress("samples", finished / len(points))
     every = [each for parcel in found for each in parcel]
     values = np.array([[each.figures[label] for label in labels] for each in every]).reshape(len(points), len(labels))
     missing: dict[str, Counter[str]] = {}

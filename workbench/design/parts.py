@@ -17,9 +17,10 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.model import SWEEP, full_evaluation, of_range_model
 from workbench.design.plan import Study
 from workbench.files.writing import write_atomic
+from workbench.jobs.progress import Progress
 from workbench.model.numbers import real_part as part_of
 from workbench.model.problem import fill
-from workbench.reduced.ranges import Progress, Ranges, load_range_model, range_model
+from workbench.reduced.ranges import Ranges, load_range_model, range_model
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -104,14 +105,14 @@ class ReducedModels:
             rough = path.with_suffix(".npz")
             if not rough.exists():
                 range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
-                            points=FREQUENCIES, tolerance=SWEEP, limit=study.limit, accuracy=study.accuracy,
-                            progress=lambda share: progress(0.5 * share)).save(rough)
+                            points=FREQUENCIES, relative_error=SWEEP, limit=study.limit, accuracy=study.accuracy,
+                            progress=lambda text, share: progress(text, 0.5 * share)).save(rough)
             kept = load_range_model(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
             made = of_range_model(
                 kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
-                relative_error=study.relative_error, progress=lambda share: progress(0.5 + 0.5 * share))
+                relative_error=study.relative_error, progress=lambda text, share: progress(text, 0.5 + 0.5 * share))
             write_atomic(path, pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL))
-        progress(1.0)
+        progress("model", 1.0)
         return path.read_bytes()
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,11 +24,11 @@ from workbench.design.model import Evaluator
 from workbench.design.outcomes import evaluate
 from workbench.design.uncertainty import Uncertainty
 from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers
 from workbench.model.numbers import Number
 
 Real = NDArray[np.float64]
-Progress = Callable[[float], None]
 
 #: Change of a number whose uncertainty nobody states, relative: the unit of its influence.
 SHARE = 0.01
@@ -122,7 +122,7 @@ def check_sobol(uncertainty: Uncertainty, count: int, *, source: str, field: str
 
 def sobol(
     evaluator: Evaluator, uncertainty: Uncertainty, count: int, *, seed: int = 0, workers: Workers | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> SobolIndices:
     """Sobol indices by `count` (2 + inputs) evaluations (Saltelli 2010), with bootstrap intervals.
 
@@ -139,11 +139,10 @@ def sobol(
         # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
         before = sum(map(len, seen))
 
-        def share(part: float) -> None:
-            if progress is not None:
-                progress((before + part * points.shape[1]) / whole)
+        def show(_text: str, share: float) -> None:
+            progress("Sobol indices", (before + share * points.shape[1]) / whole)
 
-        seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=share).values)
+        seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=show).values)
         return seen[-1].T
 
     generator = np.random.default_rng(seed)

@@ -110,7 +110,8 @@ class _Run:
         left = np.flatnonzero(~np.isin(part.rows, self.kept.rows().index))
         if left.size:
             self.show(part.label, "model", 0.0)
-            model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
+            model = models.model(self.plan, part, self.kept.model(part),
+                                 lambda _text, share: self.show(part.label, "model", share))
             self.workers.share(pickle.loads, model)
             self._work(self._point_tasks(part, left))
         self.show(part.label, "points", 1.0)

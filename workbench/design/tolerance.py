@@ -289,7 +289,7 @@ def _sampled(
         if samples:
             drawn = known.draw(samples, found.seed)
             outcomes = evaluate(model, known, drawn.points, workers=workers,
-                                progress=lambda done: say("samples", done))
+                                progress=say)
             at = [found.sensitivities.names.index(name) for name in known.names]
             linear = LinearModel(known.means, nominal,
                                  {label: slopes[at] for label, slopes in found.sensitivities.gradient.items()})
@@ -298,5 +298,5 @@ def _sampled(
                 linear, seed=found.seed))
         if sobol_points:
             found = replace(found, sobol=sobol(model, known, sobol_points, seed=found.seed, workers=workers,
-                                               progress=lambda done: say("Sobol indices", done)))
+                                               progress=say))
     return found

@@ -28,9 +28,9 @@ from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
 from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
+from workbench.jobs.progress import Progress
 from workbench.jobs.workers import Processes, Workers
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.search.continuation import Progress
 
 Complex = NDArray[np.complex128]
 

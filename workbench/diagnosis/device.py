@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,6 +27,7 @@ from workbench.fitting.parameter import (
     ranges_of_dimensions,
     stretchable,
 )
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
@@ -127,7 +128,7 @@ class Model:
 
 def device_model(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
-    progress: Callable[[float], None] = lambda _share: None, widths: Mapping[str, float] | None = None,
+    progress: Progress = no_progress, widths: Mapping[str, float] | None = None,
 ) -> Model:
     """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
 
@@ -143,7 +144,7 @@ def device_model(
               for state in campaign.states}
     requested = {state.name: _lines(state, neutral[state.name], widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
-        progress(number / len(campaign.states))
+        progress("meshes", number / len(campaign.states))
         # States of one chip have one mesh.
         alike = [requested[each.name] for each in campaign.states if each.device.section == state.device.section]
         skins = {region: skin for own, _ in alike for region, skin in own.items()}

@@ -40,9 +40,9 @@ from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.tasks import SearchTask
 from workbench.fitting.search import NO_END
+from workbench.jobs.progress import Progress
 from workbench.jobs.workers import Workers
 from workbench.model.discretisation import Discretisation
-from workbench.search.continuation import Progress
 
 Real = NDArray[np.float64]
 

@@ -38,10 +38,10 @@ from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
 from workbench.fitting.uncertainty import Direction, HeldOutBand, Noise, ParameterEstimate
+from workbench.jobs.progress import Progress
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
-from workbench.search.continuation import Progress
 from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workbench.fitting.search import NO_END, SCHEDULE, FitDescent, FitSearch, Optimum
 from workbench.fitting.uncertainty import Noise
-from workbench.search.continuation import Progress
+from workbench.jobs.progress import Progress
 from workbench.search.multistart import StartPoint, Trial, multistart
 from workbench.search.optimum import is_same_optimum, separation
 

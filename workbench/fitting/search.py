@@ -15,9 +15,10 @@ from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
 from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import FitRecording, Objective, Residual
+from workbench.jobs.progress import Progress
 from workbench.reduced.at_point import NotEnriched
 from workbench.search.constrained import Inequality, Minimum, interior, minimise
-from workbench.search.continuation import ContinuationStage, Progress, Schedule, TemperedMinimum, tempered
+from workbench.search.continuation import ContinuationStage, Schedule, TemperedMinimum, tempered
 from workbench.search.optimum import standard_errors
 
 Real = NDArray[np.float64]

@@ -6,7 +6,7 @@ the basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from workbench.fem.dense import chebyshev
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import NotConverged, Solution, System, one_thread
+from workbench.jobs.progress import Progress, no_progress
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.growth import DEPTH, NO_TANGENTS, TIGHTER, Sample, TrialBasis, grow, sample, watched
@@ -50,7 +51,7 @@ def reduce(
     limit: int = 40,
     depth: int = DEPTH,
     confirmed: bool = True,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = no_progress,
 ) -> ReducedModel:
     """The model of :func:`reduced`, whose arguments these are."""
     return reduced(operators, frequencies, values, tolerance=tolerance, tangents=tangents, start=start, first=first,
@@ -71,7 +72,7 @@ def reduced(
     confirmed: bool = True,
     worst: float | None = None,
     skip_singular: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[ReducedModel, Solution]:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
 
@@ -96,8 +97,7 @@ def reduced(
     model, spent, smallest, tried = start, 0, smallest_part(tolerance), set[float]()
 
     def report() -> None:
-        if progress is not None:
-            progress(1.0 - 0.7**spent)  # most models are done after six or seven solves
+        progress("reduced model", 1.0 - 0.7**spent)  # most models are done after six or seven solves
 
     with one_thread():
         system = System(operators, values)

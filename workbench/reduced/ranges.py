@@ -20,7 +20,7 @@ import os
 import time
 import zipfile
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -39,6 +39,7 @@ from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import System, one_thread
 from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed, real_part
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Ranges = Mapping[str, tuple[float, float]]
-Progress = Callable[[float], None]
 
 #: Frequencies at which errors are estimated in a round, points of the ranges looked at, and of these solved.
 WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
@@ -93,7 +93,7 @@ class NotCovered(RuntimeError):
     def __init__(self, model: RangeModel) -> None:
         super().__init__(f"the range model is off by {100.0 * model.error:.2g} % where it was checked last, after "
                          f"{model.reduced.solves} full solves and at rank {model.rank}, above the tolerance of "
-                         f"{100.0 * model.tolerance:.2g} %; narrow the ranges, or allow more solves")
+                         f"{100.0 * model.relative_error:.2g} %; narrow the ranges, or allow more solves")
         self.model = model
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -151,7 +151,7 @@ class Response(Shown):
 class RangeModel(Brief):
     """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
 
-    ``frequency`` (n,) Hz is where it answers; ``tolerance`` the relative error it was made for, ``error`` the largest
+    ``frequency`` (n,) Hz is where it answers; ``relative_error`` that it was made for, ``error`` the largest
     found by full solves where it was checked last (where estimates were largest), ``seconds`` what it took.
     """
 
@@ -159,7 +159,7 @@ class RangeModel(Brief):
     ranges: Ranges
     frequency: Real
     reduced: ReducedModel
-    tolerance: float
+    relative_error: float
     error: float
     seconds: float
 
@@ -190,18 +190,21 @@ class RangeModel(Brief):
         return compacted(self.reduced, range_keys(self.ranges), self.problem.values)
 
     def enriched(
-        self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
+        self, relative_error: float | None = None, *, limit: int = LIMIT, seed: int = 1,
+        progress: Progress = no_progress,
     ) -> RangeModel:
         """A model of the same ranges that has been checked at further points, and is larger where that asks for it.
 
         Raises:
             NotCovered: `limit` further solves were not enough.
         """
-        return _last(_growth(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress))
+        wanted = self.relative_error if relative_error is None else relative_error
+        return _last(_growth(self, wanted, limit, seed, progress))
 
     def save(self, path: Path | str) -> None:
         """Keep the model in a file, to be read by :func:`load_range_model` with the chip it is of."""
-        content = {"format": FORMAT, "ranges": dict(self.ranges), "tolerance": self.tolerance, "error": self.error,
+        content = {"format": FORMAT, "ranges": dict(self.ranges), "relative_error": self.relative_error,
+                   "error": self.error,
                    "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
                    "problem": fingerprint(self.problem)}
         with replacing(Path(path)) as written:
@@ -218,10 +221,10 @@ def range_model(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     points: int = 241,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     limit: int = LIMIT,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
@@ -231,7 +234,7 @@ def range_model(
         ranges: lowest and highest number (SI) by name: ``substrate.thickness``, ``cavity.radius``,
             ``<material>.shear_modulus``, ``<material>.shear_modulus.loss``. Of radii that coincide one is named.
         points: frequencies of the band at which it answers.
-        tolerance: relative error of the impedance, against the full solution on the same mesh.
+        relative_error: of the impedance, against the full solution on the same mesh.
         limit: most full solves.
         seed: of the points that it is enriched and checked at.
         accuracy: of the mesh, see `discretisation`.
@@ -240,8 +243,8 @@ def range_model(
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
         NotCovered: `limit` solves were not enough; the error carries the model.
     """
-    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
-    return _last(_growth(model, tolerance, limit, seed, progress))
+    model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
+    return _last(_growth(model, relative_error, limit, seed, progress))
 
 
 def growing_model(
@@ -252,7 +255,7 @@ def growing_model(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     points: int = 241,
-    tolerance: float = 1e-3,
+    relative_error: float = 1e-3,
     limit: int = LIMIT,
     seed: int = 0,
     accuracy: float | Discretisation = ACCURACY,
@@ -265,9 +268,9 @@ def growing_model(
     Raises:
         InputError, NotCovered: as of :func:`range_model`.
     """
-    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
+    model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
     yield model
-    yield from _growth(model, tolerance, limit, seed, None)
+    yield from _growth(model, relative_error, limit, seed, no_progress)
 
 
 def _first(
@@ -349,7 +352,7 @@ def _last(models: Iterator[RangeModel]) -> RangeModel:
 
 
 def _growth(
-    model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None
+    model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress
 ) -> Iterator[RangeModel]:
     """The models that `model` becomes round by round, the last within `tolerance`."""
     started = time.perf_counter()
@@ -372,15 +375,14 @@ def _growth(
             error = max(abs(seen[k][2] / each.charge - 1.0) for k, each in zip(chosen, solved, strict=True))
             first = first or error
             reduced = reduced.counted(*(each.residual for each in solved))
-            if progress is not None and first > tolerance:
+            if first > tolerance:
                 # The share of the way, in orders of magnitude, that is behind.
                 share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
-                progress(share)
-            done = replace(model, reduced=reduced, tolerance=tolerance, error=float(error),
+                progress("spectra", share)
+            done = replace(model, reduced=reduced, relative_error=tolerance, error=float(error),
                            seconds=model.seconds + time.perf_counter() - started)
             if error <= tolerance:
-                if progress is not None:
-                    progress(1.0)
+                progress("spectra", 1.0)
                 yield done
                 return
             if spent >= limit:
@@ -461,4 +463,5 @@ def load_range_model(
     inner = ReducedOperators(operators.integrals, operators.coefficients, stored["matrices"], operators.forms)
     reduced = ReducedModel(operators, inner, stored["basis"], stored["sizes"], stored["test"], stored["sketch"],
                            energy, content["solves"], content["residual"])
-    return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])
+    return RangeModel(problem, ranges, frequency, reduced, content["relative_error"], content["error"],
+                      content["seconds"])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.jobs.progress import Progress, no_progress
 from workbench.search.constrained import Minimum, Residuals
 
 Real = NDArray[np.float64]
@@ -63,10 +64,6 @@ class TemperedMinimum(Minimum[Residuals]):
     costs: Mapping[int, float]
     ended: bool
 
-
-#: Told what is being done, and which share of it is done.
-Progress = Callable[[str, float], None]
-
 #: Solves one stage from a point (p,).
 SolveStage = Callable[[ContinuationStage, Real], Minimum[Residuals]]
 
@@ -79,7 +76,7 @@ def tempered(
     first: int = 0,
     rival: TemperedMinimum[Residuals] | None = None,
     worse: float = np.inf,
-    progress: Progress = lambda _text, _share: None,
+    progress: Progress = no_progress,
 ) -> TemperedMinimum[Residuals]:
     """Solve the stages of `schedule` in their order, each from the end of the last one, the first from `begin` (p,).
 

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.search.continuation import Progress
+from workbench.jobs.progress import Progress
 
 Real = NDArray[np.float64]
 End = TypeVar("End")

@@ -245,7 +245,7 @@ def simulate(
         lap("spectrum")
     else:
         model, solution = reduced(operators, frequencies, problem.values, tolerance=relative_error, skip_singular=True,
-                                  progress=lambda fraction: progress("reduced model", fraction))
+                                  progress=progress)
         solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
         lap("spectrum")
