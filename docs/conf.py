@@ -71,6 +71,10 @@ sphinx_gallery_conf = {
 
 
 def _generate(_app: object) -> None:
+    # Pages of examples that have another name by now belong to no table of contents.
+    for page in (HERE / "gallery").glob("[0-9]*"):
+        if not (HERE.parent / "examples" / f"{page.name.split('.')[0]}.py").exists():
+            page.unlink()
     made = HERE / "_generated"
     made.mkdir(exist_ok=True)
     (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
