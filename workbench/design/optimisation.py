@@ -26,7 +26,7 @@ from workbench.design.modelling import ChipSolver, Solver, scenario_sample
 from workbench.design.nonlinear_programme import ProgrammePoint
 from workbench.design.variables import selections
 from workbench.jobs.progress import Progress, by_part, no_progress
-from workbench.jobs.workers import begin_workers
+from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.results.brief import Brief
 
@@ -87,6 +87,9 @@ def optimise(
         NotCovered: no model of the lengths is good enough, however narrow.
     """
     started = time.perf_counter()
+    if jobs is None:
+        jobs = 1 if executor is None else goal.search.starts
+    check_jobs(jobs, source="optimise")
     solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
     spread = scenario_sample(goal, registry)
     report = by_part(progress)
@@ -96,7 +99,7 @@ def optimise(
     keep = None if keep is None else _improving(keep)
     choices = tuple(selections(goal.variables, with_stock=not goal.search.evolutionary))
     searched = []
-    with begin_workers(jobs or (1 if executor is None else goal.search.starts), executor) as workers:
+    with begin_workers(jobs, executor) as workers:
         for index, selection in enumerate(choices):
             row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
             searched.append(search_choice(goal, selection, solver, scenarios=spread, workers=workers,
