@@ -202,7 +202,7 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     path = Path(path)
     root = FileTable.read(path).only(("goal", "variables", "thermal", "robust", "search"))
     head = root.table("goal").only(("chip", "state", "drive", "maximise", "minimise", "constraints", "band"))
-    chip = read_chip(path.parent / head.text("chip", expected="the path of a chip file, relative to this file"))
+    chip = read_chip(head.path("chip", path.parent, expected="the path of a chip file"))
     said = {key: value for key, value in head.content.items() if key != "chip"}
     tables: dict[str, Any] = {key: root.content.get(key) for key in ("thermal", "robust", "search")}
     return Goal(chip, root.content.get("variables", {}), **said, **tables, registry=registry, source=root.source)

@@ -176,7 +176,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
     table = FileTable.read(path).only(("study", "thermal", "sample", "vary"))
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS, renamed={"tolerance": "relative_error"})
-    chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
+    chip = read_chip(head.path("chip", path.parent, expected="the path of a chip file"))
     head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]')
     table.required("vary", "a table [vary] of what varies")
     said = {key: value for key, value in head.content.items() if key not in ("chip", "name")}

@@ -115,7 +115,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     if not isinstance(chip, Chip):
         chip = read_chip(_path(table, "chip", folder))
     if "state" in table:
-        state = chip.state(table.text("state", expected="a state, as text"))
+        state = chip.state(table.choice("state", (each.name for each in chip.states)))
     elif len(chip.states) == 1:
         state = chip.states[0]
     else:

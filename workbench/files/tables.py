@@ -190,6 +190,18 @@ class FileTable:
         """One of the names in `known`."""
         return choose(self.content.get(key, default), known, source=self.source, field=self.at(key))
 
+    def path(self, key: str, folder: Path, *, expected: str) -> Path:
+        """The file that a key names, relative to `folder`.
+
+        Raises:
+            InputError: there is no such file; those of its folder are named that are called nearly so.
+        """
+        found = folder / self.text(key, expected=expected)
+        if not found.is_file():
+            beside = [each.name for each in found.parent.iterdir()] if found.parent.is_dir() else []
+            raise self.error(key, f"{expected} that is there", nearest_names(found.name, beside))
+        return found
+
     def table(self, key: str, *, expected: str = "a table") -> FileTable:
         """The table under a key; an empty one if there is no such key."""
         return FileTable.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
