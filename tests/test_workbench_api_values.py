@@ -136,7 +136,9 @@ def test_a_campaign_from_values_is_that_of_a_file(chip: Chip, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("state", "more", "message"), [
-    ({"recording": 3.0}, {}, "Campaign: states.empty.recording: .*a spectrum"),
+    ({"recording": 3.0}, {}, "Campaign: states.empty.recording: received 3.0; .*a Spectrum or the path"),
+    ({"recording": None}, {}, "Campaign: states.empty.recording: .*a Spectrum or the path of its recording"),
+    ({"chip": 3}, {}, "Campaign: states.empty.chip: received 3; expected a Chip or the path of its file"),
     ({"chip": "nothing.toml"}, {}, "nothing.toml"),
     ({"nois": 0.01}, {}, "Campaign: states.empty.nois: .*noise"),
     ({"noise": 0.5}, {}, "Campaign: states.empty.noise: .*cleaner"),
@@ -180,3 +182,12 @@ def test_a_received_value_that_is_long_is_cut() -> None:
     assert f"received {'x' * 198!r};" in short
     assert len(long) < 270
     assert re.search(r"\.\.\. \(\d+ characters\); expected two$", long)
+
+
+@pytest.mark.parametrize(("path", "message"), [
+    (None, r"write_spectrum: path: received None; expected the path of a file to write"),
+    (EXAMPLES, r"write_spectrum: path: received '.*examples'; expected the path of a file .*spectrum\.csv.*a folder"),
+])
+def test_a_spectrum_is_written_to_a_file_only(path: object, message: str) -> None:
+    with pytest.raises(wb.InputError, match=message):
+        wb.write_spectrum(recording(), path)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from workbench.files.errors import InputError
 from workbench.files.writing import write_atomic
 from workbench.results.notebook import Shown, Summary
 
@@ -304,8 +305,19 @@ def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
     by :func:`workbench.readers.read_recording`.
+
+    Raises:
+        InputError: `path` is no path, or that of a folder.
+        TypeError: there is no spectrum.
+        OSError: the file cannot be written.
     """
-    spectrum, path = spectrum_of(spectrum), Path(path)
+    spectrum = spectrum_of(spectrum)
+    if not isinstance(path, str | Path) or not str(path):
+        raise InputError("write_spectrum", "path", path, 'the path of a file to write, such as "spectrum.csv"')
+    path = Path(path)
+    if path.is_dir():
+        raise InputError("write_spectrum", "path", str(path), f'the path of a file to write, such as '
+                         f'"{path / "spectrum.csv"}"; this is a folder')
     origin = spectrum.origin
     lines = [f"# kind: {origin.kind}"]
     for key, text in (("source", origin.source), ("sha256", origin.sha256), ("instrument", origin.instrument),
