@@ -284,6 +284,20 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
+def turns_anticlockwise(spectrum: Spectrum) -> bool:
+    """Whether a spectrum is that of a phase of the wrong sign: its reflection coefficient turns anticlockwise.
+
+    Twice the area it sweeps about the origin is then clearly positive, against Foster's reactance theorem.
+
+    A capacitor or inductor sweeps at least 2 |X| Z0 / (X^2 + Z0^2), about one, times ln(f2 / f1) in the other sense;
+    a quarter of that is demanded, so that a resistor (which sweeps nothing but noise) is left alone.
+    """
+    z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
+    reflection = (spectrum.impedance - z0) / (spectrum.impedance + z0)
+    swept = float(np.sum((np.conj(reflection[:-1]) * reflection[1:]).imag))
+    return swept > 0.25 * float(np.log(spectrum.frequency[-1] / spectrum.frequency[0]))
+
+
 def scatter(spectrum: Spectrum) -> float:
     """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
 
