@@ -181,6 +181,7 @@ def test_a_received_value_that_is_long_is_cut() -> None:
                    for value in ("x" * 198, np.linspace(0.0, 1.0, 900)))
     assert f"received {'x' * 198!r};" in short
     assert len(long) < 270
+    assert "\n" not in long
     assert re.search(r"\.\.\. \(\d+ characters\); expected two$", long)
 
 

@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import workbench as wb
-from workbench.results.circuit import BranchCircuit
+from workbench.results.circuit import BranchCircuit, check_passive_spectrum
+from workbench.results.spectrum import turns_anticlockwise
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 FREQUENCY = np.linspace(0.9e6, 1.2e6, 601)
@@ -222,6 +223,14 @@ def test_places_are_read_with_their_units() -> None:
     plain = wb.fit_circuit(circuit(*THREE), near=np.float32(1.02e6), band=np.array([1e6, 1.05e6]))
     read = wb.fit_circuit(circuit(*THREE), near="1.02 MHz", band=("1000 kHz", "1.05 MHz"))
     assert read.resonances == plain.resonances
+    # The ends of a band are within it, though the points nearest to them lie inside.
+    wb.fit_circuit(circuit(THREE[1]), near="1000.1 kHz", band=("1000.1 kHz", "1.05 MHz"))
+
+
+def test_a_narrow_band_of_a_lossy_device_is_not_taken_for_a_conjugated_one() -> None:
+    recording = wb.read_recording(REFERENCE / "chip_empty.csv").spectrum.restricted(0.985e6, 0.99e6)
+    assert turns_anticlockwise(recording)
+    check_passive_spectrum(recording, source="fit_circuit")
 
 
 def test_several_resonances_fitted_by_one_are_a_finding() -> None:

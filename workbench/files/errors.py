@@ -34,8 +34,8 @@ class InputError(ValueError):
 
 
 def _shown(value: object) -> str:
-    """A received value for a message, its end cut off if it is long."""
-    text = repr(value)
+    """A received value for a message, in one line, its end cut off if it is long."""
+    text = " ".join(line.strip() for line in repr(value).splitlines())
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}... ({len(text)} characters)"
 
 

@@ -42,10 +42,12 @@ def frequency_within(near: float | str, spectrum: Spectrum, *, source: str) -> f
     """The frequency (Hz) that `near` states as a number in Hz or with its unit.
 
     Raises:
-        InputError: no frequency, or one beyond the points of the spectrum.
+        InputError: no frequency, or one beyond the points of the spectrum by more than a step.
     """
     found, low, high = _hertz(near, source, "near"), spectrum.frequency[0], spectrum.frequency[-1]
-    if not low <= found <= high:
+    first, last = np.diff(spectrum.frequency)[[0, -1]]
+    # The end of a band seldom is a point.
+    if not low - first <= found <= high + last:
         raise InputError(source, "near", near, f"a frequency within the band, {low:.9g} to {high:.9g} Hz")
     return found
 

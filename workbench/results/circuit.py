@@ -186,7 +186,7 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
 
     Raises:
         InputError: a tenth of the points has a resistance below zero by more than an offset, or the reflection
-            coefficient turns the wrong way.
+            coefficient turns the wrong way and most points are inductive.
     """
     margin = NEGATIVE if spectrum.uncertainty is None else NEGATIVE + 3.0 * spectrum.uncertainty / spectrum.magnitude
     share = spectrum.impedance.real / spectrum.magnitude + margin
@@ -196,7 +196,8 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
             source, "spectrum",
             f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {spectrum.frequency[worst]:.9g} Hz",
             "that of a passive device, Re Z > 0; if its sign was recorded wrongly, read it with correction=\"negate\"")
-    if turns_anticlockwise(spectrum):
+    # A narrow band of a lossy device may turn so too, but where it is mostly capacitive the sign is right.
+    if turns_anticlockwise(spectrum) and np.median(spectrum.impedance.imag) > 0.0:
         raise InputError(
             source, "spectrum", "a reflection coefficient that turns anticlockwise with rising frequency",
             "one that turns clockwise, as that of any passive device; if the sign of its phase was recorded wrongly, "
