@@ -11,6 +11,7 @@ import ast
 import sys
 from collections.abc import Iterator, Mapping
 from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +34,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "jobs": ("workbench.jobs",),
     "bench": ("workbench.bench",),
     "search": ("workbench.search",),
-    "fitting": ("workbench.fitting", "workbench.reproduction"),
+    "fitting, reproduction": ("workbench.fitting", "workbench.reproduction"),
     "render": ("workbench.render",),
     "diagnosis": ("workbench.diagnosis",),
     "design": ("workbench.design",),
@@ -114,29 +115,73 @@ def levels(graph: Mapping[str, set[str]]) -> dict[str, int]:
     return found
 
 
+#: Passes over the rows, down and up, after which nothing changes places any more.
+SWEEPS = 24
+
+#: A box, or a place that an arrow goes through on its way past a row: whose it is, where it leads, and the row.
+Node = tuple[str, str, int]
+
+
+def arranged(graph: Mapping[str, set[str]], level: Mapping[str, int]) -> tuple[dict[Node, float], list[list[Node]]]:
+    """Where every node stands along its row, from 0 to 1, and the nodes that every arrow goes through.
+
+    Rows are put in the order of the means of what each node is joined with (Sugiyama, Tagawa and Toda 1981), so that
+    few arrows cross; an arrow has a place of its own in every row that it passes, so that it goes through no box.
+    """
+    routes = [[(group, "", level[group]),
+               *((group, other, height) for height in range(level[group] - 1, level[other], -1)),
+               (other, "", level[other])] for group, others in graph.items() for other in sorted(others)]
+    rows: dict[int, list[Node]] = {}
+    for node in dict.fromkeys([*((group, "", level[group]) for group in graph), *(n for r in routes for n in r)]):
+        rows.setdefault(node[2], []).append(node)
+    joined: dict[Node, list[Node]] = {node: [] for row in rows.values() for node in row}
+    for route in routes:
+        for upper, lower in pairwise(route):
+            joined[upper].append(lower)
+            joined[lower].append(upper)
+
+    def spread() -> dict[Node, float]:
+        return {node: (k + 0.5) / len(row) for row in rows.values() for k, node in enumerate(row)}
+
+    for sweep in range(SWEEPS):
+        step = 1 if sweep % 2 else -1
+        for height in sorted(rows)[::step]:
+            place = spread()
+            means = {node: [place[other] for other in joined[node] if other[2] == height - step]
+                     for node in rows[height]}
+            rows[height].sort(key=lambda node: sum(means[node]) / len(means[node]) if means[node] else place[node])
+    return spread(), routes
+
+
 def draw(path: Path) -> Path:
     """Write the picture; an arrow points from who imports to what is imported."""
     from matplotlib.figure import Figure
+    from matplotlib.patches import FancyArrowPatch
+    from matplotlib.path import Path as Curve
 
-    graph = arrows()
+    graph = reduced(arrows())
     level = levels(graph)
-    rows: dict[int, list[str]] = {}
-    for group in GROUPS:
-        rows.setdefault(level[group], []).append(group)
-    place = {group: ((2.0 * k + 1.0) / (2.0 * len(row)) * 10.0, 1.25 * height)
-             for height, row in rows.items() for k, group in enumerate(row)}
-    figure = Figure(figsize=(9.0, 1.05 * len(rows) + 0.6), dpi=110)
+    place, routes = arranged(graph, level)
+    width, height, half = 12.0, 1.3, 0.24
+    rows = max(level.values()) + 1
+    figure = Figure(figsize=(9.5, 1.05 * rows + 0.3), dpi=110)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    for group, others in reduced(graph).items():
-        for other in others:
-            (x, y), (u, v) = place[group], place[other]
-            axes.annotate("", (u, v + 0.26), (x, y - 0.26), arrowprops={"arrowstyle": "-|>", "color": "#6b7a8c",
-                                                                        "linewidth": 1.0})
-    for group, (x, y) in place.items():
-        axes.text(x, y, group, ha="center", va="center", fontsize=10.5,
-                  bbox={"boxstyle": "round,pad=0.5", "facecolor": "#e8f1fa", "edgecolor": "#0072b2"})
-    axes.set_xlim(0.0, 10.0)
-    axes.set_ylim(-0.6, 1.25 * max(rows) + 0.6)
+    for route in routes:
+        points = [(width * place[node], height * node[2]) for node in route]
+        # Past a row an arrow is upright, between rows it bends.
+        ends = [points[0][1] - half, *(each[1] for each in points[1:-1]), points[-1][1] + half]
+        along, codes = [(points[0][0], ends[0])], [Curve.MOVETO]
+        for ((x, _), (u, _)), (high, low) in zip(pairwise(points), pairwise(ends), strict=True):
+            middle = 0.5 * (high + low)
+            along += [(x, middle), (u, middle), (u, low)]
+            codes += [Curve.CURVE4] * 3
+        axes.add_patch(FancyArrowPatch(path=Curve(along, codes), arrowstyle="-|>", mutation_scale=11.0,
+                                       color="#6b7a8c", linewidth=1.0, shrinkA=0.0, shrinkB=0.0))
+    for group, row in level.items():
+        axes.text(width * place[group, "", row], height * row, group, ha="center", va="center", fontsize=10.5,
+                  bbox={"boxstyle": "round,pad=0.45", "facecolor": "#e8f1fa", "edgecolor": "#0072b2"})
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(-0.6, height * (rows - 1) + 0.6)
     axes.axis("off")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

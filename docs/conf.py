@@ -22,6 +22,7 @@ import api  # noqa: E402
 import architecture  # noqa: E402
 import chip_keys  # noqa: E402
 import file_keys  # noqa: E402
+import glossary_page  # noqa: E402
 import material_table  # noqa: E402
 
 _PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -31,7 +32,7 @@ author = copyright = "the authors of the workbench"
 version = release = _PROJECT["version"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["_generated", "**/sg_execution_times.rst"]
+exclude_patterns = ["_generated", "glossary_words.md", "**/sg_execution_times.rst"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 # A file's name such as setup.py is no link.
@@ -70,6 +71,10 @@ sphinx_gallery_conf = {
 
 
 def _generate(_app: object) -> None:
+    # Pages of examples that have another name by now belong to no table of contents.
+    for page in (HERE / "gallery").glob("[0-9]*"):
+        if not (HERE.parent / "examples" / f"{page.name.split('.')[0]}.py").exists():
+            page.unlink()
     made = HERE / "_generated"
     made.mkdir(exist_ok=True)
     (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
@@ -77,6 +82,7 @@ def _generate(_app: object) -> None:
     (made / "campaign_keys.md").write_text(file_keys.campaign_page(), encoding="utf-8")
     (made / "material_table.md").write_text(material_table.page(), encoding="utf-8")
     (made / "plausible.md").write_text(chip_keys.plausible_page(), encoding="utf-8")
+    (made / "glossary.md").write_text(glossary_page.page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
 

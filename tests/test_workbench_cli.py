@@ -176,3 +176,15 @@ def test_a_script_without_a_guard_may_call_the_command(tmp_path: Path) -> None:
     # Nothing that another library has to say to programmers.
     assert "Warning" not in done.stderr
     assert (tmp_path / "out" / "cad.png").is_file()
+
+
+@pytest.mark.parametrize("command", [["study"], ["design"], ["diagnose"], ["tolerance"], ["fit", "batch"]])
+def test_the_former_name_of_jobs_is_answered_with_the_new_one(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([*command, "file.toml", "--workers", "2", "-o", "out"])
+    assert caught.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"usage: workbench {' '.join(command)} ")
+    assert "--workers is --jobs now" in said

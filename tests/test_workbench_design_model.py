@@ -199,6 +199,12 @@ def test_bad_questions(chip: Chip, model: DesignModel) -> None:
         model({"cavity.height": 3e-3})
 
 
+def test_a_band_without_a_resonance_is_named(chip: Chip) -> None:
+    with pytest.raises(InputError, match="band: received '5 kHz to 10 kHz'; expected a band in which the chip"):
+        design_model(chip, "filled", {"substrate.thickness": (0.8e-3, 0.9e-3)}, figures=("f0",), band=(5e3, 10e3),
+                     accuracy=COARSE)
+
+
 def test_a_model_that_full_solves_refute_is_refused(model: DesignModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("workbench.design.bases.ROUNDS", 1)
     with pytest.raises(NotConfirmed, match="narrow the ranges") as refusal:

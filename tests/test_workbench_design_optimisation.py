@@ -550,6 +550,7 @@ def test_a_goal_is_read(tmp_path: Path) -> None:
     ('all = "12 K/W"', 'all = "-12 K/W"', "thermal.all", "zero or more"),
     ('all = "12 K/W"\ncavity = "3 K/W"', "", "thermal", "that \"heating\" needs"),
     ('quantile = "10 %"', 'quantile = "1 %"', "robust.quantile", "one of 32 samples"),
+    ("starts = 4", 'tolerance = "1 %"', "search.tolerance", "renamed to 'relative_error'"),
     ("starts = 4", "starts = 0", "search.starts", "a whole number from 1 to 1000"),
     ("starts = 4", 'reach = "120 %"', "search.reach", "between 0 and 100 %"),
     ('maximise = "e_ac"', 'minimise = "focus_time"', "goal.state", "a state that names a particle"),

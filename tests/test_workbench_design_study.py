@@ -200,6 +200,16 @@ def test_a_folder_of_another_study_is_refused(tmp_path: Path, old: str, new: str
     assert same(found, run(other, tmp_path / "new"))
 
 
+def test_a_study_of_an_older_version_is_refused_as_one(tmp_path: Path) -> None:
+    plan = read(tmp_path, SOBOL)
+    run(plan, tmp_path / "out")
+    begun = tmp_path / "out" / "begun.json"
+    begun.write_text(begun.read_text().replace("study.relative_error", "study.tolerance"))
+    with pytest.raises(InputError, match=r"begun by an older version.*--overwrite"):
+        run(plan, tmp_path / "out")
+    run(plan, tmp_path / "out", overwrite=True)
+
+
 def test_a_material_that_has_changed_is_another_study(tmp_path: Path) -> None:
     folder = tmp_path / "materials" / "pmma"
     folder.mkdir(parents=True)
@@ -229,8 +239,10 @@ def test_two_studies_at_once_in_one_folder_are_refused(tmp_path: Path) -> None:
 
 def test_jobs_below_one_and_a_file_in_the_way(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL)
-    with pytest.raises(InputError, match="one or more"):
-        study(plan, tmp_path / "out", jobs=0)
+    for jobs in (0, 1.5, "2", True):
+        with pytest.raises(InputError, match=f"jobs: received {jobs!r}; expected a whole number, one or more"):
+            study(plan, tmp_path / "out", jobs=jobs)
+    assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="a file is in the way"):
         run(plan, tmp_path / "study.toml")
 

@@ -101,6 +101,7 @@ def test_a_campaign_says_what_is_known_in_si(folder: Path) -> None:
     ('state = "filled"', 'state = "full"', "state", "filled"),
     ('state = "filled"\n', "", "states.filled.state", "empty, filled"),
     ('drive = "2 Vpp"', 'drive = "2 m"', "states.disc.drive", "peak-to-peak"),
+    ("[known]\n", '[model]\naccuracy = "1 %"\n[known]\n', "model.accuracy", "renamed to 'inhomogeneity'"),
     ('drive = "2 Vpp"', 'voltage = "2 Vpp"', "states.disc.voltage", "drive"),
     ('noise = "0.5 %"', 'noise = "-1 %"', "states.filled.noise", "above zero"),
     ('noise = "0.5 %"', 'noise = "0.5"', "states.filled.noise", 'such as "0.2 %": "0.5 %" or "50 %"?'),

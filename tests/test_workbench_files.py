@@ -139,6 +139,7 @@ def test_a_default_stands_in_for_what_a_table_lacks(table: FileTable) -> None:
     (lambda t: t.tables("rows", expected="tables")[1].text("name"), "rows[1].name", 2, "a text"),
     (lambda t: t.required("nam", "a name"), "nam", None, "a name; did you mean 'name'"),
     (lambda t: t.table("inner").only(("name", "king")), "inner.kind", "kind", "one of king, name; did you mean 'king'"),
+    (lambda t: t.only(("size",), renamed={"name": "size"}), "name", "name", "one of size; 'name' was renamed to"),
     (lambda t: FileTable.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
 ])
 def test_a_mistake_in_a_table_is_named(
@@ -219,6 +220,19 @@ def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> No
     assert sorted(path.name for path in folder.iterdir()) == [MARK, "spectrum.csv"]
     settle_folder(folder, complete=True)
     assert [path.name for path in folder.iterdir()] == ["spectrum.csv"]
+
+
+def test_a_refused_run_leaves_the_mark_of_an_interrupted_one(tmp_path: Path) -> None:
+    interrupted = f"{2**22 + 1} is the process that writes the results in this folder.\nThey are not complete.\n"
+    (tmp_path / MARK).write_text(interrupted)
+    for _ in range(2):
+        writable_folder(tmp_path, source="x", field="y")
+        assert (tmp_path / MARK).read_text().startswith(f"{os.getpid()} is")
+        settle_folder(tmp_path, complete=False)
+        assert (tmp_path / MARK).read_text() == interrupted
+    writable_folder(tmp_path, source="x", field="y")
+    settle_folder(tmp_path, complete=True)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("text", "value"), [("0.5 %", 0.005), ("0.5%", 0.005), ("5 ppm", 5e-6), ("0.005 1", 0.005),

@@ -102,13 +102,6 @@ def test_headings_say_what_they_mean_and_a_legend_lists_it(tmp_path: Path) -> No
         assert f"<dt>{name}</dt><dd>{html.escape(DEFINITIONS[name])}</dd>" in text
 
 
-def test_the_glossary_has_the_words_of_the_reports() -> None:
-    page = (Path(__file__).parent.parent / "docs" / "glossary.md").read_text(encoding="utf-8")
-    entries = dict(entry.split("\n: ", 1) for entry in page.split("\n\n")[1:])
-    for name, words in DEFINITIONS.items():
-        assert " ".join(entries[name].split()) == words, name
-
-
 def test_every_column_of_figures_and_traps_is_defined() -> None:
     for heading in (*MODEL_COLUMNS[1:], "barrier (fJ)", "lift / weight", "above the floor (mm)", "focusing time (s)"):
         assert definition(heading), heading

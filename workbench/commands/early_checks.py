@@ -41,8 +41,10 @@ def check_early(options: argparse.Namespace) -> None:
         if isinstance(text, str):
             parse_quantity(text, dimension, source="command line", field=field)
     jobs = getattr(options, "jobs", None)
-    if jobs is not None and jobs < 1:
-        raise InputError("command line", "--jobs", jobs, "one or more")
+    if jobs is not None:
+        from workbench.jobs.workers import check_jobs
+
+        check_jobs(jobs, source="command line", field="--jobs")
     chip, recording = getattr(options, "chip", None), getattr(options, "recording", None)
     if isinstance(chip, Path) and isinstance(recording, Path):
         check_order(recording, chip)

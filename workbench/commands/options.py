@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NoReturn
 
 from workbench import __version__
 
@@ -62,9 +63,18 @@ def _with_accuracy(sub: argparse.ArgumentParser) -> None:
                      .replace("%", "%%"))
 
 
-def _with_jobs(sub: argparse.ArgumentParser, pieces: str) -> None:
-    sub.add_argument("--jobs", type=int, metavar="N",
-                     help=f"{pieces} at a time, in as many processes (default: one for each core)")
+def _with_jobs(sub: argparse.ArgumentParser, pieces: str, default: str = "one for each core") -> None:
+    sub.add_argument("--jobs", type=int, metavar="N", help=f"{pieces} at a time (default: {default})")
+    sub.add_argument("--workers", action=_Renamed, nargs="?", default=argparse.SUPPRESS, const="--jobs",
+                     help=argparse.SUPPRESS)
+
+
+class _Renamed(argparse.Action):
+    """An option that is refused with its new name, ``const``."""
+
+    def __call__(self, parser: argparse.ArgumentParser, _namespace: object, _values: object,
+                 option_string: str | None = None) -> NoReturn:
+        parser.error(f"{option_string} is {self.const} now")
 
 
 def _with_recording(sub: argparse.ArgumentParser) -> None:
@@ -101,8 +111,7 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
 def _study(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
                      "workbench/design/plan.py")
-    sub.add_argument("--jobs", type=int, metavar="N",
-                     help="pieces of work at a time (default: one for each core, or for each thread of the cluster)")
+    _with_jobs(sub, "pieces of work", "one for each core, or for each thread of the cluster")
     sub.add_argument("--dask", metavar="ADDRESS",
                      help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
                      "processes of this machine)")

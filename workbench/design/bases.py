@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from geometry.plausible import as_text
 from workbench.design.cavity import Cavity
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
+from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.numbers import ParameterName, placed
 from workbench.physics.term import Values
@@ -117,6 +119,7 @@ def bases_of(
         by_place: whether the operators are to know where losses are.
 
     Raises:
+        InputError: nothing resonates in the band.
         NotConfirmed: full solves find larger errors after all rounds.
     """
     names = tuple(ParameterName.parse(name).key for name in made.ranges)
@@ -189,6 +192,9 @@ def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_
     """The operators of the rough spectrum: as few vectors as leave :data:`ROUGH` of |Z| at points not used for them."""
     states = np.concatenate([each.sweep.states / np.sqrt(np.abs(each.sweep.charge)) for each in taken], axis=1)
     whole = model.truncated(states, 0.0)
+    if not whole.sizes.size:
+        low, high = (as_text(float(end), "frequency") for end in taken[0].sweep.frequency[[0, -1]])
+        raise InputError("design model", "band", f"{low} to {high}", "a band in which the chip resonates")
     smallest = FINER * float(whole.sizes.max())
     while True:
         found = whole.coarser(smallest**2).operators

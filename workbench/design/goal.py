@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.chip import Chip, read_chip
-from geometry.plausible import check_length
+from geometry.plausible import check_band, check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
@@ -168,7 +168,7 @@ class Goal:
         self.__dict__.update(
             source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
             operation=Operation(driven, thermal_resistance=read_thermal(root, chip.regions, ())),
-            objectives=_objectives(head, chip), band=_band(head),
+            objectives=_objectives(head, chip), band=_band(head, chip),
             robust=_robust(root.table("robust")) if "robust" in root else None)
         _check(self)
 
@@ -239,13 +239,15 @@ def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:
     return tuple(found)
 
 
-def _band(head: FileTable) -> tuple[float, float] | None:
+def _band(head: FileTable, chip: Chip) -> tuple[float, float] | None:
     if "band" not in head:
         return None
     low, high = head.quantities("band", "frequency", numbered=True,
                                 expected='two frequencies, such as ["0.9 MHz", "1.1 MHz"]')
     if not 0.0 < low < high:
         raise head.error("band", "two frequencies above zero, the lower one first")
+    if "band" not in chip.unusual:
+        check_band(chip.layers, (low, high), head.source, head.at("band"))
     return low, high
 
 
@@ -329,7 +331,7 @@ def _robust(table: FileTable) -> Robust:
 
 
 def _search(table: FileTable) -> SearchOptions:
-    table.only(SearchOptions.__dataclass_fields__)
+    table.only(SearchOptions.__dataclass_fields__, renamed={"tolerance": "relative_error"})
     reach, error = (table.quantity(key, "share", getattr(SearchOptions, key)) for key in ("reach", "relative_error"))
     if not 0.0 < reach < 1.0:
         raise table.error("reach", "a share of a length between 0 and 100 %")

@@ -27,7 +27,7 @@ from workbench.design.nonlinear_programme import ProgrammePoint
 from workbench.design.variables import selections
 from workbench.files.errors import expect
 from workbench.jobs.progress import Progress, by_part, no_progress
-from workbench.jobs.workers import begin_workers
+from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.results.brief import Brief
 
@@ -89,6 +89,9 @@ def optimise(
     """
     expect(goal, Goal, reader="read_goal", source="optimise", field="goal")
     started = time.perf_counter()
+    if jobs is None:
+        jobs = 1 if executor is None else goal.search.starts
+    check_jobs(jobs, source="optimise")
     solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
     spread = scenario_sample(goal, registry)
     report = by_part(progress)
@@ -98,7 +101,7 @@ def optimise(
     keep = None if keep is None else _improving(keep)
     choices = tuple(selections(goal.variables, with_stock=not goal.search.evolutionary))
     searched = []
-    with begin_workers(jobs or (1 if executor is None else goal.search.starts), executor) as workers:
+    with begin_workers(jobs, executor) as workers:
         for index, selection in enumerate(choices):
             row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
             searched.append(search_choice(goal, selection, solver, scenarios=spread, workers=workers,

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
+from geometry.plausible import check_band
 from materials.registry import Registry, user_registry
 from workbench.design.axes import read_axes
 from workbench.design.evaluation import Operation
@@ -175,7 +176,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
     path = Path(path)
     table = FileTable.read(path).only(("study", "thermal", "sample", "vary"))
     table.required("study", "a table [study] with the chip and the figures")
-    head = table.table("study", expected="a table [study]").only(_KEYS)
+    head = table.table("study", expected="a table [study]").only(_KEYS, renamed={"tolerance": "relative_error"})
     chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
     head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]')
     table.required("vary", "a table [vary] of what varies")
@@ -205,6 +206,8 @@ def _band(head: FileTable, chip: Chip) -> tuple[float, float]:
     band = head.quantities("band", "frequency", expected="two frequencies with their units")
     if not 0.0 < band[0] < band[1]:
         raise head.error("band", "a lower and a higher frequency")
+    if "band" not in chip.unusual:
+        check_band(chip.layers, band, head.source, head.at("band"))
     return band
 
 

@@ -29,10 +29,10 @@ from workbench.design.plan import Study
 from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
-from workbench.files.errors import InputError, expect
+from workbench.files.errors import expect
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
-from workbench.jobs.workers import Task, Workers, begin_workers
+from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -73,8 +73,7 @@ def study(
     """
     expect(plan, Study, reader="read_study", source="study", field="plan")
     jobs = os.cpu_count() or 1 if jobs is None else jobs
-    if jobs < 1:
-        raise InputError("study", "jobs", jobs, "one or more")
+    check_jobs(jobs, source="study")
     models, show = models or ReducedModels(), by_part(progress)
     parts = parts_of(plan)
     with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:

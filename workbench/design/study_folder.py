@@ -154,6 +154,10 @@ def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: b
 
 
 def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
+    # The program names these settings, so another name is another version's.
+    if {key for key in stored if key.startswith("study.")} != {key for key in requested if key.startswith("study.")}:
+        raise InputError(study.file, "folder", str(path), "a study of this version; the one in there was begun by an "
+                         "older version, and cannot go on: choose another folder, or begin anew (--overwrite)")
     for key in {**requested, **stored}:
         if stored.get(key) != requested.get(key):
             raise InputError(study.file, key, requested.get(key, "nothing"),

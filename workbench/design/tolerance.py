@@ -40,7 +40,7 @@ from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress
-from workbench.jobs.workers import begin_workers
+from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
 from workbench.model.problem import fill
@@ -175,6 +175,7 @@ def tolerance(
     """
     expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
     started = time.perf_counter()
+    check_jobs(jobs, source="tolerance")
     say = progress or (lambda text, done: None)
     device = fill(chip, state, registry)
     known = uncertainty if isinstance(uncertainty, Uncertainty) else stated_uncertainty(

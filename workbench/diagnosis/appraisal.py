@@ -30,7 +30,7 @@ from workbench.files.errors import expect
 from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress
-from workbench.jobs.workers import Processes, Workers
+from workbench.jobs.workers import Processes, Workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 
 Complex = NDArray[np.complex128]
@@ -51,15 +51,17 @@ def diagnose(
         minutes: after which nothing new is begun; None for no limit.
 
     Raises:
-        InputError: the states cannot be modelled as they are stated, or recordings seem to be exchanged between them.
+        InputError: fewer than one job, states that cannot be modelled as they are stated, or recordings that seem to
+            be exchanged between them.
         MeshError: a mesh could not be made.
         NotEnriched: the device as it is stated cannot be predicted.
-        ValueError: fewer than one job, or no time.
+        ValueError: no time.
         RuntimeError: a process that shares the work ended before it was done.
     """
+    check_jobs(jobs, source="diagnose")
     expect(campaign, Campaign, reader="read_campaign", source="diagnose", field="campaign")
-    if jobs < 1 or (minutes is not None and not minutes > 0.0):
-        raise ValueError(f"{jobs} jobs, minutes {minutes}: expected one job at least, and more than no time")
+    if minutes is not None and not minutes > 0.0:
+        raise ValueError(f"minutes {minutes}: expected more than no time")
     with ExitStack() as stack:
         workers = Workers() if jobs == 1 else stack.enter_context(closing(Processes(jobs - 1)))
         if jobs > 1:

@@ -164,7 +164,8 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
     table = FileTable.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
     head = table.table("campaign", expected="a table [campaign]").only(("name", "materials", "known"))
     fixed = table.table("fixed", expected="a table [fixed]").only(("names",))
-    model = table.table("model", expected="a table [model]").only(("inhomogeneity",))
+    model = table.table("model", expected="a table [model]").only(("inhomogeneity",), renamed={
+        "accuracy": "inhomogeneity"})
     return Campaign(
         table.content.get("states", {}), known=table.content.get("known"), between=table.content.get("between"),
         fixed=fixed.content.get("names", ()), inhomogeneity=model.content.get("inhomogeneity"),

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
+from types import MappingProxyType
 from typing import Any
 
 from workbench.files.errors import InputError, choose, nearest_names
@@ -94,8 +95,8 @@ class FileTable:
         """The error that states the `expected` content in place of the value of `key`."""
         return InputError(self.source, self.at(key), self.content.get(key), expected, nearest)
 
-    def only(self, keys: Iterable[str]) -> FileTable:
-        """The table itself, checked that all its keys are in `keys`.
+    def only(self, keys: Iterable[str], *, renamed: Mapping[str, str] = MappingProxyType({})) -> FileTable:
+        """The table itself, checked that all its keys are in `keys`; `renamed` are former names of some of them.
 
         Raises:
             InputError: the first key that is not.
@@ -103,8 +104,9 @@ class FileTable:
         known = sorted(keys)
         for key in self.content:
             if key not in known:
-                raise InputError(self.source, self.at(key), key, "one of " + ", ".join(known),
-                                 nearest_names(key, known))
+                hint = f"; {key!r} was renamed to {renamed[key]!r}" if key in renamed else ""
+                raise InputError(self.source, self.at(key), key, "one of " + ", ".join(known) + hint,
+                                 () if hint else nearest_names(key, known))
         return self
 
     def required(self, key: str, expected: str) -> Any:

@@ -21,6 +21,9 @@ UNFINISHED = ".unfinished-"
 #: The file in a folder of results that marks them as incomplete.
 MARK = "INCOMPLETE.txt"
 
+#: Lines of a mark that are of the process at work; those of an interrupted one before it follow.
+OWN_LINES = 2
+
 #: Remedies for errors of the system.
 REMEDIES = {
     errno.ENOSPC: "the disk is full: make room, or choose a folder on another disk",
@@ -116,7 +119,8 @@ def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -
     if _marked_by(mark) is None:
         try:
             write_atomic(mark, f"{os.getpid()} is the process that writes the results in this folder.\n"
-                         "They are not complete: it is still at work, or it was interrupted or failed.\n")
+                         "They are not complete: it is still at work, or it was interrupted or failed.\n"
+                         + "".join(_lines(mark)[:OWN_LINES]))
         except OSError as error:
             raise InputError(source, field, str(path), f"a folder that can be written to; {remedy(error)}") from None
     return path
@@ -124,15 +128,23 @@ def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -
 
 def settle_folder(path: Path, *, complete: bool) -> None:
     """Remove the mark that :func:`writable_folder` set in a folder, if the results are `complete` or nothing was
-    written since."""
+    written since; then an earlier process' mark is there again."""
     mark = path / MARK
     if _marked_by(mark) != os.getpid():
         return
     began = mark.stat().st_mtime
     written = [each for each in path.iterdir() if each != mark and not each.name.startswith(".")
                and each.stat().st_mtime >= began]
-    if complete or not written:
+    earlier = _lines(mark)[OWN_LINES:]
+    if not complete and not written and earlier:
+        write_atomic(mark, "".join(earlier))
+    elif complete or not written:
         mark.unlink(missing_ok=True)
+
+
+def _lines(mark: Path) -> list[str]:
+    """The lines of a mark; none where there is no mark."""
+    return mark.read_text(encoding="utf-8").splitlines(keepends=True) if mark.is_file() else []
 
 
 def _marked_by(mark: Path) -> int | None:

@@ -17,11 +17,13 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import closing, contextmanager
 from functools import partial
 from itertools import islice
+from numbers import Integral
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
 
+from workbench.files.errors import InputError
 from workbench.jobs.process import WorkerEnded, WorkerProcess
 
 K = TypeVar("K")
@@ -175,6 +177,16 @@ class ExecutorWorkers(Workers):
         if self._make is None:
             return self._executor.submit(task)
         return self._executor.submit(_with_made, self._make, task)
+
+
+def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
+    """Check that a number of tasks at a time is a whole one of at least one.
+
+    Raises:
+        InputError: it is not.
+    """
+    if isinstance(jobs, bool) or not isinstance(jobs, Integral) or jobs < 1:
+        raise InputError(source, field, jobs, "a whole number, one or more")
 
 
 @contextmanager

@@ -1,18 +1,16 @@
 """Meanings of the numbers in the reports, in one sentence each: shown on their headings and listed below their tables.
 
-The glossary of the documentation has the same words (a test compares them).
+The glossary of the documentation is made from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from workbench.results.merit import MEANINGS
+
 DEFINITIONS = {
-    "f0": "frequency of the smallest |Z|: the resonance.",
-    "Z_min": "the smallest |Z|, at f0.",
-    "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2.",
-    "kt": "thickness coupling factor from f0 and the frequency of the largest |Z| above it (IEEE Std 176); empty where "
-          "that lies outside the band.",
+    **MEANINGS,
     "fitted f": "series resonance of a branch of the circuit that is fitted to all resonances of the band together, "
                 "with its standard error. The smallest |Z| lies elsewhere where neighbours move it.",
     "fitted Q": "quality factor of that branch, w L1 / R1.",

@@ -24,6 +24,15 @@ Interpolant = Callable[..., NDArray[np.complex128]]
 #: points find narrower resonances.
 _FINE = 32
 
+#: Meanings of the figures by the heading that reports give them; the glossary has them too.
+MEANINGS = {
+    "f0": "frequency of the smallest |Z|: the resonance.",
+    "Z_min": "the smallest |Z|, at f0.",
+    "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2.",
+    "kt": "thickness coupling factor from f0 and the frequency of the largest |Z| above it (IEEE Std 176); empty where "
+          "that lies outside the band.",
+}
+
 
 class NoResonance(ValueError):
     """No resonance with both its half-power points inside the band.
