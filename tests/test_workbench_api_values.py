@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -150,7 +151,9 @@ def test_a_campaign_from_values_is_that_of_a_file(chip: Chip, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("state", "more", "message"), [
-    ({"recording": 3.0}, {}, "Campaign: states.empty.recording: .*a spectrum"),
+    ({"recording": 3.0}, {}, "Campaign: states.empty.recording: received 3.0; .*a Spectrum or the path"),
+    ({"recording": None}, {}, "Campaign: states.empty.recording: .*a Spectrum or the path of its recording"),
+    ({"chip": 3}, {}, "Campaign: states.empty.chip: received 3; expected a Chip or the path of its file"),
     ({"chip": "nothing.toml"}, {}, "nothing.toml"),
     ({"nois": 0.01}, {}, "Campaign: states.empty.nois: .*noise"),
     ({"noise": 0.5}, {}, "Campaign: states.empty.noise: .*cleaner"),
@@ -164,3 +167,43 @@ def test_a_mistake_in_a_campaign_is_said(chip: Chip, state: dict, more: dict, me
     with pytest.raises(wb.InputError, match=message):
         wb.Campaign({"empty": {"chip": chip, "state": "empty", "recording": recording(), "noise": 0.005} | state},
                     **more)
+
+
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda: wb.Goal("chip.toml", {}), r"Goal: chip: .*'chip.toml'.* a Chip; read one with wb.read_chip \(.* a str\)"),
+    (lambda: wb.Study("chip.toml", {}, figures=["f0"]), "Study: chip: .*a Chip; read one with wb.read_chip"),
+    (lambda: wb.simulate("chip.toml"), "simulate: chip: .*a Chip; read one with wb.read_chip"),
+    (lambda: wb.snapshot(Path("chip.toml"), None, 1e6), "snapshot: chip: .*a Chip; "),
+    (lambda: wb.tolerance("chip.toml", None), "tolerance: chip: .*a Chip; read one with wb.read_chip"),
+    (lambda: wb.study("study.toml", "folder"), "study: plan: .*a Study; read one with wb.read_study"),
+    (lambda: wb.optimise("goal.toml"), "optimise: goal: .*a Goal; read one with wb.read_goal"),
+    (lambda: wb.diagnose("campaign.toml"), "diagnose: campaign: .*a Campaign; read one with wb.read_campaign"),
+])
+def test_the_path_of_a_file_in_place_of_its_value_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(wb.InputError, match=message):
+        call()
+
+
+def test_a_value_of_another_kind_is_refused_in_few_words(chip: Chip, tmp_path: Path) -> None:
+    with pytest.raises(wb.InputError, match=r"a Study; read one with wb.read_study \(this is a Chip\)") as caught:
+        wb.study(chip, tmp_path / "study")
+    assert len(str(caught.value)) < 350
+    assert not (tmp_path / "study").exists()
+
+
+def test_a_received_value_that_is_long_is_cut() -> None:
+    short, long = (str(wb.InputError("Goal", "band", value, "two"))
+                   for value in ("x" * 198, np.linspace(0.0, 1.0, 900)))
+    assert f"received {'x' * 198!r};" in short
+    assert len(long) < 270
+    assert "\n" not in long
+    assert re.search(r"\.\.\. \(\d+ characters\); expected two$", long)
+
+
+@pytest.mark.parametrize(("path", "message"), [
+    (None, r"write_spectrum: path: received None; expected the path of a file to write"),
+    (EXAMPLES, r"write_spectrum: path: received '.*examples'; expected the path of a file .*spectrum\.csv.*a folder"),
+])
+def test_a_spectrum_is_written_to_a_file_only(path: object, message: str) -> None:
+    with pytest.raises(wb.InputError, match=message):
+        wb.write_spectrum(recording(), path)

@@ -312,7 +312,7 @@ class FakeModel:
 
     error: float = 1.0
     rank: int = 1
-    tolerance: float = 1e-3
+    relative_error: float = 1e-3
     solves: int = 1
 
     @property
@@ -524,7 +524,7 @@ def test_a_goal_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "field", "expected"), [
-    ('"chip.toml"', '"chop.toml"', "file", "an existing file"),
+    ('"chip.toml"', '"chop.toml"', "goal.chip", "did you mean 'chip.toml'"),
     ('"e_ac"', '"e_av"', "goal.maximise", "did you mean 'e_ac'"),
     ('maximise = "e_ac"', 'maximise = "trap_offset"', "goal.maximise", "above zero; bound trap_offset"),
     ('maximise = "e_ac"', "", "goal", "two figures give a Pareto front"),

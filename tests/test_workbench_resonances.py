@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import workbench as wb
-from workbench.results.circuit import BranchCircuit
+from workbench.results.circuit import BranchCircuit, check_passive_spectrum
+from workbench.results.spectrum import turns_anticlockwise
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 FREQUENCY = np.linspace(0.9e6, 1.2e6, 601)
@@ -177,9 +179,12 @@ def few() -> wb.Spectrum:
     (circuit(), {}, "no resonance stands out of the conductance from 900000 to 1200000 Hz"),
     (circuit(THREE[1]), {"band": (1.1e6, 1.2e6)}, "no resonance stands out"),
     (circuit(THREE[1]), {"band": (1.3e6, 1.4e6)}, "holds 0 points"),
-    (wb.Spectrum(FREQUENCY, -circuit(THREE[1]).impedance), {}, r'Re Z = -.* not the spectrum of a passive .*"negate"'),
+    (wb.Spectrum(FREQUENCY, -circuit(THREE[1]).impedance), {}, r'Re Z = -.* that of a passive .*"negate"'),
     (few(), {}, "points do not determine"),
-    (circuit(THREE[1]), {"count": 0}, "count 0 must be from 1"),
+    (circuit(THREE[1]), {"count": 0}, "count: received 0; expected a whole number from 1 to"),
+    (circuit(THREE[1]), {"count": "two"}, "count: received 'two'; expected a whole number from 1 to"),
+    (circuit(THREE[1]), {"count": 1.5}, "count: received 1.5; expected a whole number"),
+    (circuit(THREE[1]), {"band": 1e6}, "fit_resonances: band: received 1000000.0; expected two frequencies"),
     (circuit(THREE[1]), {"count": 3}, "3 resonances were asked for, 1 can be told apart"),
 ])
 def test_what_cannot_be_fitted_is_said(spectrum: wb.Spectrum, more: dict[str, Any], message: str) -> None:
@@ -189,11 +194,55 @@ def test_what_cannot_be_fitted_is_said(spectrum: wb.Spectrum, more: dict[str, An
 
 @pytest.mark.parametrize(("spectrum", "message"), [
     (circuit(), "edge of the band"),
-    (wb.Spectrum(FREQUENCY, -circuit(THREE[1]).impedance), "not the spectrum of a passive"),
+    (wb.Spectrum(FREQUENCY, -circuit(THREE[1]).impedance), "that of a passive device"),
+    (wb.Spectrum(FREQUENCY, np.conj(circuit(THREE[1]).impedance)), '"conjugate"'),
+    (wb.Spectrum(FREQUENCY, 1e300 * circuit(THREE[1]).impedance), "fit_circuit: spectrum: .*ohm.*is the unit right"),
 ])
 def test_what_one_branch_cannot_be_fitted_to_is_said(spectrum: wb.Spectrum, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         wb.fit_circuit(spectrum)
+
+
+@pytest.mark.parametrize(("more", "message"), [
+    ({"near": 5e6}, "fit_circuit: near: received 5000000.0; .* within the band, 900000 to 1200000 Hz"),
+    ({"near": 1.0}, "near: received 1.0; expected a frequency within"),
+    ({"near": math.nan}, "near: received nan; expected a finite number"),
+    ({"near": "1 mm"}, "near: received '1 mm'; expected a frequency in one of"),
+    ({"near": 1.1e6, "band": (1e6, 1.05e6)}, "within the band, 1000000 to 1050000 Hz"),
+    ({"band": (1.05e6, 1e6)}, "band: received .*; expected the lower frequency first"),
+    ({"band": 1e6}, "band: received 1000000.0; expected two frequencies"),
+    ({"band": "1 MHz"}, "band: received '1 MHz'; expected two frequencies"),
+    ({"band": (1e6, None)}, "band: received None; expected a frequency"),
+])
+def test_a_place_that_is_not_of_the_spectrum_is_said(more: dict[str, Any], message: str) -> None:
+    with pytest.raises(wb.InputError, match=message):
+        wb.fit_circuit(circuit(THREE[1]), **more)
+
+
+def test_places_are_read_with_their_units() -> None:
+    plain = wb.fit_circuit(circuit(*THREE), near=np.float32(1.02e6), band=np.array([1e6, 1.05e6]))
+    read = wb.fit_circuit(circuit(*THREE), near="1.02 MHz", band=("1000 kHz", "1.05 MHz"))
+    assert read.resonances == plain.resonances
+    # The ends of a band are within it, though the points nearest to them lie inside.
+    wb.fit_circuit(circuit(THREE[1]), near="1000.1 kHz", band=("1000.1 kHz", "1.05 MHz"))
+
+
+def test_a_narrow_band_of_a_lossy_device_is_not_taken_for_a_conjugated_one() -> None:
+    recording = wb.read_recording(REFERENCE / "chip_empty.csv").spectrum.restricted(0.985e6, 0.99e6)
+    assert turns_anticlockwise(recording)
+    check_passive_spectrum(recording, source="fit_circuit")
+
+
+def test_several_resonances_fitted_by_one_are_a_finding() -> None:
+    pair = circuit((0.98e6, 200.0, 0.2), (1.08e6, 200.0, 0.2))
+    (finding,) = wb.fit_circuit(pair).findings
+    assert re.search(r"leaves \d+ % of Z \(rms\), more than 3 %.*fit_resonances.*reversed sign", finding)
+    assert not wb.fit_circuit(circuit(THREE[1])).findings
+
+
+@pytest.mark.parametrize("noise", [0.06, 0.01])
+def test_noise_that_is_stated_is_no_finding(noise: float) -> None:
+    assert not wb.fit_circuit(noisy(circuit(THREE[1]), noise, 1)).findings
 
 
 # ---- spectra of discs and chips

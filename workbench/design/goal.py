@@ -31,7 +31,7 @@ from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import InputError, choose, expect
 from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
 from workbench.model.drive import Drive, read_drive
@@ -147,6 +147,7 @@ class Goal:
         Raises:
             InputError: the values do not describe a goal.
         """
+        expect(chip, Chip, reader="read_chip", source=source, field="chip")
         root = FileTable.made(source, {
             "goal": {"maximise": maximise, "minimise": minimise, "constraints": constraints, "state": state,
                      "drive": drive, "band": band},

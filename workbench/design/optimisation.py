@@ -25,6 +25,7 @@ from workbench.design.goal import Goal
 from workbench.design.modelling import ChipSolver, Solver, scenario_sample
 from workbench.design.nonlinear_programme import ProgrammePoint
 from workbench.design.variables import selections
+from workbench.files.errors import expect
 from workbench.jobs.progress import Progress, by_part, no_progress
 from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -86,6 +87,7 @@ def optimise(
         InputError: something in the chip, its materials or the goal.
         NotCovered: no model of the lengths is good enough, however narrow.
     """
+    expect(goal, Goal, reader="read_goal", source="optimise", field="goal")
     started = time.perf_counter()
     if jobs is None:
         jobs = 1 if executor is None else goal.search.starts

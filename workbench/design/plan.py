@@ -44,7 +44,7 @@ from workbench.design.figures import check_figures
 from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MaterialChoice, Variable, VariedNumber
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import InputError, choose, expect
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
 from workbench.model.discretisation import ACCURACY, discretisation
@@ -117,6 +117,7 @@ class Study:
         Raises:
             InputError: the values do not describe a study.
         """
+        expect(chip, Chip, reader="read_chip", source=source, field="chip")
         table = FileTable.made(source, {
             "study": {"state": state, "states": states, "figures": figures, "drive": drive, "frequency": frequency,
                       "band": band, "relative_error": relative_error, "accuracy": accuracy, "limit": limit,

@@ -29,6 +29,7 @@ from workbench.design.plan import Study
 from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
+from workbench.files.errors import expect
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
 from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
@@ -70,6 +71,7 @@ def study(
         NotCovered: a range model needs more full solves than the study allows.
         RuntimeError: a point could not be worked out, or a worker ended.
     """
+    expect(plan, Study, reader="read_study", source="study", field="plan")
     jobs = os.cpu_count() or 1 if jobs is None else jobs
     check_jobs(jobs, source="study")
     models, show = models or ReducedModels(), by_part(progress)

@@ -38,7 +38,7 @@ from workbench.design.sensitivity import (
 )
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress
 from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -173,6 +173,7 @@ def tolerance(
             figure that is required of it.
         NotCovered: no model could be made over what is uncertain.
     """
+    expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
     started = time.perf_counter()
     check_jobs(jobs, source="tolerance")
     say = progress or (lambda text, done: None)

@@ -26,6 +26,7 @@ from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Remainder, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
+from workbench.files.errors import expect
 from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress
@@ -58,6 +59,7 @@ def diagnose(
         RuntimeError: a process that shares the work ended before it was done.
     """
     check_jobs(jobs, source="diagnose")
+    expect(campaign, Campaign, reader="read_campaign", source="diagnose", field="campaign")
     if minutes is not None and not minutes > 0.0:
         raise ValueError(f"minutes {minutes}: expected more than no time")
     with ExitStack() as stack:

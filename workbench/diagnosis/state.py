@@ -16,6 +16,7 @@ from geometry.names import CAVITY, TRANSDUCER
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
 from workbench.files.errors import InputError
+from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
 from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
@@ -113,7 +114,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     table.only(STATE_KEYS)
     chip = table.content.get("chip")
     if not isinstance(chip, Chip):
-        chip = read_chip(_path(table, "chip", folder))
+        chip = read_chip(folder / table.text("chip", expected=_expected(table, "a Chip", "file")))
     if "state" in table:
         state = chip.state(table.choice("state", (each.name for each in chip.states)))
     elif len(chip.states) == 1:
@@ -152,14 +153,18 @@ def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str]:
         try:
             return spectrum_of(given), table.at("recording")
         except TypeError:
-            raise table.error("recording", "the path of a recording, a spectrum, or what has one") from None
-    path = _path(table, "recording", folder)
-    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
+            raise table.error("recording", _expected(table, "a Spectrum", "recording")) from None
+    path = folder / table.text("recording", expected=_expected(table, "a Spectrum", "recording"))
+    columns = None
+    if "columns" in table:
+        columns = read_column_map(folder / table.text("columns", expected="the path of a column map"))
     return read_recording(path, columns=columns).spectrum, str(path)
 
 
-def _path(table: FileTable, key: str, folder: Path) -> Path:
-    return folder / table.text(key, expected=f"a {key}, as text")
+def _expected(table: FileTable, value: str, file: str) -> str:
+    """The words for a value of a state or the path of its file; a campaign's file can state only the path."""
+    path = f"the path of its {file}"
+    return f"{value} or {path}" if isinstance(table.source, ProgramSource) else path
 
 
 def _band(table: FileTable) -> tuple[float, float]:

@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+#: Characters of a received value that a message shows. Doubled, an array fills the lines that say what is expected.
+SHOWN_CHARACTERS = 200
+
 
 @dataclass
 class InputError(ValueError):
@@ -24,10 +27,27 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         hint = f"; did you mean {' or '.join(repr(n) for n in self.nearest)}?" if self.nearest else ""
-        return f"{self.source}: {self.field}: received {self.value!r}; expected {self.expected}{hint}"
+        return f"{self.source}: {self.field}: received {_shown(self.value)}; expected {self.expected}{hint}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (InputError, (self.source, self.field, self.value, self.expected, self.nearest))
+
+
+def _shown(value: object) -> str:
+    """A received value for a message, in one line, its end cut off if it is long."""
+    text = " ".join(line.strip() for line in repr(value).splitlines())
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}... ({len(text)} characters)"
+
+
+def expect(value: object, kind: type, *, reader: str, source: str, field: str) -> None:
+    """Refuse a value that is not of a `kind`; `reader` is the public function that makes one from a file.
+
+    Raises:
+        InputError: it is of another kind, such as the path of a file.
+    """
+    if not isinstance(value, kind):
+        raise InputError(source, field, value, f"a {kind.__name__}; read one with wb.{reader} (this is a "
+                         f"{type(value).__name__})")
 
 
 def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[str, ...]:

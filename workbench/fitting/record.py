@@ -31,15 +31,15 @@ from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.model.numbers import LOSS, ParameterName, placed
 from workbench.reduced.at_point import reduce
 from workbench.reproduction.fits import PaperFit
+from workbench.results.circuit import LARGE_RESIDUAL
 from workbench.results.comparison import compare
 from workbench.results.merit import NoResonance, figures
 from workbench.results.spectrum import Origin, Spectrum
 
 #: A fit that leaves more than this many times the noise that a recording states has not explained it; nor has one that
-#: leaves more than this rms of |ln(Z_fit / Z_measured)| where none is stated. Real discs leave 1.2 to 1.5 %;
-#: other optima, or other devices, several per cent. (The published fits of Acevedo-Espinosa et al. (RP-UEIS) leave
-#: a mean error of |Z| of 22 to 26 %.)
-LARGE_RATIO, LARGE_RESIDUAL = NOISY, 0.03
+#: leaves more than an rms of |ln(Z_fit / Z_measured)| of LARGE_RESIDUAL where none is stated. (The published fits of
+#: Acevedo-Espinosa et al. (RP-UEIS) leave a mean error of |Z| of 22 to 26 %.)
+LARGE_RATIO = NOISY
 
 #: Remedy for a fit that leaves too much.
 TRY_DIAGNOSE = "another optimum or missing physics: try `workbench diagnose`"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.results.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum, turns_anticlockwise
 
 #: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet: 20 Hz;
 #: 25 milliohm to 40 megohm), with a margin. A value outside is probably in a misread unit.
@@ -70,7 +70,7 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
             findings.append(Finding("active", f"Re Z < 0 at {active} of {points} points, worst "
                                     f"{spectrum.phase_deg[worst]:.2f} degrees at {spectrum.frequency[worst]:.9g} Hz: "
                                     "a passive device cannot do so (noise, or the analyser's compensation)"))
-        if _turns_anticlockwise(spectrum):
+        if turns_anticlockwise(spectrum):
             findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
                                     "anticlockwise with rising frequency; read with correction='conjugate'"))
     typical = float(np.median(spectrum.magnitude))
@@ -147,15 +147,3 @@ def _turned(value: NDArray[np.complex128], image: NDArray[np.complex128]) -> tup
     rest = float(np.sum(np.abs(np.diff(mended, 2)) ** 2))
     whole = float(np.sum(np.abs(np.diff(value, 2)) ** 2))
     return (found, rest / whole) if rest * 3.0 < whole else ([], np.inf)
-
-
-def _turns_anticlockwise(spectrum: Spectrum) -> bool:
-    """Whether twice the area swept about the origin of the reflection plane is clearly positive.
-
-    A capacitor or inductor sweeps at least 2 |X| Z0 / (X^2 + Z0^2), about one, times ln(f2 / f1) in the other sense;
-    a quarter of that is demanded, so that a resistor (which sweeps nothing but noise) is left alone.
-    """
-    z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
-    reflection = (spectrum.impedance - z0) / (spectrum.impedance + z0)
-    swept = float(np.sum((np.conj(reflection[:-1]) * reflection[1:]).imag))
-    return swept > 0.25 * float(np.log(spectrum.frequency[-1] / spectrum.frequency[0]))

@@ -14,9 +14,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.errors import InputError
+from workbench.results.band import fitted_points
 from workbench.results.circuit import BranchCircuit, CircuitFit, Freedom, SolvedCircuit, check_passive_spectrum, solved
 from workbench.results.merit import NoResonance
-from workbench.results.spectrum import Spectrum, WithSpectrum, scatter, spectrum_of
+from workbench.results.spectrum import Spectrum, WithSpectrum, scatter
 
 Real = NDArray[np.float64]
 
@@ -47,7 +49,8 @@ WIDEST = 0.25
 
 
 def fit_resonances(
-    spectrum: Spectrum | WithSpectrum, count: int | None = None, *, band: tuple[float, float] | None = None
+    spectrum: Spectrum | WithSpectrum, count: int | None = None, *,
+    band: tuple[float | str, float | str] | None = None,
 ) -> CircuitFit:
     """Fit the resonances of a spectrum, all together, as the branches of one circuit.
 
@@ -56,14 +59,15 @@ def fit_resonances(
 
     Raises:
         NoResonance: none stands out.
-        ValueError: too few points, a spectrum that is not passive, a fit that does not converge, or `count` resonances
-            that are not there or not resolved.
+        InputError: `band` or `count` cannot be used, or the spectrum is not that of a passive device.
+        ValueError: too few points, a fit that does not converge, or `count` resonances that are not there or not
+            resolved.
     """
-    whole = spectrum_of(spectrum)
-    seen = whole if band is None else whole.restricted(*band)
-    if count is not None and not 1 <= count <= MOST:
-        raise ValueError(f"count {count} must be from 1 to {MOST}")
-    check_passive_spectrum(seen)
+    seen = fitted_points(spectrum, band, source="fit_resonances")
+    if count is not None and (isinstance(count, bool) or not isinstance(count, int | np.integer)
+                              or not 1 <= count <= MOST):
+        raise InputError("fit_resonances", "count", count, f"a whole number from 1 to {MOST}")
+    check_passive_spectrum(seen, source="fit_resonances")
     start = _start(seen, count)
     found = solved(seen, start, Freedom())
     if _wanting(found):

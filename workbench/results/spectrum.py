@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from workbench.files.errors import InputError
 from workbench.files.writing import write_atomic
 from workbench.results.notebook import Shown, Summary
 
@@ -283,6 +284,20 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
+def turns_anticlockwise(spectrum: Spectrum) -> bool:
+    """Whether a spectrum is that of a phase of the wrong sign: its reflection coefficient turns anticlockwise.
+
+    Twice the area it sweeps about the origin is then clearly positive, against Foster's reactance theorem.
+
+    A capacitor or inductor sweeps at least 2 |X| Z0 / (X^2 + Z0^2), about one, times ln(f2 / f1) in the other sense;
+    a quarter of that is demanded, so that a resistor (which sweeps nothing but noise) is left alone.
+    """
+    z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
+    reflection = (spectrum.impedance - z0) / (spectrum.impedance + z0)
+    swept = float(np.sum((np.conj(reflection[:-1]) * reflection[1:]).imag))
+    return swept > 0.25 * float(np.log(spectrum.frequency[-1] / spectrum.frequency[0]))
+
+
 def scatter(spectrum: Spectrum) -> float:
     """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
 
@@ -304,8 +319,19 @@ def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
     by :func:`workbench.readers.read_recording`.
+
+    Raises:
+        InputError: `path` is no path, or that of a folder.
+        TypeError: there is no spectrum.
+        OSError: the file cannot be written.
     """
-    spectrum, path = spectrum_of(spectrum), Path(path)
+    spectrum = spectrum_of(spectrum)
+    if not isinstance(path, str | Path) or not str(path):
+        raise InputError("write_spectrum", "path", path, 'the path of a file to write, such as "spectrum.csv"')
+    path = Path(path)
+    if path.is_dir():
+        raise InputError("write_spectrum", "path", str(path), f'the path of a file to write, such as '
+                         f'"{path / "spectrum.csv"}"; this is a folder')
     origin = spectrum.origin
     lines = [f"# kind: {origin.kind}"]
     for key, text in (("source", origin.source), ("sha256", origin.sha256), ("instrument", origin.instrument),

@@ -30,7 +30,7 @@ from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, Solution, solve_full, sweep
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
@@ -228,6 +228,7 @@ def simulate(
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
+    expect(chip, Chip, reader="read_chip", source="simulate", field="chip")
     lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses))
     _check_relative_error(relative_error)
@@ -358,6 +359,7 @@ def snapshot(
         InputError: a mistake in the chip, its materials or the arguments.
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
+    expect(chip, Chip, reader="read_chip", source="snapshot", field="chip")
     device = fill(chip, state, _assuming(registry, assumed_losses))
     progress("mesh", 0.0)
     problem = build(device, band=band_of(chip, band), accuracy=accuracy)

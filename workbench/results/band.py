@@ -1,0 +1,57 @@
+"""The points of a spectrum that a fit is given, and the frequency that it starts near: checked, texts with units read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.files.errors import InputError
+from workbench.files.quantities import ProgramSource, parse_quantity
+from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
+
+#: Least and largest |Z| (ohm) that circuits are fitted to. No device comes near; far beyond, squares overflow.
+FITTABLE = (1e-15, 1e15)
+
+
+def fitted_points(given: Spectrum | WithSpectrum, band: Sequence[float | str] | None, *, source: str) -> Spectrum:
+    """The points of a spectrum in `band`, two frequencies in Hz or with their units; all if None.
+
+    Raises:
+        InputError: no band, or an impedance that no device has; under the name of `source`, a function.
+        ValueError: fewer than two points lie in the band.
+    """
+    seen = spectrum_of(given)
+    if band is not None:
+        if isinstance(band, str) or np.shape(band) != (2,):
+            raise InputError(source, "band", band, "two frequencies (Hz), the lower one first")
+        low, high = (_hertz(each, source, "band") for each in band)
+        if not low < high:
+            raise InputError(source, "band", tuple(band), "the lower frequency first, then the higher one")
+        seen = seen.restricted(low, high)
+    beyond = (seen.magnitude < FITTABLE[0]) | (seen.magnitude > FITTABLE[1])
+    if np.any(beyond):
+        worst = int(np.argmax(beyond))
+        raise InputError(source, "spectrum", f"|Z| = {seen.magnitude[worst]:.4g} ohm at {seen.frequency[worst]:.9g} Hz",
+                         f"|Z| from {FITTABLE[0]:g} to {FITTABLE[1]:g} ohm: is the unit right?")
+    return seen
+
+
+def frequency_within(near: float | str, spectrum: Spectrum, *, source: str) -> float:
+    """The frequency (Hz) that `near` states as a number in Hz or with its unit.
+
+    Raises:
+        InputError: no frequency, or one beyond the points of the spectrum by more than a step.
+    """
+    found, low, high = _hertz(near, source, "near"), spectrum.frequency[0], spectrum.frequency[-1]
+    first, last = np.diff(spectrum.frequency)[[0, -1]]
+    # The end of a band seldom is a point.
+    if not low - first <= found <= high + last:
+        raise InputError(source, "near", near, f"a frequency within the band, {low:.9g} to {high:.9g} Hz")
+    return found
+
+
+def _hertz(value: object, source: str, field: str) -> float:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return parse_quantity(plain, "frequency", source=ProgramSource(source), field=field)
