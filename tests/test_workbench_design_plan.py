@@ -187,7 +187,8 @@ def test_another_material_brings_its_own_density(folder: Path) -> None:
 
 MISTAKES = {
     "no chip": (HEAD.replace('chip = "chip.toml"', ""), VARY, "study.chip", "the path of a chip file"),
-    "a chip that is not there": (HEAD.replace("chip.toml", "chop.toml"), VARY, "study.chip", "did you mean 'chip.toml'"),
+    "a chip that is not there": (HEAD.replace("chip.toml", "chop.toml"), VARY, "study.chip",
+                                "did you mean 'chip.toml'"),
     "a key mistyped": (HEAD + 'figure = ["f0"]\n', VARY, "study.figure", "did you mean 'figures'"),
     "a state mistyped": (HEAD.replace("filled", "fillet"), VARY, "study.states", "did you mean 'filled'"),
     "both ways to say a state": (HEAD + 'state = "filled"\n', VARY, "study.state", "not both"),
