@@ -32,7 +32,7 @@ author = copyright = "the authors of the workbench"
 version = release = _PROJECT["version"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["_generated", "glossary_words.md", "**/sg_execution_times.rst"]
+exclude_patterns = ["_generated", "**/sg_execution_times.rst"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 # A file's name such as setup.py is no link.

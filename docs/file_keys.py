@@ -199,11 +199,11 @@ def noted(source: str) -> Iterator[Readings]:
 
     only = FileTable.only
 
-    def accepting(table: FileTable, keys: Any) -> FileTable:
+    def accepting(table: FileTable, keys: Any, **renamed: Any) -> FileTable:
         keys = tuple(keys)
         if table.source == source:
             found.accepted.setdefault(table.field, set()).update(keys)
-        return only(table, keys)
+        return only(table, keys, **renamed)
 
     with patch.multiple(FileTable, only=accepting, **{name: watching(name) for name in METHODS}):
         yield found

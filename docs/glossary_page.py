@@ -1,4 +1,4 @@
-"""The glossary: words of the documentation (`glossary_words.md`), and headings of the reports with their meanings."""
+"""The glossary: words of the documentation (`glossary_words.txt`), and headings of the reports with their meanings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from workbench.report.definitions import DEFINITIONS
 
-WORDS = Path(__file__).resolve().parent / "glossary_words.md"
+WORDS = Path(__file__).resolve().parent / "glossary_words.txt"
 
 
 def words() -> dict[str, str]:

@@ -143,7 +143,7 @@ def test_a_front_leaves_a_chip_for_each_of_its_points(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    (["--jobs", "0"], "--jobs: received 0; expected one or more"), (["--accuracy", "7"], "--accuracy")])
+    (["--jobs", "0"], "--jobs: received 0; expected a whole number, one or more"), (["--accuracy", "7"], "--accuracy")])
 def test_mistakes_in_options_are_named(
     options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -116,7 +116,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     if not isinstance(chip, Chip):
         chip = read_chip(folder / table.text("chip", expected=_expected(table, "a Chip", "file")))
     if "state" in table:
-        state = chip.state(table.choice("state", (each.name for each in chip.states)))
+        state = chip.state(table.choice("state", [each.name for each in chip.states]))
     elif len(chip.states) == 1:
         state = chip.states[0]
     else:
