@@ -211,6 +211,8 @@ def test_outside_the_ranges_the_model_grows(live: Live) -> None:
     before = live.curve()
     live.until("before => document.querySelector('#magnitude').getAttribute('d') !== before", before)
     live.page.click("#undo")
+    # What the next test finds in the field is what it was before.
+    live.until("() => document.querySelector('#number_0').value !== '0.83'")
 
 
 def test_a_decimal_comma_is_answered_with_a_point(live: Live) -> None:
