@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.dimension import SHAPES, Dimension, read_dimension
-from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.errors import InputError, choose, nearest_files, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 
@@ -240,8 +240,7 @@ def _file(table: FileTable, key: str) -> tuple[Path, str]:
     try:
         return path, hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        folder = path.parent if path.parent.is_dir() else Path()
-        near = nearest_names(path.name, (each.name for each in folder.iterdir() if each.suffix == path.suffix))
+        near = nearest_files(path, lambda each: each.suffix == path.suffix)
         raise InputError(table.source, table.at(key), name, f"a readable file ({error.strerror or error})",
                          near) from None
 

@@ -51,11 +51,10 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
         write_stopped(campaign, folder, time.perf_counter() - started)
         raise
     # Whatever ends what follows, the result is kept.
-    write_json(folder / "diagnosis.json", {**diagnosis_record(found), "known_physics": []})
+    record = diagnosis_record(found)
+    write_json(folder / "diagnosis.json", {**record, "known_physics": []})
     known = contributions(found)
-    # Anew: the record counts their full solves.
-    write_json(folder / "diagnosis.json", {
-        **diagnosis_record(found), "known_physics": [row._asdict() for row in known]})
+    write_json(folder / "diagnosis.json", {**record, "known_physics": [row._asdict() for row in known]})
     write_diagnosis_report(found, known, folder)
     print_diagnosis(found)
     if found.provisional is None:

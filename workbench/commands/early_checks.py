@@ -4,10 +4,10 @@ mistakes in them. Whoever mistypes a name is told at once."""
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
 
@@ -21,6 +21,11 @@ QUANTITIES: Mapping[str, tuple[str, str]] = {
 }
 
 
+def _of_kind(path: Path) -> Callable[[Path], bool]:
+    """A test of files for the suffix of `path`, in either case of letters."""
+    return lambda each: each.suffix.lower() == path.suffix.lower()
+
+
 def check_early(options: argparse.Namespace) -> None:
     """Look at what the options name, as far as that takes no time.
 
@@ -32,10 +37,7 @@ def check_early(options: argparse.Namespace) -> None:
         if key == "campaign" and hasattr(options, "chip"):
             continue  # an option of the live view, which names it
         if isinstance(path, Path) and not path.exists():
-            folder = path.parent if path.parent.is_dir() else Path()
-            near = nearest_names(path.name, (each.name for each in folder.iterdir()
-                                             if each.suffix.lower() == path.suffix.lower()))
-            raise InputError(str(path), "file", path.name, "an existing file", near)
+            raise InputError(str(path), "file", path.name, "an existing file", nearest_files(path, _of_kind(path)))
     for key, (field, dimension) in QUANTITIES.items():
         text = getattr(options, key, None)
         if isinstance(text, str):

@@ -26,7 +26,7 @@ from workbench.fitting.record import (
     registry_entry,
     source,
 )
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.fit import fit_record, gel_record, write_fit_report
@@ -44,7 +44,7 @@ class Done:
     gel: tuple[GelCase, ...]
 
 
-def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = lambda _text, _share: None) -> Done:
+def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = no_progress) -> Done:
     """Fit a job and write ``fit.json``, spectra, pictures and the report into `folder`.
 
     Raises:

@@ -39,7 +39,7 @@ from workbench.design.sensitivity import (
 from workbench.design.uncertainty import Uncertainty
 from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError, expect
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, VoltageDrive
@@ -176,7 +176,7 @@ def tolerance(
     expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
     started = time.perf_counter()
     check_jobs(jobs, source="tolerance")
-    say = progress or (lambda text, done: None)
+    say = progress or no_progress
     device = fill(chip, state, registry)
     known = uncertainty if isinstance(uncertainty, Uncertainty) else stated_uncertainty(
         chip, state, registry=registry, statements=uncertainty)

@@ -29,7 +29,7 @@ from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
 from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Processes, Workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 
@@ -38,7 +38,7 @@ Complex = NDArray[np.complex128]
 
 def diagnose(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
-    progress: Progress = lambda _text, _share: None, jobs: int = 1, minutes: float | None = None,
+    progress: Progress = no_progress, jobs: int = 1, minutes: float | None = None,
 ) -> Diagnosis:
     """Explain the mismatch between the recordings of a campaign and their models, or say what cannot be explained.
 
@@ -76,7 +76,7 @@ def diagnose(
 
 @one_thread()
 def diagnose_model(
-    model: Model, *, progress: Progress = lambda _text, _share: None, workers: Workers | None = None,
+    model: Model, *, progress: Progress = no_progress, workers: Workers | None = None,
     minutes: float | None = None,
 ) -> Diagnosis:
     """:func:`diagnose` of a model, on one thread: last digits depend on their number."""

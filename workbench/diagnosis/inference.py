@@ -40,7 +40,7 @@ from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.tasks import SearchTask
 from workbench.fitting.search import NO_END
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers
 from workbench.model.discretisation import Discretisation
 
@@ -77,7 +77,7 @@ class DiagnosisSearch:
     """
 
     model: Model
-    progress: Progress = lambda _text, _share: None
+    progress: Progress = no_progress
     trace: Callable[[str], None] | None = None
     until: float | None = None
     criteria: Criteria = field(default_factory=Criteria)

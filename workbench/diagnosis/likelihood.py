@@ -30,7 +30,7 @@ from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.modes import Mode, columns, strongest
 from workbench.diagnosis.odds import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.state import DeviceState
-from workbench.fitting.covariance import Covariance, principal
+from workbench.fitting.covariance import NEGLIGIBLE, Covariance, principal
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import FitSearch, Optimum
 from workbench.fitting.uncertainty import correlation_length
@@ -480,10 +480,6 @@ def _improved(
         else:
             strictness = STRICTER
     return best
-
-
-#: Directions that deviate by less than this share of the noise even at the largest size are left out.
-NEGLIGIBLE = 0.03
 
 
 def compressed_columns(columns: Real, size: float) -> Real:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 #: Characters of a received value that a message shows. Doubled, an array fills the lines that say what is expected.
@@ -54,6 +55,12 @@ def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[s
     """Names in `known` that `name` may stand for, best first (case is ignored)."""
     folded = {k.casefold(): k for k in known}
     return tuple(folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=count, cutoff=0.5))
+
+
+def nearest_files(path: Path, wanted: Callable[[Path], bool]) -> tuple[str, ...]:
+    """Names of `wanted` files beside a `path` that is not there, called nearly so; in its absence, of this folder."""
+    folder = path.parent if path.parent.is_dir() else Path()
+    return nearest_names(path.name, (each.name for each in folder.iterdir() if wanted(each)))
 
 
 def choose(name: object, known: Iterable[str], *, source: str, field: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any
 
-from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.errors import InputError, choose, nearest_files, nearest_names
 from workbench.files.quantities import parse_quantity
 
 
@@ -35,8 +35,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        folder = path.parent if path.parent.is_dir() else Path()
-        near = nearest_names(path.name, (p.name for p in folder.iterdir() if p.suffix == ".toml"))
+        near = nearest_files(path, lambda each: each.suffix == ".toml")
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), "file", path.name, f"a readable text file ({error})") from None
@@ -198,8 +197,7 @@ class FileTable:
         """
         found = folder / self.text(key, expected=expected)
         if not found.is_file():
-            beside = [each.name for each in found.parent.iterdir()] if found.parent.is_dir() else []
-            raise self.error(key, f"{expected} that is there", nearest_names(found.name, beside))
+            raise self.error(key, f"{expected} that is there", nearest_files(found, Path.is_file))
         return found
 
     def table(self, key: str, *, expected: str = "a table") -> FileTable:

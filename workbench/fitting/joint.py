@@ -38,7 +38,7 @@ from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
 from workbench.fitting.uncertainty import Direction, HeldOutBand, Noise, ParameterEstimate
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
@@ -133,7 +133,7 @@ def fit_parameters(
     """
     started = time.perf_counter()
     _check(recordings, parameters)
-    show = progress or (lambda _text, _fraction: None)
+    show = progress or no_progress
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
     coarse_search = FitSearch(Objective.of(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(coarse_search, recordings)

@@ -15,7 +15,7 @@ from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
 from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import FitRecording, Objective, Residual
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 from workbench.reduced.at_point import NotEnriched
 from workbench.search.constrained import Inequality, Minimum, interior, minimise
 from workbench.search.continuation import ContinuationStage, Schedule, TemperedMinimum, tempered
@@ -177,7 +177,7 @@ class FitSearch:
 
     def descend(
         self, x: Real, *, first: int = 0, rival: FitDescent | None = None,
-        progress: Progress = lambda _text, _share: None,
+        progress: Progress = no_progress,
     ) -> FitDescent:
         """The end of a tempered search from x (p,), moved to where it is admissible, from the stage of number `first`.
 

@@ -28,9 +28,6 @@ PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
     ("realz", "imagz"): RecordedQuantity("impedance", "rectangular", "ohm"),
     ("absz", "phasez"): RecordedQuantity("impedance", "polar", "ohm", "rad"),
 }
-#: Largest relative difference (rms, of |Z|) of sweeps of one file that are repetitions. Doubled, a drift of 2 % goes
-#: unmentioned.
-SAME_SWEEP = 0.01
 
 
 def recognises_labone(text: RecordingText) -> bool:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_files
 from workbench.instruments.waveform_table import recognised
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -79,8 +79,7 @@ def load_text(path: Path) -> RecordingText:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        folder = path.parent if path.parent.is_dir() else Path()
-        near = nearest_names(path.name, (entry.name for entry in folder.iterdir() if entry.is_file()))
+        near = nearest_files(path, Path.is_file)
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
     except OSError as error:
         raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None

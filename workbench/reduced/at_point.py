@@ -142,10 +142,10 @@ def reduced(
 def _worst(
     model: ReducedModel, frequencies: Real, values: Values, tolerance: float, tried: Collection[float]
 ) -> tuple[Solution, float, int]:
-    """As :meth:`ReducedModel.worst`, but for what a sweep leaves of states at frequencies that were `tried` in full.
+    """The result of :meth:`ReducedModel.worst`, each frequency that was `tried` in full being solved by itself.
 
-    A sweep of many frequencies ends once charges are right (`fem.dense`), its states may be less so; where that is all
-    that the estimate tells, no full solve would help. One frequency alone is solved exactly.
+    A sweep of many frequencies ends once charges are right (`fem.dense`); its states may be less so. At a frequency
+    that was tried in full, no further full solve would help. One frequency by itself is solved exactly.
     """
     solution = model.solve(frequencies, values)
     estimate = model.error(solution)

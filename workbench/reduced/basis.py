@@ -36,17 +36,16 @@ def without_lift(vectors: Complex, lift: Real) -> Real:
 
 
 def truncated(
-    vectors: Real, energy: sparse.csr_matrix, smallest: float, basis: Real | None = None
+    vectors: Real, energy: sparse.csr_matrix, smallest: float, basis: Real, seen: Real
 ) -> tuple[Real, Real]:
     """Directions (m, k) that `vectors` (m, n) have more of than `smallest` outside a basis, and how much of each (k,).
 
     The directions have unit energy and are orthogonal in `energy` (m, m) to each other and to `basis` (m, r), which is
-    likewise; sizes are in the root of the energy.
+    likewise; `seen` (m, r) is energy times the basis. Sizes are in the root of the energy.
     """
-    basis = np.zeros((len(vectors), 0)) if basis is None else basis
     images = energy @ vectors
     large = np.sum(vectors * images, axis=0) > smallest**2
-    parts, images, seen = vectors[:, large], images[:, large], energy @ basis
+    parts, images = vectors[:, large], images[:, large]
     # Twice, for what cancels.
     for _ in range(2):
         along = basis.T @ images

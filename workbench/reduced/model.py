@@ -85,9 +85,11 @@ class ReducedModel(Brief):
         any parameters the new one says at least as well.
         """
         basis, lift, sizes = self.basis[:-1, :-1], self.basis[:, -1:], self.sizes
+        seen = self.energy @ basis
         for vectors, smallest in candidates:
-            new, found = truncated(without_lift(vectors, lift[:, 0])[:-1], self.energy, smallest, basis)
+            new, found = truncated(without_lift(vectors, lift[:, 0])[:-1], self.energy, smallest, basis, seen)
             basis, sizes = np.column_stack([basis, new]), np.append(sizes, found)
+            seen = np.column_stack([seen, self.energy @ new])
         if sizes.size == self.sizes.size:
             return self
         whole = np.column_stack([np.vstack([basis, np.zeros((1, sizes.size))]), lift])

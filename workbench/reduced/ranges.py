@@ -204,8 +204,8 @@ class RangeModel(Brief):
     def save(self, path: Path | str) -> None:
         """Keep the model in a file, to be read by :func:`load_range_model` with the chip it is of."""
         content = {"format": FORMAT, "ranges": dict(self.ranges), "relative_error": self.relative_error,
-                   "error": self.error,
-                   "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
+                   "error": self.error, "seconds": self.seconds, "solves": self.reduced.solves,
+                   "residual": self.reduced.residual,
                    "problem": fingerprint(self.problem)}
         with replacing(Path(path)) as written:
             np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.jobs.progress import Progress
+from workbench.jobs.progress import Progress, no_progress
 
 Real = NDArray[np.float64]
 End = TypeVar("End")
@@ -45,7 +45,7 @@ def multistart(
     refused: tuple[type[Exception], ...],
     tries: int | None = None,
     following: Callable[[Trial[End], list[StartPoint]], Sequence[StartPoint]] = lambda _trial, waiting: waiting,
-    progress: Progress = lambda _text, _share: None,
+    progress: Progress = no_progress,
 ) -> list[Trial[End]]:
     """Descend from each of `starts` in their order, at most `tries` times, and return every trial.
 
