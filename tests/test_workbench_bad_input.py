@@ -58,7 +58,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     (tmp_path / "chip.toml").write_text(CHIP)
     frequency = np.linspace(300e3, 450e3, 31)
-    write_spectrum(Spectrum(frequency, 5.0 - 1j / (2 * np.pi * frequency * 1e-9)), tmp_path / "disc.csv")
+    recorded = Spectrum(frequency, 5.0 - 1j / (2 * np.pi * frequency * 1e-9))
+    write_spectrum(recorded, tmp_path / "disc.csv")
+    write_spectrum(Spectrum(frequency, recorded.impedance, 0.01 * recorded.magnitude), tmp_path / "sure.csv")
+    (tmp_path / "campaign.toml").write_text('[states.filled]\nchip = "chip.toml"\nrecording = "disc.csv"\n')
+    (tmp_path / "spoilt.toml").write_text("[states.filled\n")
     return tmp_path
 
 
@@ -254,7 +258,7 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                        ["points", "received 3", "at least 5"]),
     "too accurate": (["mesh", "chip.toml", "--accuracy", "0.001 %"],
                      ["--accuracy", "0.001 %", f"{100 * min(ROWS):g} %), the finest there is"]),
-    "accuracy of nothing": (["diagnose", "chip.toml", "--accuracy", "0", "-o", "out"],
+    "accuracy of nothing": (["diagnose", "disc.csv", "--chip", "chip.toml", "--accuracy", "0", "-o", "out"],
                             ["--accuracy", "'0'", "the finest there is"]),
     "accuracy in hertz": (["mesh", "chip.toml", "--accuracy", "5 Hz"], ["--accuracy", "5 Hz", "%, ppm, 1"]),
     "error of nothing": (["simulate", "chip.toml", "--relative-error", "0", "-o", "out", "--no-cad"],
@@ -270,6 +274,34 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                                    ["recording", "'chip.toml'", "swapped", "disc.csv is the recording"]),
     "a chip in place of a recording": (["compare", "chip.toml", "chip.toml", "-o", "out"],
                                        ["'chip.toml'", "a TOML file, as chip files are"]),
+    "a recording without its chip": (["diagnose", "disc.csv", "-o", "out"],
+                                     ["--chip", "disc.csv is a recording of, --chip CHIP.toml", "campaign file"]),
+    "a chip in place of a campaign": (["diagnose", "chip.toml", "-o", "out"],
+                                      ["recording", "'chip.toml'", "`workbench diagnose RECORDING --chip chip.toml`"]),
+    "a chip in place of what is diagnosed": (["diagnose", "chip.toml", "--chip", "chip.toml", "-o", "out"],
+                                             ["'chip.toml'", "a TOML file, as chip files are"]),
+    "what is diagnosed and chip swapped": (["diagnose", "chip.toml", "--chip", "disc.csv", "-o", "out"],
+                                           ["recording", "'chip.toml'", "swapped", "disc.csv is the recording"]),
+    "a campaign in place of a chip": (["diagnose", "disc.csv", "--chip", "campaign.toml", "-o", "out"],
+                                      ["--chip", "'campaign.toml'", "`workbench diagnose campaign.toml`"]),
+    "a campaign with syntax nobody reads": (["diagnose", "spoilt.toml", "-o", "out"], ["spoilt.toml", "valid TOML"]),
+    "noise without its sign": (["diagnose", "disc.csv", "--chip", "chip.toml", "--noise", "0.5", "-o", "out"],
+                               ["command line: --noise", "'0.5'", '"0.5 %" or "50 %"?']),
+    "noise that explains anything": (["diagnose", "disc.csv", "--chip", "chip.toml", "--noise", "30 %", "-o", "out"],
+                                     ["command line: --noise", "'30 %'", "20 % at most"]),
+    "noise beside an uncertainty": (["diagnose", "sure.csv", "--chip", "chip.toml", "--noise", "1 %", "-o", "out"],
+                                    ["command line: --noise", "brings its own uncertainties"]),
+    "a recording of no point in the band": (
+        ["diagnose", "disc.csv", "--chip", "chip.toml", "--from", "1 MHz", "--to", "2 MHz", "-o", "out"],
+        ["disc.csv: frequency", "300000 to 450000 Hz", "1e+06 to 2e+06 Hz"]),
+    "a state that the recording's chip has not": (
+        ["diagnose", "disc.csv", "--chip", "chip.toml", "--state", "filed", "-o", "out"],
+        ["chip.toml", "state", "'filed'", "did you mean 'filled'"]),
+    **{f"a campaign with {option}": (["diagnose", "campaign.toml", option, value, "-o", "out"],
+                                     [f"command line: {option}", f"'{value}'", "the campaign file campaign.toml"])
+       for option, value in (("--chip", "chip.toml"), ("--state", "filled"), ("--noise", "1 %"), ("--from", "1 MHz"),
+                             ("--to", "1 MHz"), ("--columns", "disc.csv"), ("--format", "lines"),
+                             ("--correction", "negate"))},
     "unknown format": (["compare", "disc.csv", "chip.toml", "--format", "e4990", "-o", "out"],
                        ["format", "'e4990'", "did you mean 'e4990a'"]),
     "no folder of materials": (["mesh", "chip.toml", "--materials", "nowhere"], ["'nowhere'", "an existing folder"]),

@@ -214,7 +214,7 @@ def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
                                                      "residual.png"}
     text = check_report(out / "report.html")
     assert "Nothing was fitted" in text
-    assert "workbench diagnose CAMPAIGN.toml" in text
+    assert f"workbench diagnose {tmp_path / 'disc.csv'} --chip {disc} --state " in text
 
 
 def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:

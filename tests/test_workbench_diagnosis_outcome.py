@@ -69,7 +69,7 @@ def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Refitted:
 def campaign() -> Any:
     gel = Number("couplant.thickness", 20e-6, stated=Stated(1e-6, origin="campaign.toml"), unit="m")
     return SimpleNamespace(name="device", fitted=(state("empty"),), held_out=(state("filled"),), tied={}, known={},
-                           taken=(gel,))
+                           taken=(gel,), is_exact=False)
 
 
 def model() -> Any:
@@ -152,6 +152,26 @@ def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at
     assert text.endswith("Not tried: pairs, because none is left.")
     # Twice as far is asked for: nothing is at odds.
     assert not replace(found, criteria=Criteria(at_odds=7.0)).at_odds
+
+
+def test_warnings_of_one_kind_are_one_sentence_at_the_end() -> None:
+    found = diagnosis("no_mismatch", not_tried=(NotTried("pairs", "none is left"), NotTried("leads", "no mesh"),
+                                                NotTried("triples", "none is left")))
+    device: Any = found.model
+    device.others = ("a bow, which is no dimension", "a dome, which is none either")
+    known = {"transducer.radius": 1e-5, "bond.radius": 1e-5}
+    device.campaign.tied = {"transducer.radius": ("a.radius", "b.radius", "c.radius"), "bond.radius": ("d.radius",),
+                            "exact.radius": ("e.radius",)}
+    device.campaign.known, device.campaign.is_exact = known, True
+    for each in (*device.campaign.fitted, *device.campaign.held_out):
+        each.chip = SimpleNamespace(file="chip.toml")
+    assert found.findings[-5:-2] == (
+        "Not looked at: a bow, which is no dimension; a dome, which is none either.",
+        "Not tried: pairs and triples, because none is left.", "Not tried: leads, because no mesh.")
+    assert found.findings[-2].startswith("All lengths and solids count as exact, since no file states")
+    assert "a tolerance of each length in chip.toml, such as" in found.findings[-2]
+    assert found.findings[-1] == ("Radii that coincide are one number: transducer.radius stands for a.radius, b.radius "
+                                  "and c.radius; bond.radius stands for d.radius.")
 
 
 def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(

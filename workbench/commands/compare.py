@@ -58,7 +58,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
         "simulated": simulation_record(run),
         "comparison": comparison_record(comparison),
     })
-    next_step = what_next(comparison, options.chip, options.recording)
+    next_step = what_next(comparison, options.chip, options.recording, run.state)
     write_comparison_report(measured, run, comparison, folder, findings=list(map(str, reading.findings)),
                             next_step=next_step, resonances=resonances)
     print_table(f"{chip.name}, {run.state}", compared_figures_table(comparison))

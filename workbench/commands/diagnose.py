@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder, say_read_as
-from workbench.commands.terminal import print_paragraph, print_table, progress_bars
+from geometry.chip import read_chip
+from materials.registry import user_registry
+from workbench.commands.parsed_options import (
+    accuracy_option,
+    band_option,
+    jobs_option,
+    output_folder,
+    reading_option,
+    say_read_as,
+)
+from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.campaign import read_campaign
+from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.known_physics import contributions
 from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
+from workbench.files.quantities import ProgramSource
 from workbench.files.writing import write_json
 from workbench.readers import READ_AS
 from workbench.report.diagnosis import (
@@ -37,10 +48,8 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.
     """
     accuracy, (jobs, minutes) = accuracy_option(options), _effort_options(options)
-    campaign = read_campaign(options.campaign, materials=options.materials)
+    campaign = (_of_file if options.chip is None else _of_one_recording)(options, console)
     folder = output_folder(options.output)
-    for state in campaign.states:
-        say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
     started = time.perf_counter()
     try:
         with progress_bars(console) as show:
@@ -72,6 +81,37 @@ def print_diagnosis(found: Diagnosis) -> None:
     for text in (*found.findings, found.next_measurement):
         if text:
             print_paragraph(text)
+
+
+def _of_file(options: argparse.Namespace, console: Console) -> Campaign:
+    """The campaign of a file."""
+    found = read_campaign(options.diagnosed, materials=options.materials)
+    for state in found.states:
+        say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
+    return found
+
+
+def _of_one_recording(options: argparse.Namespace, console: Console) -> Campaign:
+    """The campaign of one recording and its chip file: one state, and known is what the chip and its materials state.
+
+    Raises:
+        InputError: a mistake in the options or the files, or a recording that cannot be of this chip.
+    """
+    reading, chip = reading_option(options, options.diagnosed, console), read_chip(options.chip)
+    name = chip.state(options.state).name
+    state = {"chip": chip, "state": name, "recording": reading, "noise": options.noise,
+             "band": band_option(options, chip)}
+    try:
+        found = Campaign({name: state}, name=chip.name, registry=user_registry(options.materials),
+                         source=ProgramSource("command line"))
+    except InputError as error:
+        # A key of the state is an option here, and its recording a file.
+        key = f"states.{name}."
+        source = str(options.diagnosed) if error.source == f"{key}recording" else error.source
+        raise replace(error, source=source, field=error.field.replace(key, "--")) from None
+    for finding in reading.findings:
+        say_finding(finding.message, console)
+    return found
 
 
 def _effort_options(options: argparse.Namespace) -> tuple[int, float | None]:

@@ -12,13 +12,22 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
 
 #: Options that name a file that is read, of any command.
-FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "device", "file", "uncertainties")
+FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "device", "file", "uncertainties",
+         "diagnosed")
 
 #: Options that hold a quantity, as the command line spells them, and its dimension.
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "low": ("--from", "frequency"), "high": ("--to", "frequency"), "at": ("--at", "frequency"),
-    "accuracy": ("--accuracy", "share"),
+    "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"),
 }
+
+#: Options of `diagnose` about its one recording, as the command line spells them; a campaign file has keys for them.
+OF_ONE_RECORDING: Mapping[str, str] = {
+    "chip": "--chip", "state": "--state", "columns": "--columns", "format": "--format", "correction": "--correction",
+    "noise": "--noise", "low": "--from", "high": "--to"}
+
+#: Tables that a chip file has and a campaign file has not; a recording is no TOML file.
+OF_CHIPS = ("chip", "layers")
 
 
 def _of_kind(path: Path) -> Callable[[Path], bool]:
@@ -50,10 +59,39 @@ def check_early(options: argparse.Namespace) -> None:
     chip, recording = getattr(options, "chip", None), getattr(options, "recording", None)
     if isinstance(chip, Path) and isinstance(recording, Path):
         check_order(recording, chip)
+    if hasattr(options, "diagnosed"):
+        check_diagnosed(options)
     if isinstance(chip, Path):
         from geometry.chip import read_chip
 
         read_chip(chip)
+
+
+def check_diagnosed(options: argparse.Namespace) -> None:
+    """See that `diagnose` is given a campaign file alone, or a recording and its chip file.
+
+    Raises:
+        InputError: anything else.
+    """
+    given, chip = options.diagnosed, options.chip
+    if _is_chip_file(given):
+        if chip is not None:
+            check_order(given, chip)
+        raise InputError("command line", "recording", str(given), "a campaign file, or a recording; this is a chip "
+                         f"file: `workbench diagnose RECORDING --chip {given}`")
+    if not _is_toml(given):
+        if chip is None:
+            raise InputError("command line", "--chip", "nothing", f"the chip file that {given} is a recording of, "
+                             "--chip CHIP.toml; or, in place of the recording, a campaign file, which is TOML")
+        if _is_toml(chip) and not _is_chip_file(chip):
+            raise InputError("command line", "--chip", str(chip), "a chip file; a campaign file, which names its "
+                             f"recordings, stands alone: `workbench diagnose {chip}`")
+        return
+    for key, option in OF_ONE_RECORDING.items():
+        value = getattr(options, key)
+        if value is not None:
+            raise InputError("command line", option, str(value), f"nothing beside the campaign file {given}, which "
+                             "says that itself of each of its states; or a recording in its place")
 
 
 def check_order(recording: Path, chip: Path) -> None:
@@ -62,15 +100,25 @@ def check_order(recording: Path, chip: Path) -> None:
     Raises:
         InputError: the recording is a TOML file, as chip files are.
     """
-    def is_toml(path: Path) -> bool:
-        try:
-            return bool(read_toml(path))
-        except InputError:
-            return False
-
-    if is_toml(recording) and chip.is_file() and not is_toml(chip):
+    if _is_toml(recording) and chip.is_file() and not _is_toml(chip):
         raise InputError("command line", "recording", str(recording), f"a recording of impedance; it is swapped with "
                          f"the chip file: {chip} is the recording, {recording} the chip file")
-    if is_toml(recording):
+    if _is_toml(recording):
         raise InputError("command line", "recording", str(recording),
                          "a recording of impedance; this is a TOML file, as chip files are")
+
+
+def _is_toml(path: Path) -> bool:
+    """Whether a file has keys of TOML, or is called so and has mistakes that its reader names."""
+    try:
+        return bool(read_toml(path))
+    except InputError:
+        return path.suffix.lower() == ".toml"
+
+
+def _is_chip_file(path: Path) -> bool:
+    """Whether a file is TOML with tables of a chip."""
+    try:
+        return any(key in OF_CHIPS for key in read_toml(path))
+    except InputError:
+        return False

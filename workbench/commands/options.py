@@ -46,10 +46,14 @@ def _with_state(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
 
 
-def _with_model(sub: argparse.ArgumentParser) -> None:
+def _with_band(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--from", dest="low", metavar="FREQ",
                      help='lower end of the band, such as "0.91 MHz" (default: of the chip)')
     sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band (default: of the chip)")
+
+
+def _with_model(sub: argparse.ArgumentParser) -> None:
+    _with_band(sub)
     _with_accuracy(sub)
     _with_materials(sub)
     # For the commands without these options.
@@ -307,8 +311,18 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 
 
 def _diagnose(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
-                     help="states of a device with their recordings, and what is known of it")
+    sub.add_argument("diagnosed", type=Path, metavar="CAMPAIGN.toml|RECORDING",
+                     help="states of a device with their recordings, and what is known of it; or one recording, with "
+                          "--chip and the options of a recording")
+    sub.add_argument("--chip", type=Path, metavar="CHIP.toml",
+                     help="what was recorded, of a recording without a campaign file: known is what this file and its "
+                          "materials state")
+    _with_state(sub)
+    _with_recording(sub)
+    sub.add_argument("--noise", metavar="SHARE",
+                     help='standard deviation of a recorded point, such as "0.5 %%" (default: as the recording states '
+                          "it, or its scatter)")
+    _with_band(sub)
     _with_accuracy(sub)
     _with_materials(sub)
     _with_jobs(sub, "pieces of the search")

@@ -135,6 +135,12 @@ class Campaign(Brief):
         return {each.name: each.deviation for each in self.taken if each.parsed.state}
 
     @cached_property
+    def is_exact(self) -> bool:
+        """Whether nobody states an uncertainty of a length or of a solid's coefficient."""
+        fluids = {state.fluid.name for state in self.states if state.fluid is not None}
+        return all(each.parsed.is_bench or each.parsed.owner in fluids for each in self.taken)
+
+    @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
         """The other names of every radius that stands for several."""
         first = canonical_names(*(state.chip for state in self.states))

@@ -288,11 +288,25 @@ class Diagnosis(Shown):
         result += [f"{after.name}, held out: a reduced chi-square of {before.reduced:.3g} by the known parameters"
                    + (f", {after.reduced:.3g} with what was found." if self.established else ".")
                    for before, after in zip(self.base[count:], self.best[count:], strict=True)]
-        result += [f"{name} stands for {' and '.join(others)} too, which are as long."
-                   for name, others in self.campaign.tied.items() if name in self.campaign.known]
-        result += [f"Not looked at: {text}." for text in self.model.others]
-        result += [f"Not tried: {plain_words(each.name)}, because {each.reason}." for each in self.found.not_tried]
-        return (*result, *refused_steps(self.model.refusals))
+        result += [f"Not looked at: {'; '.join(self.model.others)}."] if self.model.others else []
+        reasons: dict[str, list[str]] = {}
+        for each in self.found.not_tried:
+            reasons.setdefault(each.reason, []).append(plain_words(each.name))
+        result += [f"Not tried: {_listed(names)}, because {reason}." for reason, names in reasons.items()]
+        return (*result, *refused_steps(self.model.refusals), *self._taken_as_stated())
+
+    def _taken_as_stated(self) -> Iterator[str]:
+        """Numbers of the device that count as exact, and those that count as one."""
+        if self.campaign.is_exact:
+            files = _listed(tuple(dict.fromkeys(state.chip.file for state in self.states)))
+            yield ("All lengths and solids count as exact, since no file states how exactly they are known: an error "
+                   f"of one of them may pass for missing physics. State a tolerance of each length in {files}, such as "
+                   'thickness = { value = "20 um", tolerance = "5 um" }, and an uncertainty of each coefficient in the '
+                   "file of its material, or both in [known] of a campaign file.")
+        tied = [f"{name} stands for {_listed(others)}" for name, others in self.campaign.tied.items()
+                if name in self.campaign.known]
+        if tied:
+            yield f"Radii that coincide are one number: {'; '.join(tied)}."
 
     def _so_far(self, found: Diagnosis) -> Iterator[str]:
         """Results of a search that was cut short, which the rest of it may overturn."""

@@ -44,15 +44,16 @@ def distance_table(comparison: Comparison) -> TextTable:
     ))
 
 
-def what_next(comparison: Comparison, chip: Path, recording: Path) -> str:
+def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -> str:
     """The next step after a comparison: none, or the commands that find where the difference comes from."""
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")
-    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the numbers that move this spectrum. To "
-            f"find which of them explain the difference, name {recording}, the state and what is known of the device "
-            "in a campaign file (docs/diagnosis.md has one) and run `workbench diagnose CAMPAIGN.toml`; of a bare "
-            "transducer or a polymer on one, `workbench fit` finds the material.")
+    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the numbers that move this spectrum. "
+            f"`workbench diagnose {recording} --chip {chip} --state {state} -o out/diagnosis` finds which of them, or "
+            "which physics that the model lacks, explain the difference; several states of one device tell more, in a "
+            "campaign file (docs/diagnosis.md has one). Of a bare transducer or a polymer on one, `workbench fit` "
+            "finds the material.")
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:
