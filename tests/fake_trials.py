@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,22 @@ SAID: dict[str, Any] = {"verdict": "below_detection", "effects": [], "rivals": [
                         "scores": [{"effect": "fluid absorption"}]}
 
 
-def stands_in(trial: Path, result: Path) -> str:
+def stands_in(trial: Path) -> dict[str, Any]:
     """By the number of the trial: an answer, an error, none."""
     if trial.name.endswith("1"):
         raise ValueError("a radius came too close to another")
     if trial.name.endswith("2"):
         time.sleep(600.0)
-    result.write_text(json.dumps(SAID))
-    return ""
+    return SAID
 
 
-def written_late(mark: Path) -> str:
-    """Nothing, after a while in which it may be ended."""
-    time.sleep(3.0)
+def late(mark: Path, trial: Path) -> dict[str, Any]:
+    """An answer, after a while in which it may be ended; `mark` shows that it has begun."""
     mark.touch()
-    return ""
+    time.sleep(2.0)
+    return SAID
+
+
+def quarter() -> float:
+    """Seconds that stand for those of a factorisation."""
+    return 0.25

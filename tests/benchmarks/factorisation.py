@@ -150,6 +150,19 @@ def main() -> None:
         measure(arguments, kept)
 
 
+def seconds_of_one(repeat: int = 3) -> float:
+    """Processor time (s) of one factorisation of the filled chip's matrix on the default mesh, the shortest of
+    `repeat`; its pattern is analysed before. Times of other machines are compared in units of it."""
+    problem, operators = made(1.0)
+    system, taken = System(operators, problem.values), []
+    with one_thread():
+        for frequency in np.linspace(FREQUENCY, NEARBY, repeat + 1):
+            began = time.process_time()
+            system.factored(float(frequency))
+            taken.append(time.process_time() - began)
+    return min(taken[1:])
+
+
 def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     kinds = {"COLAMD": Colamd, "SuperLU": KNOWN["superlu"]}
     if importlib.util.find_spec("rslab") is not None:

@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Generator
 from contextlib import nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from queue import Empty
 from threading import Lock
@@ -137,6 +138,20 @@ class WorkerProcess:
         if kind == ERROR:
             raise found
         return kind, found
+
+
+def call_apart(seconds: float, task: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of ``task(*arguments)`` from a process of its own, which may take so many `seconds`.
+
+    Raises:
+        WorkerEnded: the process ended, or was ended as the task took too long.
+        Exception: what the task raised.
+    """
+    worker = WorkerProcess()
+    try:
+        return worker.call(partial(task, *arguments), seconds)
+    finally:
+        worker.end()
 
 
 def stream(

@@ -24,7 +24,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from workbench.files.errors import InputError
-from workbench.jobs.process import WorkerEnded, WorkerProcess
+from workbench.jobs.process import WorkerEnded, WorkerProcess, call_apart
 
 K = TypeVar("K")
 T = TypeVar("T")
@@ -93,14 +93,13 @@ class Workers:
 class Processes(Workers):
     """So many processes of this machine (see `workbench.jobs.process`), begun as they are needed, until :meth:`close`.
 
-    A task that takes longer than `seconds` is ended with its process, and another process takes its place; so it is
-    where a process ends by itself. Where each is `fresh`, every task has a process of its own.
+    Where a process ends by itself another takes its place. With `seconds`, every task has a process of its own, which
+    is ended where the task takes longer.
     """
 
-    def __init__(self, size: int, *, nice: int = 0, words: Path | None = None, seconds: float | None = None,
-                 fresh: bool = False) -> None:
+    def __init__(self, size: int, *, nice: int = 0, words: Path | None = None, seconds: float | None = None) -> None:
         super().__init__()
-        self.size, self._seconds, self._fresh = size, seconds, fresh
+        self.size, self._seconds = size, seconds
         self._begin: Callable[[], WorkerProcess] = partial(WorkerProcess, nice=nice, words=words)
         self._make: Callable[[], Any] | None = None
         self._processes: list[WorkerProcess | None] = [None] * size
@@ -152,7 +151,7 @@ class Processes(Workers):
                 found: T = process.call(task, self._seconds)
                 return found
             finally:
-                if self._fresh or process.is_ended:
+                if self._seconds is not None or process.is_ended:
                     process.end()
                     self._processes[number] = None
         finally:
@@ -162,21 +161,24 @@ class Processes(Workers):
 class ExecutorWorkers(Workers):
     """Somebody else's executor, such as a Dask cluster's, given `size` tasks at a time.
 
-    The shared state is made for every task anew: threads of an executor may share a process.
+    The shared state is made for every task anew: threads of an executor may share a process. With `seconds`, every task
+    has a process of its own beside its thread, which is ended where the task takes longer.
     """
 
-    def __init__(self, executor: Executor, size: int) -> None:
+    def __init__(self, executor: Executor, size: int, *, seconds: float | None = None) -> None:
         super().__init__()
-        self.size, self._executor = size, executor
+        self.size, self._executor, self._seconds = size, executor, seconds
         self._make: bytes | None = None
 
     def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
         self._make = None if make is None else pickle.dumps(partial(make, *arguments), protocol=pickle.HIGHEST_PROTOCOL)
 
     def submit(self, task: Task[T]) -> Future[T]:
-        if self._make is None:
-            return self._executor.submit(task)
-        return self._executor.submit(_with_made, self._make, task)
+        given: tuple[Any, ...] = (task,) if self._make is None else (_with_made, self._make, task)
+        if self._seconds is not None:
+            given = (call_apart, self._seconds, *given)
+        found: Future[T] = self._executor.submit(*given)
+        return found
 
 
 def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
@@ -190,17 +192,20 @@ def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
 
 
 @contextmanager
-def begin_workers(jobs: int, executor: Executor | None = None) -> Iterator[Workers]:
+def begin_workers(
+    jobs: int, executor: Executor | None = None, *, seconds: float | None = None
+) -> Iterator[Workers]:
     """Workers for `jobs` tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
 
-    An executor stays open at the end of the block, the processes end.
+    With `seconds`, every task has a process of its own, which is ended where the task takes longer. An executor stays
+    open at the end of the block, the processes end.
     """
     if executor is not None:
-        yield ExecutorWorkers(executor, jobs)
-    elif jobs == 1:
+        yield ExecutorWorkers(executor, jobs, seconds=seconds)
+    elif jobs == 1 and seconds is None:
         yield Workers()
     else:
-        with closing(Processes(jobs)) as found:
+        with closing(Processes(jobs, seconds=seconds)) as found:
             yield found
 
 

@@ -342,22 +342,19 @@ CATALOGUED: Mapping[str, Draw] = {
     "bench_capacitance": _bench("parallel_capacitance", 1.5, 30.0),
     "bench_gain": _bench("gain", 1.5, 20.0, both=True), "bench_phase": _bench("phase", 1.5, 15.0, both=True),
     "bench_delay": _bench("delay", 1.5, 30.0, both=True),
+    "wall_draft": wall_draft, "wall_barrel": wall_barrel, "lid_bow": lid_bow, "disc_dome": disc_dome,
+    "meniscus": meniscus,
 }
 OUTSIDE: Mapping[str, Draw] = {
     "lateral_gradient": lateral_gradient, "mode_splitting": mode_splitting, "substrate_crack": substrate_crack,
     "poling_gradient": poling_gradient, "wandering_temperature": wandering_temperature,
 }
-#: Shapes that the catalogue knows, too; in trials of their own, so that those of a seed stay what they are.
-SHAPES: Mapping[str, Draw] = {
-    "wall_draft": wall_draft, "wall_barrel": wall_barrel, "lid_bow": lid_bow, "disc_dome": disc_dome,
-}
-#: What the catalogue has known for less long: in no round, for the same reason; concealed by name.
-LATER: Mapping[str, Draw] = {"meniscus": meniscus}
 #: Effects that say two things of one place, so that one device cannot have both.
 CLASHING = (
     {"cavity_bubbles", "resonant_bubbles"}, {"imperfect_bond", "delamination"}, {"wrong_density", "density_gauge"},
+    {"meniscus", "port_necks"}, {"meniscus", "wall_draft"}, {"meniscus", "wrong_dimension"},
 )
 NONE = "none"
 #: All that can be concealed, and the names, with that of nothing.
-DRAWS: Mapping[str, Draw] = {**CATALOGUED, **SHAPES, **LATER, **OUTSIDE}
+DRAWS: Mapping[str, Draw] = {**CATALOGUED, **OUTSIDE}
 MECHANISMS: tuple[str, ...] = (NONE, *DRAWS)

@@ -22,8 +22,11 @@ from workbench.model.numbers import BENCH_ELEMENTS
 #: An effect of more standard deviations than this is detectable; a held-out state is back to noise below that.
 DETECTABLE, HELD = 5.0, 1.3
 
-#: Verdicts that name an effect; and what stands for one where a diagnosis came to no end.
-CLAIMS, FAILED = ("missing_physics", "ambiguous"), "failed"
+#: Verdicts that name an effect, the verdict of a diagnosis cut short, and the word for one that gave no verdict.
+CLAIMS, NOT_FINISHED, FAILED = ("missing_physics", "ambiguous"), "not_finished", "failed"
+
+#: Kinds of trials whose times are told apart, by what was concealed.
+KINDS = ("nothing", "one effect", "outside", "two effects")
 
 
 def right_names(effect: Mapping[str, Any]) -> set[str]:
@@ -125,7 +128,8 @@ OWN = (PZT.partition(".")[0], PLA, "bench", "transducer", "couplant", "substrate
 class Outcome:
     """One trial: what was concealed, what was said, and whether that is right: ``first`` all that is detectable named,
     ``some`` at least one of it, ``among`` in a set of rivals; ``wrong`` counts what was named and is not there.
-    ``seconds`` are those of the processor, ``wall`` those that passed."""
+    ``seconds`` are those of the processor, ``wall`` those that passed, ``factorisation`` those that one factorisation
+    of the filled chip's matrix took in the same process (`factorisation.seconds_of_one`)."""
 
     number: str
     mechanism: str
@@ -148,6 +152,19 @@ class Outcome:
     commit: str
     wall: float
     some: bool
+    factorisation: float
+
+    @property
+    def kind(self) -> str:
+        """One of :data:`KINDS`, whether it is detectable or not."""
+        if self.mechanism == NONE:
+            return "nothing"
+        return "two effects" if " and " in self.mechanism else "outside" if self.mechanism in OUTSIDE else "one effect"
+
+    @property
+    def adds(self) -> bool:
+        """Whether an effect that is not there was named beside another one."""
+        return self.wrong > (0 if self.some else 1)
 
 
 def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> Outcome:
@@ -157,6 +174,7 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
     group = ("nothing" if not effects else "foreign" if not all(e["catalogued"] for e in effects)
              else "below" if not seen else "pair" if len(effects) > 1 else "single")
     names = [right_names(effect) for effect in seen]
+    there = set().union(*map(right_names, effects))
 
     def right(claimed: set[str]) -> bool:
         return bool(names) and all(claimed & known for known in names)
@@ -174,10 +192,10 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
         " and ".join(sorted(said)), " and ".join(dict.fromkeys(where)), right(said),
         right(said) or any(map(right, rivals)),
         any(TOUCHING.get(r, r) in regions for r in where),
-        found["verdict"] in CLAIMS, len(said - set().union(*names)), len(rivals), len(covered), sum(covered),
+        found["verdict"] in CLAIMS, len(said - there), len(rivals), len(covered), sum(covered),
         max(held, default=math.nan), bool(found["scores"]) and found["scores"][0]["effect"] in said,
         found["cpu_seconds"], found["commit"], found.get("wall_seconds", math.nan),
-        any(said & known for known in names))
+        any(said & known for known in names), found.get("factorisation_seconds", math.nan))
 
 
 def score(folder: Path, commit: str | None, into: Path | None) -> None:
@@ -217,8 +235,8 @@ def read_outcomes(path: Path) -> list[Outcome]:
         return []
     kinds: Mapping[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": "True".__eq__, "str": str}
     with path.open(newline="") as file:
-        # Older files have no wall time, and no column for one of two.
-        rows = [{"wall": "nan", "some": row["first"], **row} for row in csv.DictReader(file)]
+        # Older files have no wall time, no time of a factorisation, and no column for one of two.
+        rows = [{"wall": "nan", "factorisation": "nan", "some": row["first"], **row} for row in csv.DictReader(file)]
     return [Outcome(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(Outcome)})
             for row in rows]
 
@@ -264,14 +282,31 @@ def rates(outcomes: Sequence[Outcome]) -> None:
     rate("not detectable: claimed", by["below"], lambda o: o.claimed)
     rate("outside the catalogue: laid to an effect of the catalogue", foreign, lambda o: o.claimed)
     rate("outside the catalogue: right region", foreign, lambda o: o.region)
-    rate("failed, or not done in time", outcomes, lambda o: o.verdict == FAILED)
-    for label, times in (("CPU", [o.seconds for o in outcomes]), ("wall", [o.wall for o in outcomes])):
-        known = [t for t in times if math.isfinite(t)]
-        if known:
-            print(f"{label} time of a diagnosis: median {np.median(known):.0f} s, 90 % quantile "
-                  f"{np.quantile(known, 0.9):.0f} s, largest {max(known):.0f} s")
+    rate("detectable, one or two: a second effect that is not there", [*seen, *pairs], lambda o: o.adds)
+    rate("failed, or not done in time", outcomes, lambda o: o.verdict in (NOT_FINISHED, FAILED))
+    times(outcomes)
     commits = Counter(o.commit for o in outcomes)
     print("commits: " + ", ".join(f"{commit} ({count})" for commit, count in commits.items()))
+
+
+def times(outcomes: Sequence[Outcome]) -> None:
+    """Print the processor time by what was concealed, in seconds and in factorisations of the filled chip's matrix
+    (where these were timed), and the wall time: median, 90 % quantile, largest."""
+    def row(label: str, known: Sequence[float]) -> None:
+        known = [value for value in known if math.isfinite(value)]
+        if known:
+            cells = (np.median(known), np.quantile(known, 0.9), max(known))
+            print(f"{label:46} {len(known):3}" + "".join(f"{cell:8.0f}" for cell in cells))
+
+    print(f"{'':46}    {'median':>8}{'90 %':>8}{'largest':>8}")
+    for kind in (*KINDS, "all"):
+        those = [o for o in outcomes if kind in ("all", o.kind)]
+        row(f"processor time, s: {kind}", [o.seconds for o in those])
+        row(f"processor time, factorisations: {kind}", [o.seconds / o.factorisation for o in those])
+    row("wall time, s: all", [o.wall for o in outcomes])
+    known = [o.factorisation for o in outcomes if math.isfinite(o.factorisation)]
+    if known:
+        print(f"one factorisation: median {np.median(known):.3f} s, {min(known):.3f} to {max(known):.3f} s")
 
 
 def confusion(outcomes: Sequence[Outcome]) -> None:

@@ -1,14 +1,17 @@
-"""What is done for a trial in a process of its own: it is made, or diagnosed."""
+"""What is done for a trial in a process of its own: it is made, or diagnosed into a file."""
 
 from __future__ import annotations
 
+import fcntl
 import json
-import os
 import shutil
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from concealed.running import claimed
+from concealed.scoring import FAILED
 from concealed.trial import make_trial
 
 from workbench.diagnosis.appraisal import diagnose
@@ -20,25 +23,77 @@ from workbench.report.diagnosis import diagnosis_record
 MINUTES = 8.0
 
 
+@contextmanager
+def claimed(mark: Path) -> Iterator[bool]:
+    """Whether the piece of work that the file `mark` stands for is this process's alone, for the block.
+
+    The system gives the claim back where the process ends, however it ends.
+    """
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    with mark.open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_mine = True
+        except BlockingIOError:
+            is_mine = False
+        yield is_mine
+
+
 def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...]) -> str:
-    """Write a trial, unless it is there or somebody else is at it; what is to be said of it."""
+    """Write a trial, unless it is there or another process is at it; returns a line about it, or nothing."""
     trial, truth = folder / "trials" / f"{number:04d}", folder / "truth" / f"{number:04d}.json"
-    if trial.exists() or not claimed(folder / "making", number):
-        return ""
-    started = time.perf_counter()
-    unfinished = folder / "making" / f"{number:04d}.{os.getpid()}"
-    shutil.rmtree(unfinished, ignore_errors=True)
-    found = make_trial(1000 * seed + number, mechanism, unfinished)
-    truth.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(truth, json.dumps(found.to_dict(), indent=1) + "\n")
-    trial.parent.mkdir(parents=True, exist_ok=True)
-    unfinished.rename(trial)
+    unfinished = folder / "making" / f"{number:04d}"
+    with claimed(unfinished.with_suffix(".lock")) as is_mine:
+        if not is_mine or trial.exists():
+            return ""
+        started = time.perf_counter()
+        shutil.rmtree(unfinished, ignore_errors=True)
+        found = make_trial(1000 * seed + number, mechanism, unfinished)
+        truth.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(truth, json.dumps(found.to_dict(), indent=1) + "\n")
+        trial.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.rename(trial)
     return (f"{number:04d} {' and '.join(mechanism)}: {found.detectability:.1f} sigmas, "
             f"{time.process_time():.0f} s of CPU, {time.perf_counter() - started:.0f} s")
 
 
-def diagnose_one(trial: Path, result: Path) -> str:
-    """Diagnose a trial into a file."""
-    found = diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES)
-    write_atomic(result, json.dumps(diagnosis_record(found), indent=1) + "\n")
-    return ""
+def diagnose_one(trial: Path) -> dict[str, Any]:
+    """The record of the diagnosis of a trial."""
+    return diagnosis_record(diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES))
+
+
+def diagnose_into(
+    result: Path, mark: Path, commit: str, trial: Path, diagnosing: Callable[[Path], dict[str, Any]],
+    timing: Callable[[], float],
+) -> str:
+    """Write what `diagnosing` records of a trial, or why it failed, unless that is there or another process is at it.
+
+    Returns a line about the outcome, or nothing. The processor time is that of this process, begun for this, without
+    `timing` (s of one factorisation), which comes first.
+    """
+    with claimed(mark) as is_mine:
+        if not is_mine or result.exists():
+            return ""
+        before = time.process_time()
+        factorisation = timing()
+        spent, started = time.process_time() - before, time.perf_counter()
+        try:
+            said = diagnosing(trial)
+        except Exception as error:
+            said = failed(f"{type(error).__name__}: {error}")
+        return write_outcome(result, said | {
+            "cpu_seconds": time.process_time() - spent, "wall_seconds": time.perf_counter() - started,
+            "factorisation_seconds": factorisation, "commit": commit})
+
+
+def failed(reason: str) -> dict[str, Any]:
+    """The record of a diagnosis that came to no end."""
+    return {"verdict": FAILED, "reason": reason, "effects": [], "rivals": [], "location": [], "held_out": {},
+            "scores": []}
+
+
+def write_outcome(result: Path, said: dict[str, Any]) -> str:
+    """Write an outcome; returns a line about it."""
+    write_atomic(result, json.dumps(said, indent=1) + "\n")
+    named = said.get("reason") or " and ".join(e["name"] for e in said["effects"])
+    return f"{result.stem} {said['verdict']} {named} {said['wall_seconds']:.0f} s"
