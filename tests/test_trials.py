@@ -26,6 +26,8 @@ from concealed.mechanisms import CATALOGUED, CLASHING, OUTSIDE
 from concealed.tasks import claimed, diagnose_into
 from fake_trials import SAID, quarter, stands_in
 
+from workbench.files.errors import InputError
+
 ROOT = Path(__file__).resolve().parent.parent
 
 #: What a process needs to find the modules of the tests.
@@ -111,6 +113,11 @@ def test_a_dask_cluster_does_the_same(
                                       protocol="tcp") as cluster:
             run(folder, 2, cluster.scheduler_address)
     outcomes_are_right(folder, capsys.readouterr().out)
+
+
+def test_no_jobs_are_a_mistake(folder: Path) -> None:
+    with pytest.raises(InputError, match="--jobs: received 0"):
+        run(folder, 0)
 
 
 def test_outcomes_are_kept_by_commit(folder: Path) -> None:

@@ -56,7 +56,7 @@ from factorisation import seconds_of_one  # noqa: E402
 
 from workbench.jobs.cluster import dask_cluster  # noqa: E402
 from workbench.jobs.process import WorkerEnded  # noqa: E402
-from workbench.jobs.workers import Task, Workers, begin_workers  # noqa: E402
+from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs  # noqa: E402
 
 #: How often a round conceals nothing, each mechanism outside the catalogue, and two effects at once. Of 28 trials with
 #: nothing, one false alarm is 4 %; of 30 outside the catalogue about 20 are detectable, and one is 5 % of these.
@@ -87,7 +87,13 @@ def _pair(rng: np.random.Generator) -> tuple[str, ...]:
 @contextmanager
 def workers_for(minutes: float, jobs: int | None, address: str | None = None) -> Iterator[Workers]:
     """Workers, of this machine or of the Dask cluster at an address, for so many `jobs` at a time (1, or one for each
-    thread of the cluster, if None), each of which has a process of its own and so many `minutes`."""
+    thread of the cluster, if None), each of which has a process of its own and so many `minutes`.
+
+    Raises:
+        InputError: no jobs, or nobody answers at the address.
+        RuntimeError: Dask is not installed, or the cluster has no workers.
+    """
+    check_jobs(1 if jobs is None else jobs, source="command line", field="--jobs")
     with ExitStack() as stack:
         executor, threads = (None, 1) if address is None else stack.enter_context(dask_cluster(address))
         yield stack.enter_context(begin_workers(jobs or threads, executor, seconds=60.0 * minutes))
