@@ -157,8 +157,9 @@ def test_whoever_stops_keeps_what_is_finished_and_leaves_nothing_running(tmp_pat
         "late = partial(fake_trials.late, folder / 'begun')\n"
         "trials.run = partial(trials.run, diagnosing=late, timing=fake_trials.quarter, commit=lambda: 'abc')\n"
         "sys.argv[1:] = ['run', str(folder), '--jobs', '1']\ntrials.main()\n")
+    name = signal.Signals(number).name
     with subprocess.Popen([sys.executable, str(tmp_path / "stops.py"), str(tmp_path)], stdout=subprocess.PIPE,
-                          text=True, env={**os.environ, "PYTHONPATH": PYTHONPATH}) as program:
+                          stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": PYTHONPATH}) as program:
         assert program.stdout is not None
         assert program.stdout.readline().startswith("0000 below_detection")
         (tmp_path / "begun").unlink()
@@ -167,6 +168,8 @@ def test_whoever_stops_keeps_what_is_finished_and_leaves_nothing_running(tmp_pat
             time.sleep(0.02)
         program.send_signal(number)
         assert program.wait(10.0) == 128 + number
+        assert program.stderr is not None
+        assert f"stopped by {name}: what is finished is kept" in program.stderr.read()
     time.sleep(3.0)
     assert set(found(tmp_path, "abc")) == {"0000"}
 

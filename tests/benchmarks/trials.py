@@ -166,6 +166,12 @@ def run(folder: Path, workers: Workers, *, uncommitted: bool = False,
             print(words, flush=True)
 
 
+def _stop(number: int, _frame: object) -> None:
+    """End at a signal; processes of trials end with this one."""
+    print(f"stopped by {signal.Signals(number).name}: what is finished is kept", file=sys.stderr, flush=True)
+    sys.exit(128 + number)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("job", choices=("make", "run", "score", "table"))
@@ -184,8 +190,7 @@ def main() -> None:
     parser.add_argument("--commit", help="what `score` and `table` are of")
     options = parser.parse_args()
     for each in (signal.SIGTERM, signal.SIGINT):
-        # Processes of trials end with this one.
-        signal.signal(each, lambda number, _: sys.exit(128 + number))
+        signal.signal(each, _stop)
     match options.job:
         case "make":
             with workers_for(MAKING, options.jobs, options.dask) as workers:
