@@ -9,7 +9,7 @@ RECORDING is the E4990A sweep MODULOFASEMODOTHICKNES.CSV of M. P. Stolfi and E. 
 degli Studi della Basilicata, 2025; MIT licence; on GitHub in
 NabboGamer/Sensori-Rivelatori-Dispositivi-Elettronici-Esercitazioni), of a disc of 20 by 2.013 mm whose material nobody
 wrote down. What is known of it is in real_disc/campaign.toml; 1.04 to 1.07 MHz are held out. Leaves the report of
-`workbench diagnose` after some minutes.
+`workbench diagnose`.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def conceal(
     for name, value in values.items():
         x[device.index(name)] = value
     # On a mesh with lines of nodes at the edges of rims: nothing lies between two of them.
-    own = device.about(device.effects, x)
+    own = device.of([effect for effect in device.effects if set(effect.names) & set(values)], x)
     near, rng = own.fitted.near(x, {}, 1e-5), np.random.default_rng(5)
     for index, recording in enumerate(near.recordings):
         clean, noise = near.predict(x, index, ())[0], rng.standard_normal((2, recorded.size))

@@ -30,8 +30,12 @@ def effect(name: str, gained: float, **away: float) -> Evidence:
     return Evidence(name, NOTHING.log_evidence + gained, (name,), z_scores=away)
 
 
-def verdict(*others: Evidence, stated: bool = False, criteria: Criteria | None = None) -> Decision:
-    return decide((NOTHING, *others), COUNT, stated_explains=stated, criteria=criteria)
+def verdict(
+    *others: Evidence, stated: bool = False, criteria: Criteria | None = None, left: float = 1.0
+) -> Decision:
+    """The decision where the null hypothesis leaves `left` times the stated noise."""
+    nothing = replace(NOTHING, inflation=left)
+    return decide((nothing, *others), COUNT, stated_explains=stated, criteria=criteria)
 
 
 def test_nothing_wrong_is_no_mismatch_or_what_known_parameters_explain() -> None:
@@ -78,7 +82,7 @@ def test_what_adds_only_redundant_parameters_is_no_rival() -> None:
 def test_an_effect_whose_numbers_are_all_consistent_with_nothing_is_not_said() -> None:
     idle, outside = effect("delay", 60.0, delay=1.4), Evidence("something in the disc", -960.0, outside=True)
     assert verdict(idle).verdict == EXPLAINED
-    found = verdict(idle, outside)
+    found = verdict(idle, outside, left=3.0)
     assert (found.verdict, found.chosen) == (UNEXPLAINED, outside)
     assert verdict(effect("delay", 60.0, delay=2.1), outside).verdict == MISSING
 
@@ -115,12 +119,11 @@ def test_a_tie_is_ambiguous_whatever_the_order() -> None:
         assert (found.verdict, {found.chosen.name, found.rivals[0].name}) == (AMBIGUOUS, {"leads", "glass"})
 
 
-def test_what_needs_a_model_that_is_wrong_is_unexplained_though_nothing_is_named() -> None:
-    left = replace(NOTHING, accuracy=0.03)
+def test_what_leaves_more_than_noise_is_unexplained_though_nothing_is_named() -> None:
     for gained in (1.0, SHARE + math.log(5.0)):
-        found = decide((left, effect("leads", gained)), COUNT, stated_explains=False)
-        assert (found.verdict, found.chosen, found.rivals) == (UNEXPLAINED, left, ())
-    assert decide((left, effect("leads", 40.0)), COUNT, stated_explains=False).verdict == MISSING
+        found = verdict(effect("leads", gained), left=3.0)
+        assert (found.verdict, found.chosen.name, found.rivals) == (UNEXPLAINED, "nothing", ())
+    assert verdict(effect("leads", 40.0), left=3.0).verdict == MISSING
 
 
 def test_two_effects_have_to_earn_a_share_each() -> None:
@@ -132,10 +135,30 @@ def test_two_effects_have_to_earn_a_share_each() -> None:
     assert verdict(single, replace(pair, log_evidence=single.log_evidence + 1.0)).chosen == single
 
 
+def test_a_further_effect_passes_the_bar_of_the_first() -> None:
+    """Odds of 20 against the best explanation without it; and it has to predict the states held out as well."""
+    single = effect("leads", 40.0, resistance=9.0)
+    pair = Evidence("leads and gain", single.log_evidence + SHARE + math.log(21.0), ("leads", "gain"),
+                    z_scores={"resistance": 9.0, "gain": 5.0})
+    assert verdict(single, pair).chosen == pair
+    short = replace(pair, log_evidence=pair.log_evidence - math.log(21.0 / 19.0))
+    found = verdict(single, short)
+    assert (found.verdict, found.chosen, found.rivals) == (MISSING, single, ())
+    for worse, chosen in ((19.0, "leads and gain"), (21.0, "leads")):
+        lost = math.log(worse)
+        assert verdict(single, replace(pair, log_evidence=pair.log_evidence + lost, held_out=-lost)
+                       ).chosen.name == chosen
+    # Where no explanation without it is left, there is none to pass.
+    assert verdict(short).chosen == short
+
+
 def test_what_the_catalogue_does_not_have_is_unexplained() -> None:
     outside = Evidence("something in the substrate", NOTHING.log_evidence + 60.0, outside=True)
-    found = verdict(effect("leads", 50.0), outside)
+    found = verdict(effect("leads", 50.0), outside, left=3.0)
     assert (found.verdict, found.chosen) == (UNEXPLAINED, outside)
+    # Something always follows noise: where no more is left, it is a hint.
+    found = verdict(effect("leads", 50.0), outside)
+    assert (found.verdict, found.chosen) == (HINT, NOTHING)
     # It is a rival of an effect like any other.
     assert verdict(effect("leads", 61.0), outside).verdict == AMBIGUOUS
     assert verdict(effect("leads", 70.0), outside).verdict == MISSING
@@ -155,28 +178,27 @@ def test_every_criterion_changes_a_verdict(
     assert verdict(*others, criteria=changed).verdict == after
 
 
-def test_the_accuracy_a_model_may_have_changes_a_verdict() -> None:
-    left = replace(NOTHING, accuracy=0.03)
-    assert decide((left,), COUNT, stated_explains=False).verdict == UNEXPLAINED
-    assert decide((left,), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == EXPLAINED
+def test_the_noise_that_may_be_left_changes_a_verdict() -> None:
+    assert verdict(left=3.0).verdict == UNEXPLAINED
+    assert verdict(left=3.0, criteria=Criteria(inflated=4.0)).verdict == EXPLAINED
 
 
 def test_an_effect_that_takes_all_but_a_trace_is_said_whatever_the_trace_is() -> None:
-    left = replace(effect("leads", 40.0), accuracy=0.03, share=0.95)
-    found = decide((NOTHING, left), COUNT, stated_explains=False)
+    left = replace(effect("leads", 40.0), inflation=3.0, share=0.95)
+    found = verdict(left)
     assert (found.verdict, found.chosen) == (MISSING, left)
-    assert decide((NOTHING, left), COUNT, stated_explains=False, criteria=Criteria(most=0.96)).verdict == UNEXPLAINED
+    assert verdict(left, criteria=Criteria(most=0.96)).verdict == UNEXPLAINED
 
 
-def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_and_no_trace_explains_nothing() -> None:
-    left = replace(effect("leads", 40.0), accuracy=0.03, share=0.85)
-    found = decide((NOTHING, left), COUNT, stated_explains=False)
+def test_an_effect_that_leaves_more_than_noise_and_no_trace_explains_nothing() -> None:
+    left = replace(effect("leads", 40.0), inflation=3.0, share=0.85)
+    found = verdict(left)
     assert (found.verdict, found.chosen, found.rivals) == (UNEXPLAINED, NOTHING, ())
-    assert decide((NOTHING, left), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == MISSING
+    assert verdict(left, criteria=Criteria(inflated=4.0)).verdict == MISSING
 
 
 @pytest.mark.parametrize("wrong", [
-    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"redundant": 0.0}, {"inaccurate": 0.0},
+    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"redundant": 0.0}, {"inflated": 0.9},
     {"at_odds": 0.0}, {"most": 0.0}, {"most": 1.1}])
 def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1|uncertainties above zero"):

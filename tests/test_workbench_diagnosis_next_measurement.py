@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_explanations import made_explanation, made_problem
 from numpy.typing import NDArray
 
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
+from workbench.diagnosis.likelihood import Explanation, Hypothesis
 from workbench.diagnosis.next_measurement import next_measurement_text, options
+from workbench.diagnosis.odds import REGION_SIZES
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Stated
 from workbench.physics.softening import DRIVE_SQUARED
@@ -27,28 +29,24 @@ PARAMETERS = (Parameter("bench.gain[two]", 0.0, -0.5, 0.5, Stated(0.1), "1", rec
               Parameter("softening", 0.0, 0.0, 1.0, None, "1/V^2"))
 
 
-def likelihood(columns: Real | None = None) -> Any:
+def model() -> Any:
     states = tuple(SimpleNamespace(name=name, noise=np.ones(POINTS), drive=1.0) for name in ("one", "two"))
-    model = SimpleNamespace(campaign=SimpleNamespace(fitted=states), parameters=PARAMETERS,
-                            index=[p.name for p in PARAMETERS].index)
-    return SimpleNamespace(model=model, places=[slice(0, ROWS), slice(ROWS, 2 * ROWS)], noise=np.ones(2 * ROWS),
-                           columns=np.zeros((2 * ROWS, 0)) if columns is None else columns,
-                           region_discrepancy=None, measured=())
+    return SimpleNamespace(campaign=SimpleNamespace(fitted=states), parameters=PARAMETERS, stated=np.zeros(3),
+                           index=[p.name for p in PARAMETERS].index)
 
 
 def explanation(
     one: float, two: float = 0.0, *, tangents: Real | None = None, x: tuple[float, ...] = (0.0, 0.0, 0.0),
-    free: tuple[int, ...] = (0,), error: float = 0.0, effects: tuple[Any, ...] = (), accuracy: float = 0.0,
+    free: tuple[int, ...] = (0,), error: float = 1e-9, effects: tuple[Any, ...] = (), outside: Real | None = None,
 ) -> Explanation:
-    """One that leaves the same at every point of each state, in units of the noise."""
-    residual: Any = SimpleNamespace(vector=np.repeat([one, two], ROWS),
-                                    jacobian=np.zeros((2 * ROWS, 3)) if tangents is None else tangents)
-    return Explanation(Hypothesis(effects), np.array(x), free, error**2 * np.eye(len(free)), 0.0,
-                       Scales(accuracy, 0.0, 0.0), 0.0, residual, 0.0)
+    """One that leaves the same at every point of each state, in units of the noise; `error` of all numbers."""
+    own = np.zeros((2 * ROWS, 3)) if tangents is None else tangents
+    local = made_problem(np.repeat([one, two], ROWS), own[:, free], np.full(len(free), 1.0 / error), outside=outside)
+    return made_explanation(local, np.array(x), hypothesis=Hypothesis(effects), free=free)
 
 
-def shares(*found: Explanation, columns: Real | None = None) -> dict[str, tuple[float, float, int]]:
-    chosen = options(likelihood(columns), [(each, 0.0) for each in found], 20.0)
+def shares(*found: Explanation) -> dict[str, tuple[float, float, int]]:
+    chosen = options(model(), [(each, 0.0) for each in found], 20.0)
     return {option.name: (option.share, option.odds, option.times) for option in chosen}
 
 
@@ -77,11 +75,11 @@ def test_what_every_recording_draws_anew_and_what_is_uncertain_hides_a_differenc
     assert gone["record two again"][0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_what_a_model_does_not_get_right_comes_again() -> None:
-    """Of a misfit that its inaccuracy accounts for, both predict what was measured."""
-    columns = np.zeros((2 * ROWS, 1))
-    columns[:ROWS] = 1.0
-    found = shares(explanation(0.0, accuracy=30.0), explanation(0.5, accuracy=30.0), columns=columns)
+def test_what_a_change_in_a_region_accounts_for_comes_again() -> None:
+    """Of a misfit that it may make 30 times as large, both predict what was measured."""
+    outside = np.zeros((2 * ROWS, 1))
+    outside[:ROWS] = 30.0 / REGION_SIZES[0]
+    found = shares(explanation(0.0, outside=outside), explanation(0.5, outside=outside))
     assert found["record one again"][0] < 1e-3
 
 
@@ -113,7 +111,7 @@ def test_the_leads_are_measured_where_hypotheses_differ_by_them() -> None:
 
 
 def test_it_is_said_in_numbers() -> None:
-    found = options(likelihood(), [(explanation(0.0), 0.0), (explanation(0.5), 0.0)], 20.0)
+    found = options(model(), [(explanation(0.0), 0.0), (explanation(0.5), 0.0)], 20.0)
     text = next_measurement_text(found, ("leads", "glass"), 20.0)
     assert text.startswith("Record one again, 4 times: odds of 20.1 are expected between leads and glass.")
     # 1 - ln(1 + exp(-1.5 / 8)) / ln 2

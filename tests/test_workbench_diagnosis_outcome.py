@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_explanations import made_explanation, made_problem
 
 from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis.appraisal import established, suspect_places
-from workbench.diagnosis.conclusion import Conclusion, explained_share
+from workbench.diagnosis.conclusion import Conclusion, evidence, explained_share, interval
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
-from workbench.diagnosis.discrepancy import DiscrepancyModes
-from workbench.diagnosis.findings import Found, NotTried, Refitted
+from workbench.diagnosis.findings import Alternative, Found, NotTried, Refitted
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
+from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.modes import Mode
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace
 from workbench.diagnosis.state import state_fit
@@ -54,16 +55,13 @@ def state(name: str) -> Any:
 def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explanation:
     """One that leaves the same `off` of ln Z at every point of the one fitted state."""
     log = np.full(FREQUENCY.size, off + 0j)
-    residual: Any = SimpleNamespace(log_ratio=(log,), impedance=(impedance(off),), vector=np.full(402, off / 0.002))
-    x = np.array([0.15, 60e-9, 25e9])
-    return Explanation(Hypothesis(effects, region), x, (0, 1, 2), np.diag([0.01, 2e-9, 1e8]) ** 2, 0.0,
-                       Scales(0.001, 0.0, 0.0), 0.0, residual, 0.0)
+    local = made_problem(np.full(402, off / 0.002), np.zeros((402, 3)), 1.0 / np.array([0.01, 2e-9, 1e8]))
+    return made_explanation(local, np.array([0.15, 60e-9, 25e9]), hypothesis=Hypothesis(effects, region),
+                            states=(state("empty"),), log_ratio=(log,), impedances=(impedance(off),))
 
 
 def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Refitted:
-    nothing = np.zeros((402, 0))
-    return Refitted(explanation(*effects, off=off, region=region), (), (), 0.0, (impedance(off),), nothing,
-                   DiscrepancyModes(nothing, ()))
+    return Refitted(explanation(*effects, off=off, region=region), held_out_impedances=(impedance(off),))
 
 
 def campaign() -> Any:
@@ -102,7 +100,7 @@ def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, 
         device, found, Conclusion(Decision(verdict, chosen, rivals, log_odds), named if told else base,
                                   (settled(GLASS),) * len(rivals)),
         Criteria(), fits["stated"], fits["base"], fits["best"] if told else fits["base"], told,
-        Remainder(0.003, 0.0028, 0.001, 0.0015, ""), (SuspectPlace("bond", "anything", 1.0, (), 0.5),),
+        Remainder(0.003, 0.0028, 1.1, 0.001, ""), (SuspectPlace("bond", "anything", 1.0, (), 0.5),),
         (estimate("pla.density", 1180.0, "kg/m^3", 1150.0, 2.5),), (), (), (), 12.0), **changed)
 
 
@@ -113,8 +111,7 @@ def test_the_headline_says_what_is_established_in_shown_units_and_its_share() ->
 
 def test_the_headline_of_every_other_verdict() -> None:
     leads, glass = Evidence("leads", 9.0, ("leads",)), Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    left = ("0.3 % of Z is left (rms of both parts); a noise of 0.2 % leaves 0.28 %, and changes of 0.1 % within "
-            "parts, the accuracy of the model, may make 0.15 %")
+    left = "0.3 % of Z is left (rms of both parts); a noise of 0.2 % leaves 0.28 %"
     said = {
         "ambiguous": diagnosis("ambiguous", leads, (glass,)),
         "no_mismatch": diagnosis("no_mismatch"), "parameters_explain": diagnosis("parameters_explain"),
@@ -132,7 +129,7 @@ def test_the_headline_of_every_other_verdict() -> None:
         "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
     }
     assert {*said, "missing_physics", "not_finished"} == set(VERDICTS)
-    assert diagnosis("unexplained").headline.endswith("may make 0.15 %.")
+    assert diagnosis("unexplained").headline.endswith("leaves 0.28 %.")
     with pytest.raises(ValueError, match="verdict 'guilty': expected one of no_mismatch"):
         _ = diagnosis("guilty").headline
 
@@ -142,10 +139,10 @@ def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at
     found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), not_tried=(
         NotTried("pairs", "none is left"),), known=(
         estimate("pla.density", 1180.0, "kg/m^3", 1150.0, -3.6), estimate("bond.thickness", 9e-6, "m", 1e-5, 3.4)),
-        established=(replace(TOLD, admissible=False),), remainder=Remainder(0.004, 0.0028, 0.001, 0.0015, "bond"))
+        established=(replace(TOLD, admissible=False),), remainder=Remainder(0.004, 0.0028, 1.4, 0.001, "bond"))
     text = "\n".join(found.findings)
     assert "it looks like something in the bond." in text
-    assert "A parameter of leads lies outside what is admissible" in text
+    assert "A parameter of leads lies at the end of what is admissible, or outside" in text
     assert "The recordings cannot rule out shear modulus of glass: odds of 2.7 against it." in text
     assert "at odds with what is known: pla.density -3.6." in text
     assert "filled, held out: a reduced chi-square of 200 by the known parameters, 1.12 with what was found." in text
@@ -209,17 +206,49 @@ def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
 def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     base, single, pair = settled(off=0.05), settled(LEADS, off=0.02), settled(LEADS, GLASS, off=0.01)
     found = established(model(), Found(base, (pair, single, base), ()), pair.explanation)
-    # Of chi-square less what noise makes of it, one a datum.
-    whole = 0.05**2 - 0.002**2
+    # Of chi-square less what noise makes of it: real parts are off, and both parts have noise.
+    whole = 0.05**2 - 2.0 * 0.002**2
     assert [each.effect.name for each in found] == ["leads", GLASS.name]
     assert [each.share for each in found] == [pytest.approx((0.05**2 - 0.02**2) / whole, rel=1e-12),
                                               pytest.approx((0.02**2 - 0.01**2) / whole, rel=1e-12)]
     assert found[1].estimates[0] == FoundNumber("glass.shear_modulus", 25e9, pytest.approx(25e9 - 1.96e8),
-                                                pytest.approx(25e9 + 1.96e8), "Pa", 26e9, -1.0)
+                                                pytest.approx(25e9 + 1.96e8), "Pa", 26e9,
+                                                pytest.approx(-1e9 / math.hypot(1e9, 1e8)))
     assert found[1].admissible
     limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
     outside = replace(GLASS, admissible=limits)
     assert not established(model(), Found(base, (base,), ()), explanation(outside))[0].admissible
+
+
+def test_a_number_at_the_end_of_what_is_admissible_is_a_sign_unless_it_is_neutral() -> None:
+    base, ending = settled(off=0.05), {"glass.shear_modulus": Admissible(25e9, 30e9, "Pa", "this glass")}
+    at_end = explanation(replace(GLASS, admissible=ending))
+    assert not established(model(), Found(base, (base,), ()), at_end)[0].admissible
+    neutral = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
+    stays = replace(explanation(replace(GLASS, admissible=neutral)), x=np.array([0.15, 60e-9, 26e9]))
+    assert established(model(), Found(base, (base,), ()), stays)[0].admissible
+
+
+def test_the_number_of_a_term_is_no_better_known_than_the_term() -> None:
+    """A lead that is a term is right to 2 % of its resistance; the modulus of a glass is one of the model."""
+    term: Any = SimpleNamespace()
+    found = explanation(replace(LEADS, terms={"empty": (term,)}), GLASS)
+    value, low, high = interval(model(), found, "bench.series_resistance")
+    assert (value, high - value) == (0.15, pytest.approx(1.96 * math.hypot(0.01, 0.02 * 0.15)))
+    assert low == pytest.approx(2.0 * value - high)
+    assert interval(model(), found, "glass.shear_modulus")[2] == pytest.approx(25e9 + 1.96e8)
+
+
+def test_a_number_that_the_end_of_its_range_holds_has_moved() -> None:
+    base = settled(off=0.05)
+    free = settled(LEADS, off=0.003)
+    local = made_problem(np.zeros(402), np.zeros((402, 2)), np.array([5e8, 1e-8]))
+    held = replace(free, explanation=replace(free.explanation, free=(1, 2), local=local))
+    assert evidence(model(), free, base.explanation).z_scores == pytest.approx(
+        {"bench.series_resistance": 15.0, "bench.series_inductance": 30.0})
+    assert evidence(model(), held, base.explanation).z_scores["bench.series_resistance"] == math.inf
+    stays = replace(held, explanation=replace(held.explanation, x=np.array([0.0, 60e-9, 25e9])))
+    assert evidence(model(), stays, base.explanation).z_scores["bench.series_resistance"] == 0.0
 
 
 def test_two_losses_of_one_material_have_one_share() -> None:
@@ -274,15 +303,16 @@ def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:
     assert explained_share(device, explanation(), explanation(LEADS)) == 0.0
 
 
-def test_regions_that_the_search_settled_come_first() -> None:
-    weighed = tuple((Hypothesis(region=region), worth) for region, worth in (("cavity", 8.0), ("bond", 3.0)))
-    base = replace(settled(), alternatives=weighed)
-    assert [(place.region, place.evidence) for place in suspect_places(base, Found(base, (base,), ()))
-            ] == [("cavity", 8.0), ("bond", 3.0)]
-    beside = settled(region="bond")
-    found = Found(base, (replace(beside, explanation=replace(beside.explanation, log_evidence=2.0)), base), ())
-    told = [(place.region, place.evidence, place.sigmas) for place in suspect_places(base, found)]
-    assert told == [("bond", 2.0, 2.0), ("cavity", 8.0, 4.0)]
+def test_suspect_places_are_what_would_improve_an_explanation() -> None:
+    nothing = np.zeros((402, 0))
+    mode = Mode((0,), 1.234e6, 80.0, 5)
+    outside = (Alternative(Hypothesis(region="cavity"), 8.0, nothing),
+               Alternative(Hypothesis(modes=(mode,)), 2.0, nothing),
+               Alternative(Hypothesis(region="bond"), -1.0, nothing))
+    assert suspect_places(replace(settled(), alternatives=outside)) == (
+        SuspectPlace("cavity", "anything", 4.0, (), 8.0),
+        SuspectPlace("mode", "mode", 2.0, ("1.2340 MHz, Q about 80",), 2.0),
+        SuspectPlace("bond", "anything", 0.0, (), -1.0))
 
 
 def test_the_record_keeps_its_keys_and_is_json() -> None:
@@ -291,7 +321,7 @@ def test_the_record_keeps_its_keys_and_is_json() -> None:
     assert set(found) >= {
         "campaign", "verdict", "effects", "moved_parameters", "rivals", "location", "before", "known_parameters_only",
         "after", "held_out", "next_measurement", "detection_limits", "scores", "refits", "findings", "seconds",
-        "left", "taken", "undone", "headline", "accuracy"}
+        "left", "taken", "undone", "headline"}
     again = json.loads(json.dumps(found, allow_nan=False))
     assert again["effects"][0]["share"] == 0.97
     assert again["effects"][0]["parameters"]["bench.series_inductance"]["unit"] == "H"
@@ -300,7 +330,8 @@ def test_the_record_keeps_its_keys_and_is_json() -> None:
     held = again["held_out"]["filled"]["after"]
     assert held["reduced_chi_square"] == pytest.approx(0.003**2 / 0.002**2 / 2, rel=1e-9)
     assert again["before"]["empty"]["rms_log_residual"] == pytest.approx(0.3, rel=1e-9)
-    assert (again["accuracy"], again["taken"][0]["source"]) == (0.001, "campaign.toml")
+    assert again["taken"][0]["source"] == "campaign.toml"
+    assert again["left"] == {"rms": 0.003, "noise": 0.0028, "inflation": 1.1, "inhomogeneity": 0.001, "region": ""}
 
 
 def test_summary_and_dataset_hold_what_was_found() -> None:

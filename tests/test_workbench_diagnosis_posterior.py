@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_explanations import made_explanation, made_problem
 from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, NOISE, conceal
 from scipy.special import logsumexp
@@ -20,8 +21,7 @@ from scipy.stats import multivariate_normal
 
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.evidence import LinearisedProblem
-from workbench.diagnosis.likelihood import Hypothesis, LocalProblem, Scales
+from workbench.diagnosis.likelihood import Hypothesis, Scales
 from workbench.diagnosis.posterior import Posterior
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Stated
@@ -58,7 +58,7 @@ def settled(device: Model, name: str, truth: Real, scales: Scales | None = None)
     """The posterior of a hypothesis at the optimum near the known parameters of the truth (p,)."""
     hypothesis = Hypothesis(tuple(effect for effect in device.effects if effect.name == name))
     free, _ = device.free(hypothesis.effects)
-    x = np.array([p.start for p in device.parameters])
+    x = device.stated
     x[free] = truth[free]
     first = Posterior.of(device, hypothesis, x).likelihood.refit(hypothesis, x)
     return Posterior.of(device, hypothesis, first.x, errors=first.errors, scales=scales)
@@ -76,14 +76,21 @@ def nested(posterior: Posterior, live: int) -> tuple[float, float, int]:
 
 @dataclass(frozen=True, eq=False)
 class Straight:
-    """A likelihood of data (40,) that are linear in two known parameters and one anywhere within a range, at x."""
+    """A likelihood of data (40,) that are linear in two known parameters and one anywhere within a range, at x.
+
+    Points weigh differently: ``root`` (40,) is one over their deviations, in units of the stated noise.
+    """
 
     x: Real
     tangents: Real
     residual: Real
     columns: Real
     parameters: tuple[Parameter, ...]
-    settings: tuple[Scales, ...]
+    root: Real
+
+    #: Sizes of the columns, and the scales that have them.
+    sizes = (0.0, 0.3, 2.0)
+    settings = tuple(Scales(size, 0.0, 0.0) for size in sizes)
 
     @classmethod
     def made(cls, high: float = 9.0) -> Straight:
@@ -93,8 +100,7 @@ class Straight:
         named = (("c", 4.0, -1.0, 9.0, 0.3), ("e", -2.0, -8.0, 3.0, 0.5), ("loss", 0.5, -9.0, high, None))
         return cls(np.array([4.1, -2.2, 0.4]), tangents, residual, columns,
                    tuple(Parameter(name, start, low, high, None if prior is None else Stated(prior), "1")
-                         for name, start, low, high, prior in named),
-                   (Scales(0.0, 0.0, 0.0), Scales(0.3, 0.0, 0.0), Scales(2.0, 0.0, 0.0)))
+                         for name, start, low, high, prior in named), np.linspace(0.6, 1.0, 40))
 
     @property
     def model(self) -> SimpleNamespace:
@@ -112,25 +118,26 @@ class Straight:
             high=np.array([p.high for p in self.parameters]), centre=np.array([p.start for p in self.parameters]),
             precision=np.array([1.0 / p.prior if p.prior else 0.0 for p in self.parameters]))
 
-    def deviations(self, *_: object) -> tuple[Real, ...]:
-        return (self.columns,)
+    def posterior(self, scales: Scales | None = None) -> Posterior:
+        search = self.search(Hypothesis())
+        local = made_problem(self.residual, self.tangents, search.precision, offset=self.x - search.centre,
+                             parts=self.columns, inhomogeneities=self.sizes, information=self.root**2,
+                             ranges=(self.x - search.low, search.high - self.x))
+        return Posterior(self, made_explanation(local, self.x), scales)  # type: ignore[arg-type]
 
-    def linearised(self, hypothesis: Hypothesis, search: SimpleNamespace, x: Real) -> LocalProblem:
-        widths = np.where(search.precision > 0.0, np.nan, search.high - search.low)
-        problem = LinearisedProblem.of(
-            self.tangents, self.residual, self.columns, precision=np.diag(search.precision**2),
-            offset=x - search.centre, widths=widths, below=x - search.low, above=search.high - x)
-        return LocalProblem(problem, self.settings, (2, 0, 0, 0), SimpleNamespace())
+    def covariance(self, size: float) -> Real:
+        """That of the data over their deviations."""
+        own = self.root[:, None] * self.columns
+        return np.asarray(np.eye(40) + size**2 * own @ own.T)
 
     def evidence(self) -> float:
         """In closed form, with a range far wider than what the data allow: ln of the mean normal density of the data
         with all parameters averaged over, over that of white noise of unit size at zero."""
         priors = np.diag([p.prior**2 if p.prior else 1e6 for p in self.parameters])
-        centre = np.array([p.start for p in self.parameters])
-        mean = self.residual + self.tangents @ (centre - self.x)
-        logs = [multivariate_normal.logpdf(
-            mean, cov=np.eye(40) + scales.accuracy**2 * self.columns @ self.columns.T
-            + self.tangents @ priors @ self.tangents.T) for scales in self.settings]
+        centre, own = np.array([p.start for p in self.parameters]), self.root[:, None] * self.tangents
+        mean = self.root * self.residual + own @ (centre - self.x)
+        logs = [multivariate_normal.logpdf(mean, cov=self.covariance(size) + own @ priors @ own.T)
+                for size in self.sizes]
         # A normal distribution of deviation 1e3 is as dense as a range of this width.
         width = math.log(1e3 * math.sqrt(2.0 * math.pi) / (self.parameters[2].high - self.parameters[2].low))
         return float(logsumexp(logs)) - math.log(len(logs)) + 20.0 * math.log(2.0 * math.pi) + width
@@ -149,7 +156,7 @@ def integral(posterior: Posterior, points: int, reach: float = 7.0) -> float:
 
 def test_the_evidence_of_linear_data_is_the_closed_form() -> None:
     straight = Straight.made()
-    posterior = Posterior(straight, Hypothesis(), straight.x)
+    posterior = straight.posterior()
     expected = straight.evidence()
     # The normal prior in place of the range, of deviation 1e3, is flat to (1 / 1e3)^2 / 2 where the data are.
     assert posterior.laplace().log_evidence == pytest.approx(expected, abs=1e-4)
@@ -160,25 +167,24 @@ def test_the_evidence_of_linear_data_is_the_closed_form() -> None:
 
 def test_scales_may_be_fixed() -> None:
     straight = Straight.made()
-    every = [Posterior(straight, Hypothesis(), straight.x, scales) for scales in straight.settings]
+    every = [straight.posterior(scales) for scales in straight.settings]
     theta = straight.x + np.array([0.05, -0.2, 0.1])
     logs = [each.log_likelihood(theta) for each in every]
     assert len(set(np.round(logs, 3))) == 3
-    averaged = Posterior(straight, Hypothesis(), straight.x).log_likelihood(theta)
+    averaged = straight.posterior().log_likelihood(theta)
     assert averaged == pytest.approx(float(logsumexp(logs)) - math.log(3.0), rel=1e-12)
-    residual = straight.objective(theta).vector
-    for scales, found in zip(straight.settings, logs, strict=True):
-        covariance = np.eye(40) + scales.accuracy**2 * straight.columns @ straight.columns.T
-        density = multivariate_normal.logpdf(residual, cov=covariance) + 20.0 * math.log(2.0 * math.pi)
+    residual = straight.root * straight.objective(theta).vector
+    for size, found in zip(straight.sizes, logs, strict=True):
+        density = multivariate_normal.logpdf(residual, cov=straight.covariance(size)) + 20.0 * math.log(2.0 * math.pi)
         assert found == pytest.approx(density, rel=1e-10)
 
 
 def test_a_range_that_ends_near_the_optimum_is_what_laplace_does_not_see() -> None:
     """One deviation inside of the bound it takes no notice of what is cut off: 0.159 of a normal distribution."""
     scales, wide = Scales(0.3, 0.0, 0.0), Straight.made()
-    _, mean, covariance = Posterior(wide, Hypothesis(), wide.x, scales).laplace()
+    _, mean, covariance = wide.posterior(scales).laplace()
     cut = Straight.made(high=float(mean[2] + math.sqrt(covariance[2, 2])))
-    posterior = Posterior(cut, Hypothesis(), cut.x, scales)
+    posterior = cut.posterior(scales)
     # The grid lies askew to the bound: steps of half a deviation tell the share to some hundredths.
     assert posterior.laplace().log_evidence - integral(posterior, 21, 5.0) == pytest.approx(-math.log(0.841), abs=0.03)
 
@@ -189,9 +195,7 @@ def test_the_transform_of_the_unit_cube_has_the_density_of_the_prior() -> None:
     low = (Parameter("c", 4.0, 3.9, 4.2, Stated(0.3), "1"), Parameter("e", -2.0, -2.0, 3.0, Stated(0.5), "1"),
            straight.parameters[2])
     for parameters in (straight.parameters, low):
-        narrow = Straight(straight.x, straight.tangents, straight.residual, straight.columns, parameters,
-                          straight.settings)
-        posterior = Posterior(narrow, Hypothesis(), narrow.x)
+        posterior = replace(straight, parameters=parameters).posterior()
         for u in (np.array([0.5, 0.5, 0.5]), np.array([0.1, 0.8, 0.3]), np.array([0.97, 0.02, 0.6])):
             step = 1e-5 * np.eye(3)
             slopes = [(posterior.prior_transform(u + each) - posterior.prior_transform(u - each)).sum() / 2e-5
@@ -204,7 +208,7 @@ def test_the_transform_of_the_unit_cube_has_the_density_of_the_prior() -> None:
 
 def test_outside_the_bounds_there_is_nothing() -> None:
     straight = Straight.made()
-    posterior = Posterior(straight, Hypothesis(), straight.x)
+    posterior = straight.posterior()
     for k, beyond in ((0, -1.1), (1, 3.1), (2, 9.1)):
         theta = straight.x.copy()
         assert np.isfinite(posterior.log_posterior(theta))
@@ -215,7 +219,7 @@ def test_outside_the_bounds_there_is_nothing() -> None:
 
 def test_parameters_of_another_number_are_refused() -> None:
     straight = Straight.made()
-    posterior = Posterior(straight, Hypothesis(), straight.x)
+    posterior = straight.posterior()
     for function in (posterior.log_prior, posterior.log_likelihood, posterior.log_posterior, posterior.prior_transform):
         with pytest.raises(ValueError, match=r"shape \(2,\): expected \(3,\), one number each of c, e, loss"):
             function(np.zeros(2))

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, conceal
 
-from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import device_model
 from workbench.diagnosis.inference import DiagnosisSearch
+from workbench.diagnosis.levels import LEVELS
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.profile_scan import (
     HELD,
@@ -22,6 +22,7 @@ from workbench.diagnosis.profile_scan import (
     scan_profiles,
     search_directions,
 )
+from workbench.diagnosis.ranking import ranked_at_level
 
 Real = NDArray[np.float64]
 
@@ -45,17 +46,19 @@ def searched(folder: Path, values: Mapping[str, float]) -> DiagnosisSearch:
 def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path) -> None:
     """A fifth of the radius without an electrode."""
     search = searched(tmp_path, {WIDTH: 0.2})
-    found = {each.name: search.scan_effect(each.name) for each in search.model.effects}
+    found = {each.name: search.scan_effect(each.name, "disc") for each in search.model.effects}
     ordered = sorted((name for name, places in found.items() if places), key=lambda name: found[name][0].cost)
     best = found["electrode that ends before the rim"]
     print([(name, round(found[name][0].cost, 1)) for name in ordered[:3]])
     assert ordered[0] == "electrode that ends before the rim"
-    at = best[0].x[search.model.index(WIDTH)]
-    # Sizes are tenths of its range apart, and those beside the best were halved twice.
-    assert abs(at - 0.2) < 0.02
+    index = search.model.index(WIDTH)
+    looked_at = np.array(SIZES) * search.model.parameters[index].high
+    assert best[0].x[index] == pytest.approx(looked_at[np.argmin(np.abs(looked_at - 0.2))], rel=1e-3)
     assert [each.cost for each in best] == sorted(each.cost for each in best)
     # No tangent at nothing asks for that much.
-    (score,) = (each for each in search.scored(search.models.prior.x, LEVELS[0]) if each.effect.name == ordered[0])
+    scores = ranked_at_level(search.model, search.tangents(search.models.prior.x), search.model.campaign.fitted,
+                             LEVELS[0])
+    (score,) = (each for each in scores if each.effect.name == ordered[0])
     print("score", score.amplitude)
     assert abs(score.amplitude[0] - 0.2) > 0.1
 
@@ -63,10 +66,9 @@ def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path)
 def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) -> None:
     """The cost of a size is the least that the linear data leave, with what is known of the numbers."""
     search = searched(tmp_path, {WIDTH: 0.1})
-    own = search.effect("electrode that ends before the rim")
+    own = search.model.effect("electrode that ends before the rim")
     at = search.models.prior.x
-    wider = search.models.towards(Hypothesis((own,)), corners(search.model, own, at))
-    likelihood = search.models.noise_only().with_objective(wider)
+    likelihood = search.models.towards(Hypothesis((own,)), corners(search.model, own, at))
     best = scan_profiles(likelihood, own, at)[0]
     problem = likelihood.search(Hypothesis((own,)))
     here = problem.evaluate(best.x, likelihood.point_deviations(LEVELS[0]))
@@ -81,14 +83,14 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
 
 def test_the_ways_go_to_all_that_each_number_may_be_and_to_all_at_once(tmp_path: Path) -> None:
     search = searched(tmp_path, {})
-    device, own = search.model, search.effect("complex piezoelectric constant")
+    device, own = search.model, search.model.effect("complex piezoelectric constant")
     indices = [device.index(name) for name in own.names]
     low, high = device.bounds(indices)
-    start = np.array([device.parameters[i].start for i in indices])
+    start = device.stated[indices]
     found = list(search_directions(device, own))
     assert np.allclose(found, [(bound - start) * which for bound in (low, high) for which in ([1, 0], [0, 1], [1, 1])])
     assert np.abs(found).max(axis=1).min() > 0.0
-    x = np.array([p.start for p in device.parameters])
+    x = device.stated
     expected = [size * way for way in found for size in HELD]
     # Inside of what is admissible by some millionths of the range.
     np.testing.assert_allclose([place[indices] - start for place in corners(device, own, x)], expected, rtol=1e-3)

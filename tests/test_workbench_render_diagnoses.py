@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.acoustics.nodal import mesh_of
+from workbench.render import diagnoses
 from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
 from workbench.render.sections import draw_marked
 
@@ -64,3 +65,31 @@ def test_every_state_has_a_panel(tmp_path: Path) -> None:
     assert four[height // 2 + 60:, width // 2:].min() > 0.99
     with pytest.raises(ValueError, match="no states"):
         draw_states([], tmp_path / "none.png", before="", after="")
+
+
+def test_a_line_shows_below_the_other_where_both_coincide(tmp_path: Path) -> None:
+    frequency, flat = np.linspace(1e6, 2e6, 20), np.ones(20, dtype=complex)
+    state = StatePicture("a", frequency, flat, flat, flat, np.full(20, 0.01))
+    path = draw_states([state], tmp_path / "a.png", before="before", after="after")
+    drawn = picture(path)
+    upper = drawn[drawn.shape[0] // 4:drawn.shape[0] // 2]
+    rows = {colour: np.flatnonzero(np.mean(np.all(np.abs(upper - np.array(rgb)) < 0.1, axis=2), axis=1) > 0.3)
+            for colour, rgb in (("before", (0.92, 0.70, 0.54)), ("after", (0.0, 0.45, 0.70)))}
+    assert rows["after"].size
+    assert rows["before"].min() < rows["after"].min() < rows["after"].max() < rows["before"].max()
+
+
+@pytest.mark.parametrize(("before", "is_log"), [(0.03, False), (1.0, True)])
+def test_a_difference_of_orders_is_drawn_on_a_logarithmic_scale(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: float, is_log: bool
+) -> None:
+    seen: list[tuple[str, tuple[float, float]]] = []
+    monkeypatch.setattr(diagnoses, "tidy", lambda axes: seen.append((axes.get_yscale(), axes.get_ylim())))
+    frequency, flat = np.linspace(1e6, 2e6, 20), np.ones(20, dtype=complex)
+    state = StatePicture("a", frequency, flat, np.exp(before) * flat, np.exp(0.02) * flat, np.full(20, 0.01))
+    draw_states([state], tmp_path / "a.png", before="before", after="after")
+    _, (scale, (low, high)) = seen
+    assert scale == ("log" if is_log else "linear")
+    # Per cent of |Z|: before, after and the noise are on the scale.
+    assert low < 2.0 < 100.0 * before < high
+    assert (low == 0.0) is not is_log

@@ -38,9 +38,8 @@ from materials.registry import Registry  # noqa: E402
 from workbench.commands.parsed_options import accuracy_option  # noqa: E402
 from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.descent import Candidate  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
-from workbench.diagnosis.findings import InitialOptimum  # noqa: E402
+from workbench.diagnosis.findings import Candidate, InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.local_models import LocalModels  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
@@ -161,7 +160,6 @@ class Replay:
             search = Replayed(self._model)
             search.kept, search.budget = self._kept, math.inf if minutes is None else 60.0 * minutes
             search.__dict__["models"] = self._models
-            self._models.places = ()
             self._stated = self._stated or as_stated(search)
             found = appraised(self._model, search.run(), self._stated, started=started)
         return {**diagnosis_record(found), "wall_seconds": search.clock,

@@ -27,9 +27,9 @@ from support import with_fields  # noqa: E402
 
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.likelihood import Likelihood  # noqa: E402
+from workbench.diagnosis.levels import LEVELS  # noqa: E402
 from workbench.diagnosis.local_models import LocalModels  # noqa: E402
-from workbench.diagnosis.ranking import ranked  # noqa: E402
+from workbench.diagnosis.ranking import ranked_at_level  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import sweep  # noqa: E402
 from workbench.model.problem import build  # noqa: E402
@@ -69,9 +69,9 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         print(f"diagnosis of two states: {found.seconds:.0f} s, {found.seconds / full:.2f} of it")
 
         models = LocalModels(found.model)
-        bare = Likelihood.noise_only(found.model, models.over_prior)
+        x = models.prior.x
         started = time.perf_counter()
-        scores = ranked(bare, models.prior.x, 0.0)
+        scores = ranked_at_level(found.model, models.tangents(x), found.campaign.fitted, LEVELS[-1])
         scored = time.perf_counter() - started
         print(f"scores of {len(scores)} hypotheses: {scored:.2f} s; best {scores[0].effect.name}")
         for label, value in (("diagnosis of two states", found.seconds), ("full-order spectrum", full),

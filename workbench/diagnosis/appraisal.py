@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.assignment import check_assignment
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.conclusion import Conclusion, conclude, explained_share, mismatch, not_finished
+from workbench.diagnosis.conclusion import Conclusion, conclude, explained_share, not_finished
 from workbench.diagnosis.decision import HINT
-from workbench.diagnosis.descent import LEVELS
+from workbench.diagnosis.description import remainder_description
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.findings import Found, Refitted
+from workbench.diagnosis.findings import Alternative, Found, Refitted
 from workbench.diagnosis.inference import DiagnosisSearch
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
-from workbench.diagnosis.local_models import ROUGH
+from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.outcome import Diagnosis, Established, Remainder, SuspectPlace, estimates
+from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
@@ -32,8 +31,12 @@ from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Processes, Workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.physics.term import Admissible
 
 Complex = NDArray[np.complex128]
+
+#: A number is at the end of what is admissible within this share of it.
+AT_END = 1e-4
 
 
 def diagnose(
@@ -84,20 +87,15 @@ def diagnose_model(
     search = DiagnosisSearch(model, progress, until=None if minutes is None else started + 60.0 * minutes)
     stated = as_stated(search)
     check_assignment(model.campaign, stated[:len(model.campaign.fitted)])
-    return appraised(model, search.run(workers), stated, criteria=search.criteria, started=started)
+    found = appraised(model, search.run(workers), stated, criteria=search.criteria, started=started)
+    description = remainder_description(model, found.found, found.conclusion, found.criteria)
+    return replace(found, description=description, seconds=time.perf_counter() - started)
 
 
 def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
-    model, x = search.model, search.models.centre
-    fitted = search.models.noise_only()
-    if search.models.are_inaccurate(fitted.data(Hypothesis(), x).error, LEVELS[1]):
-        # The smallest body says that the known numbers are elsewhere.
-        fitted = Likelihood.noise_only(model, model.fitted.near(x, {}, ROUGH, only=()))
-    impedances = fitted.impedances(x)
-    if model.held_out is not None:
-        held = model.held_out.near(x, {}, ROUGH, only=())
-        impedances += Likelihood.noise_only(model, held).impedances(x)
+    model = search.model
+    impedances = search.models.stated[0]
     return tuple(_fit(state, impedance) for state, impedance in
                  zip((*model.campaign.fitted, *model.campaign.held_out), impedances, strict=True))
 
@@ -126,13 +124,12 @@ def _of(
     # A hypothesis outside the catalogue moves no parameter of a prediction: the known parameters do.
     refit = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
     best = refit.explanation
-    likelihood = Likelihood(model, model.fitted, refit.columns, refit.region_discrepancy)
-    location, alive = suspect_places(refit, found), _alive(found, conclusion, criteria)
-    further = options(likelihood, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
+    location, alive = suspect_places(refit), _alive(found, conclusion, criteria)
+    further = options(model, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
     released = {name for effect in best.hypothesis.effects for name in effect.releases}
     return Diagnosis(
         model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, refit),
-        established(model, found, best), _remainder(likelihood, best, location, criteria), location,
+        established(model, found, best), _remainder(best, location, criteria), location,
         estimates(model, best, [p.name for p in model.parameters[:model.known] if p.name not in released]),
         found.base.scores, tuple(each.explanation.hypothesis.name for each, _ in alive),
         tuple(further), time.perf_counter() - started)
@@ -141,37 +138,35 @@ def _of(
 def established(model: Model, found: Found, best: Explanation) -> tuple[Established, ...]:
     """The effects of an explanation; the share of the second of two effects is the part that it adds to the first."""
     effects, result, before = best.hypothesis.effects, list[Established](), 0.0
-    of = {each.explanation.hypothesis.effects: each.explanation for each in found.final} | {effects: best}
+    of = {each.hypothesis.effects: each.explanation for each in found.final
+          if not each.hypothesis.is_outside} | {effects: best}
     for count, effect in enumerate(effects, 1):
         so_far = of.get(effects[:count])
         after = before if so_far is None else max(before, explained_share(model, found.base.explanation, so_far))
         parameters = estimates(model, best, effect.names)
-        limits = [(effect.admissible[each.name], each.value) for each in parameters if each.name in effect.admissible]
-        inside = all(limit.lowest <= value <= limit.highest for limit, value in limits)
+        inside = all(_is_inside(each, effect.admissible[each.name]) for each in parameters
+                     if each.name in effect.admissible)
         result.append(Established(effect, parameters, inside, after - before))
         before = after
     return tuple(result)
 
 
-def suspect_places(refit: Refitted, found: Found) -> tuple[SuspectPlace, ...]:
-    """Regions with a change of any kind, and modes, that improve an explanation, by their evidences, best first.
-
-    Those that the search refitted come before those that were evaluated as alternatives of the explanation.
-    """
-    best = refit.explanation
-    # A place that was refitted is known better, and was decided on.
-    first = [(e.hypothesis, e.log_evidence) for e in (each.explanation for each in found.final)
-             if e.hypothesis.is_outside and e.hypothesis.effects == best.hypothesis.effects]
-    names = {each.name for each, _ in first}
-    ordered = [*first, *(each for each in refit.alternatives if each[0].name not in names)]
-    return tuple(_place(each, worth - best.log_evidence) for each, worth in ordered)
+def _is_inside(found: FoundNumber, limit: Admissible) -> bool:
+    """Whether a number is within what is admissible, or stays at the end of it where it is neutral."""
+    margin = AT_END * (limit.highest - limit.lowest)
+    moves = abs(found.value - found.stated) > margin
+    return not moves or limit.lowest + margin < found.value < limit.highest - margin
 
 
-def _place(hypothesis: Hypothesis, gained: float) -> SuspectPlace:
-    modes = tuple(f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in hypothesis.modes)
-    return SuspectPlace(hypothesis.region or "mode", "mode" if modes else "anything", math.sqrt(2.0 * max(gained, 0.0)),
-                        modes,
-                        gained)
+def suspect_places(refit: Refitted) -> tuple[SuspectPlace, ...]:
+    """Regions with a change of any kind, and modes, that improve an explanation, by their evidences, best first."""
+    return tuple(map(_place, refit.alternatives))
+
+
+def _place(found: Alternative) -> SuspectPlace:
+    modes = tuple(f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in found.hypothesis.modes)
+    return SuspectPlace(found.hypothesis.region or "mode", "mode" if modes else "anything",
+                        math.sqrt(2.0 * max(found.gains, 0.0)), modes, found.gains)
 
 
 def _fit(state: DeviceState, impedance: Complex) -> StateFit:
@@ -180,19 +175,18 @@ def _fit(state: DeviceState, impedance: Complex) -> StateFit:
 
 def _fits(model: Model, refit: Refitted) -> tuple[StateFit, ...]:
     """All states by an explanation, those held out last."""
-    impedances = (*refit.explanation.residual.impedance, *refit.held_out_impedances)
+    impedances = (*refit.explanation.impedances, *refit.held_out_impedances)
     states = (*model.campaign.fitted, *model.campaign.held_out)
     return tuple(_fit(state, impedance) for state, impedance in zip(states, impedances, strict=True))
 
 
 def _remainder(
-    likelihood: Likelihood, best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria
+    best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria
 ) -> Remainder:
-    count = 0.5 * likelihood.noise.size
-    noise, allowed = (math.sqrt(float(np.sum(each**2)) / count)
-                      for each in (likelihood.noise, best.accuracy * likelihood.columns))
+    noise = np.concatenate([state.noise for state in best.weighting.states])
     evident = [place.region for place in location[:1] if place.evidence > math.log(criteria.accepted)]
-    return Remainder(math.sqrt(mismatch(best) / count), noise, best.accuracy, allowed, evident[0] if evident else "")
+    return Remainder(best.rms, math.sqrt(2.0 * float(np.mean(noise**2))), best.weighting.largest,
+                     best.scales.inhomogeneity, evident[0] if evident else "")
 
 
 def _alive(found: Found, conclusion: Conclusion, criteria: Criteria) -> list[tuple[Refitted, float]]:

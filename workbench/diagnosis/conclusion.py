@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from workbench.diagnosis.decision import NOT_FINISHED, Decision, Evidence, decid
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.likelihood import Explanation
-from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.odds import TERM, Criteria
+from workbench.diagnosis.weighting import Weighting
 
 #: Standard deviations to either side of a 95 % interval.
 DEVIATIONS = 1.96
@@ -27,11 +29,8 @@ class Conclusion:
 
 def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Conclusion:
     """The decision on the results of a search."""
-    # Noise that goes together from point to point says less than as much that does not.
-    best = max(found.final, key=lambda each: each.explanation.log_evidence)
-    points = best.explanation.correlation
     base = found.base.explanation
-    evidences = {each.explanation.hypothesis.name: (evidence(model, each, base, points), each) for each in found.final}
+    evidences = {each.hypothesis.name: (evidence(model, each, base), each) for each in found.final}
     decision = decide([both[0] for both in evidences.values()], model.hypotheses,
                       stated_explains=_is_as_stated(model, base), criteria=criteria)
     return Conclusion(decision, evidences[decision.chosen.name][1],
@@ -45,12 +44,9 @@ def not_finished(model: Model, found: Found, so_far: Conclusion) -> Conclusion:
     return Conclusion(decision, found.base, ())
 
 
-def evidence(model: Model, refit: Refitted, base: Explanation, points: float = 1.0) -> Evidence:
-    """The evidence of an explanation, of all recordings, those held out included; `points` count as one independent
-    point.
-
-    `base` is the explanation of the null hypothesis.
-    """
+def evidence(model: Model, refit: Refitted, base: Explanation) -> Evidence:
+    """The evidence of an explanation, of all recordings, those held out included; `base` is the explanation of the null
+    hypothesis."""
     found = refit.explanation
     hypothesis = found.hypothesis
     z_scores = {}
@@ -58,23 +54,25 @@ def evidence(model: Model, refit: Refitted, base: Explanation, points: float = 1
         for name in effect.names:
             i = model.index(name)
             error = found.error(i)
-            z_scores[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
-    return Evidence(hypothesis.name, found.log_evidence / points, tuple(effect.name for effect in hypothesis.effects),
-                    hypothesis.is_outside, z_scores, refit.held_out / points, found.accuracy,
-                    explained_share(model, base, found))
+            moved = abs(float(found.x[i]) - model.parameters[i].start)
+            # One that the end of its range holds has no error, however far it has moved.
+            z_scores[name] = moved / error if error > 0.0 else math.inf if moved > 0.0 else 0.0
+    left = Weighting.left(found.weighting.states, found.log_ratio)
+    return Evidence(hypothesis.name, found.log_evidence, tuple(effect.name for effect in hypothesis.effects),
+                    hypothesis.is_outside, z_scores, refit.held_out, left.largest, explained_share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:
-    """Value, and low and high end of the 95 % interval, of a parameter within its range, SI."""
+    """Value, and low and high end of the 95 % interval, of a parameter within its range, SI.
+
+    The number of a term is right to :data:`~workbench.diagnosis.odds.TERM` of itself at best, as the term is.
+    """
     i = model.index(name)
     parameter, value, error = model.parameters[i], float(found.x[i]), found.error(i)
+    if any(effect.terms and name in effect.names for effect in found.hypothesis.effects):
+        error = float(np.hypot(error, TERM * (value - parameter.start)))
     return (value, float(max(value - DEVIATIONS * error, parameter.low)),
             float(min(value + DEVIATIONS * error, parameter.high)))
-
-
-def mismatch(found: Explanation) -> float:
-    """The sum of |ln(Z / Z_measured)|^2 over all fitted states."""
-    return float(sum(np.sum(np.abs(log) ** 2) for log in found.residual.log_ratio))
 
 
 def explained_share(model: Model, base: Explanation, found: Explanation) -> float:
@@ -83,9 +81,9 @@ def explained_share(model: Model, base: Explanation, found: Explanation) -> floa
     It is a share of chi-square, with the rows of the recordings and of the priors: a mismatch that known parameters
     take up by leaving their priors is still one.
     """
-    before, after = (float(np.sum(each.residual.vector**2)) + _pull(model, each) for each in (base, found))
+    before, after = (each.chi_square + _pull(model, each) for each in (base, found))
     # Noise leaves a chi-square of the number of data, or the one of the base.
-    beyond = before - min(after, base.residual.vector.size)
+    beyond = before - min(after, base.local.residual.size)
     return float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
 
 

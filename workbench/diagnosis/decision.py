@@ -32,8 +32,8 @@ class Evidence:
     ``effects`` of the catalogue that it has, none for the null hypothesis; ``outside`` whether it is outside the
     catalogue; ``log_evidence`` natural, of the fitted recordings, and ``held_out`` the log of the density predicted for
     the others, both up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of the parameters that
-    it moves from the null hypothesis, in standard deviations; ``accuracy`` (relative) is the one of the model that it
-    needs; ``share`` the part of the mismatch that it takes away.
+    it moves from the null hypothesis, in standard deviations; ``inflation`` is how many times the stated noise it
+    leaves in a recording; ``share`` the part of the mismatch that it takes away.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Evidence:
     outside: bool = False
     z_scores: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     held_out: float = 0.0
-    accuracy: float = 0.0
+    inflation: float = 1.0
     share: float = 0.0
 
     @property
@@ -86,18 +86,17 @@ def decide(
     if len(nothing) != 1 or len(single) > hypotheses:
         raise ValueError(f"received {len(nothing)} evidences that nothing is wrong and {len(single)} of single "
                          f"hypotheses; expected one, and at most {hypotheses}")
-    share = math.log1p(-criteria.nothing_wrong) - math.log(max(hypotheses, 1))
-    none = math.log(criteria.nothing_wrong) + nothing[0].total
+    prior = criteria.log_prior(hypotheses)
     log_odds = {each.name: (0.0 if each.is_null else
-                            share * max(len(each.effects), 1) + each.total - none) for each in evidences}
+                            prior * max(len(each.effects), 1) + each.total - nothing[0].total) for each in evidences}
     # An effect whose numbers are all consistent with zero is the null hypothesis, whatever else fits better with it.
-    others = sorted((each for each in evidences if not each.is_null and not _moves_nothing(each, criteria.redundant)),
-                    key=lambda each: -log_odds[each.name])
+    others = sorted((each for each in evidences if not each.is_null and not _moves_nothing(each, criteria.redundant)
+                     and _adds(each, evidences, log_odds, criteria)), key=lambda each: -log_odds[each.name])
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
         hint = together > math.log(criteria.hinted)
         verdict = HINT if hint else NO_MISMATCH if stated_explains else EXPLAINED
-        if nothing[0].accuracy > criteria.inaccurate:
+        if nothing[0].inflation > criteria.inflated:
             verdict = UNEXPLAINED
         return Decision(verdict, nothing[0], (), log_odds)
     close = [each for each in (*others, nothing[0])
@@ -107,11 +106,25 @@ def decide(
                key=lambda each: len(each.z_scores))
     rivals = tuple(each for each in close if each is not best and not _extends(each, best, criteria.redundant))
     if best.outside:
-        return Decision(UNEXPLAINED, best, rivals, log_odds)
-    if best.accuracy > criteria.inaccurate and best.share < criteria.most:
+        # Whatever follows the recordings gains something: it says nothing where no more than noise is left.
+        if nothing[0].inflation > criteria.inflated:
+            return Decision(UNEXPLAINED, best, rivals, log_odds)
+        return Decision(HINT, nothing[0], (), log_odds)
+    if best.inflation > criteria.inflated and best.share < criteria.most:
         # The remainder is neither an inaccuracy of the model nor a trace.
         return Decision(UNEXPLAINED, nothing[0], (), log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
+
+
+def _adds(each: Evidence, evidences: Sequence[Evidence], log_odds: Mapping[str, float], criteria: Criteria) -> bool:
+    """Whether the last effect of an explanation passes the bar of the first one: odds against the best explanation with
+    one effect fewer from which it is accepted, and no prediction of the states held out that rules it out."""
+    fewer = [other for other in evidences if other.effects and set(other.effects) < set(each.effects)]
+    if len(each.effects) < 2 or not fewer:
+        return True
+    best = max(fewer, key=lambda other: log_odds[other.name])
+    return (log_odds[each.name] - log_odds[best.name] > math.log(criteria.accepted)
+            and each.held_out > best.held_out - math.log(criteria.rival))
 
 
 def _moves_nothing(each: Evidence, redundant: float) -> bool:

@@ -47,6 +47,9 @@ REACH = 5.0
 LEAST = 0.05
 
 
+#: Recordings of a parameter that acts in none: no recording has an empty name.
+NOWHERE = ("",)
+
 #: Accuracy with which forms follow shapes, which most devices do not have: exact where all are as stated. A tenth of
 #: the error takes half as many nodes more, and every node of every shape is another matrix. The effect of a shape on
 #: the terms of another hypothesis is of second order, and right to a few hundredths: as well as the rest it took 1.8
@@ -54,13 +57,18 @@ LEAST = 0.05
 HYPOTHETICAL = Interpolation(1e-4, 1.25, True, 0.03)
 
 
+#: Hypotheses of one kind of model that are kept, the last ones used: a search goes from one to the next.
+KEPT = 4
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All parameters of a campaign, and the objectives over its states.
+    """All parameters of a campaign, and the objectives over its states in which some hypotheses act.
 
     The first ``known`` parameters are the known numbers, those that all states share and then the offsets of single
     states; all of these have a prior. ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those
-    over either kind (None without states held out); ``effects`` the hypotheses, whose parameters follow the known ones.
+    over either kind (None without states held out); ``effects`` are all hypotheses, whose parameters follow the known
+    ones, and ``acting`` those that the problems have terms, lengths and meshes for: parameters of others do nothing.
     Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
     given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
     layer; ``refusals`` holds the reason of every step of a search that could not be taken.
@@ -70,6 +78,7 @@ class Model:
     parameters: tuple[Parameter, ...]
     known: int
     effects: tuple[Effect, ...]
+    acting: tuple[Effect, ...]
     whole: Objective
     fitted: Objective
     held_out: Objective | None
@@ -79,22 +88,22 @@ class Model:
     refusals: list[str] = field(default_factory=list)
     _made: list[Model] = field(default_factory=list)
 
-    def about(self, chosen: Sequence[Effect], x: Real) -> Model:
-        """The model with lines of nodes at the edges of the rims of some hypotheses at x (p,).
+    def of(self, chosen: Sequence[Effect], x: Real | None = None) -> Model:
+        """The model in which the `chosen` hypotheses act and no others, on meshes of its own.
 
-        This model where there are no rims, or one made before whose edges are right (`rim.FOUND`).
+        With x (p,), meshes have lines of nodes at the edges of rims as they are there (`rim.FOUND`), not at those of
+        all widths. Models made before serve again.
         """
-        sizes = {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
+        sizes = {} if x is None else {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
-        if not wanted:
-            return self
-        for known in self._made:
-            if known.widths.keys() == wanted.keys() and all(
-                    abs(known.widths[name] - size) <= FOUND for name, size in wanted.items()):
-                return known
-        # Two are kept: a search looks at one place and goes to the next.
-        self._made[:] = [*self._made[-1:],
-                         device_model(self.campaign, accuracy=self.accuracy, widths=wanted)]
+        for model in (self, *self._made):
+            if {each.name for each in model.acting} == {each.name for each in chosen} and (
+                    model.widths.keys() == wanted.keys()) and all(
+                    abs(model.widths[name] - size) <= FOUND for name, size in wanted.items()):
+                return model
+        made = device_model(self.campaign, accuracy=self.accuracy, catalogue=(self.effects, self.others), widths=wanted,
+                            acting=[each.name for each in chosen])
+        self._made[:] = [*self._made[1 - KEPT:], replace(made, refusals=self.refusals, _made=self._made)]
         return self._made[-1]
 
     @cached_property
@@ -106,9 +115,18 @@ class Model:
         """The number of single hypotheses: those of the catalogue, a change in each region, and modes."""
         return len(self.effects) + len({region for state in self.campaign.fitted for region in state.materials}) + 1
 
+    @property
+    def stated(self) -> Real:
+        """The stated values of all parameters (p,)."""
+        return np.array([p.start for p in self.parameters])
+
     def index(self, name: str) -> int:
         """The index of the parameter of that name in :attr:`parameters`."""
         return self._places[name]
+
+    def effect(self, name: str) -> Effect:
+        """The hypothesis of that name."""
+        return next(each for each in self.effects if each.name == name)
 
     def bounds(self, indices: Iterable[int]) -> tuple[Real, Real]:
         """The lowest and the highest (k,) that the parameters of some indices may be."""
@@ -121,28 +139,53 @@ class Model:
         released = [self.index(name) for effect in chosen for name in effect.releases]
         return sorted({*range(self.known), *moved}), sorted(set(released))
 
-    def deviations(self) -> list[Real]:
-        """Relative standard deviation (n,) of every point of every fitted state."""
-        return [state.noise for state in self.campaign.fitted]
-
 
 def device_model(
-    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
-    progress: Progress = no_progress, widths: Mapping[str, float] | None = None,
+    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, progress: Progress = no_progress,
+    acting: Sequence[str] = (), catalogue: tuple[Sequence[Effect], tuple[str, ...]] | None = None,
+    widths: Mapping[str, float] | None = None,
 ) -> Model:
-    """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
+    """Mesh every state and put known physics and hypotheses into its problem; see :class:`Model`.
+
+    Args:
+        acting: names of the hypotheses that act.
+        catalogue: all hypotheses and those left out, if they are known (`catalogue.effects_and_others`).
 
     Raises:
         InputError: as `workbench.model.problem.build`, or a layer that cannot have all sizes that are looked at.
         MeshError: a mesh could not be made, or folds where a size is at an end of its range.
     """
-    device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
-    found, others = effects_and_others(device)
-    hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
-    problems: list[Problem] = []
-    neutral = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
-              for state in campaign.states}
-    requested = {state.name: _lines(state, neutral[state.name], widths) for state in campaign.states}
+    found, others = catalogue or effects_and_others(
+        Device(campaign.states, campaign.known, campaign.fixed, campaign.registry))
+    own = {each.name: each.with_rings(widths) if widths else each for each in found
+           if each.name in acting}
+    problems = _problems(campaign, tuple(own.values()), accuracy, widths, progress)
+    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.taken
+              if not each.parsed.state}
+    known = (*shared.values(), *(_offset(each, campaign, problems, shared)
+                                 for each in campaign.taken if each.parsed.state in problems))
+    more: dict[str, Parameter] = {}
+    for effect in found:
+        for parameter in effect.parameters:
+            more.setdefault(parameter.name, parameter)
+    moving = {p.name for effect in own.values() for p in effect.parameters}
+    parameters = (*known, *(p if p.name in moving else replace(p, recordings=NOWHERE) for p in more.values()))
+    recordings = _recordings(campaign, problems, parameters, tuple(own.values()))
+
+    # Models grow where they are told to (`Objective.near`), not on the way.
+    whole = Objective.of(recordings, parameters, tolerance=math.inf)
+    fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
+    return Model(campaign, parameters, len(known), tuple(found), tuple(own.values()), whole, whole.among(fitted),
+                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), tuple(others))
+
+
+def _problems(
+    campaign: Campaign, acting: Sequence[Effect], accuracy: float | Discretisation,
+    widths: Mapping[str, float] | None, progress: Progress,
+) -> dict[str, Problem]:
+    """The problem of every state, with known physics and the terms of hypotheses."""
+    problems: dict[str, Problem] = {}
+    requested = {state.name: _lines(state, _neutral(state, acting), widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
         progress("meshes", number / len(campaign.states))
         # States of one chip have one mesh.
@@ -152,41 +195,37 @@ def device_model(
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
-        for effect in hypotheses:
+        for effect in acting:
             values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
                       if name not in problem.values}
             problem = problem.with_terms(effect.terms.get(state.name, ()), values)
-        problems.append(problem)
-    shared = {each.name: _known(each, campaign, problems) for each in campaign.taken if not each.parsed.state}
-    by_state = dict(zip((state.name for state in campaign.states), problems, strict=True))
-    known = (*shared.values(), *(_offset(each, campaign, by_state, shared)
-                                 for each in campaign.taken if each.parsed.state in by_state))
-    more: dict[str, Parameter] = {}
-    for effect in hypotheses:
-        for parameter in effect.parameters:
-            more.setdefault(parameter.name, parameter)
-    parameters = (*known, *more.values())
+        problems[state.name] = problem
+    return problems
+
+
+def _neutral(state: DeviceState, acting: Sequence[Effect]) -> list[Term]:
+    return [term for effect in acting for term in effect.terms.get(state.name, ())]
+
+
+def _recordings(
+    campaign: Campaign, problems: Mapping[str, Problem], parameters: Sequence[Parameter], acting: Sequence[Effect]
+) -> list[FitRecording]:
+    """The recordings of all states, with the lengths and shapes that parameters move among the values of problems."""
+    moved = [p for p in parameters if p.recordings != NOWHERE]
     flexed: list[Problem] = []
     chips: list[Chip] = []
-    for state, problem in zip(campaign.states, problems, strict=True):
+    for state in campaign.states:
         # Shapes that only hypotheses bring in are 0 on the chip.
-        shapes = [name for p in parameters for name in p.names if name in possible(state.chip)]
+        shapes = [name for p in moved for name in p.names if name in possible(state.chip)]
         chips.append(with_shapes(state.chip, shapes))
-        ranges = ranges_of_dimensions(parameters, chips[-1].dimensions())
-        flexed.append(parametrised_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
-                                      neutral=neutral[state.name]))
+        ranges = ranges_of_dimensions(moved, chips[-1].dimensions())
+        flexed.append(parametrised_within(problems[state.name], chips[-1], ranges, interpolation=HYPOTHETICAL,
+                                          neutral=_neutral(state, acting)))
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
-    recordings = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]),
-                                           state.measured, chip)
-                  for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
-
-    # Models grow where they are told to (`Objective.cover`), not on the way.
-    whole = Objective.of(list(recordings.values()), parameters, tolerance=math.inf)
-    fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
-    return Model(campaign, parameters, len(known), hypotheses, whole, whole.among(fitted),
-                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), others)
+    return [FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured, chip)
+            for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)]
 
 
 def _lines(

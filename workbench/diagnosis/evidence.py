@@ -5,9 +5,9 @@ At an optimum x of the posterior with residuals r (in units of the noise) and ta
     r ~ N(0, Sigma),  Sigma = 1 + B diag(scale^2) B^T,   theta ~ N(centre, P^-1),   phi uniform over its ranges,
 
 and the average over theta and phi is a Gaussian integral (Laplace's approximation; MacKay 2003, Information Theory,
-Inference, and Learning Algorithms, chapter 28). The columns of B are deviations beside the noise: the discrepancy of
-the model (`discrepancy`), and the error of a hypothesis' own term. Their scales are averaged over, each as likely in
-every decade.
+Inference, and Learning Algorithms, chapter 28). The columns of B are deviations beside the noise: changes within a
+region, modes that the model does not have, and the error of a hypothesis' own term. Their scales are averaged over,
+each as likely in every decade.
 """
 
 from __future__ import annotations
@@ -31,6 +31,10 @@ ROUNDING = 1e-6
 
 #: A parameter is at the end of its range within this share of it. Doubled, nothing changes: an optimum is at it or far.
 END = 1e-9
+
+#: Curvature of chi-square across a range below which a parameter changes nothing. Doubled, nothing changes: it is
+#: rounding, or none.
+UNSEEN = 1e-12
 
 #: A fall of the logarithm across a range below which it is a straight line. Doubled, its curve is left out to 2e-8.
 FLAT = 1e-8
@@ -156,6 +160,9 @@ class LinearisedProblem:
 
     def _integrated(self, hessian: Real, slope: Real, square: float, log_determinant: float) -> Average:
         ranged = ~np.isnan(self.widths)
+        # A parameter that changes nothing within its range stays where it is, and costs nothing.
+        seen = ~ranged | (np.diag(hessian) * self.widths**2 > UNSEEN)
+        ranged, hessian, slope = ranged & seen, hessian * np.outer(seen, seen), slope * seen
         covariance = _inverse(hessian)
         step = -covariance @ slope
         occam = 0.0
@@ -245,3 +252,14 @@ def over_scales(problem: LinearisedProblem, settings: Sequence[Real]) -> tuple[f
     logs = np.array([each.log_evidence for each in found])
     best = int(np.argmax(logs))
     return float(logsumexp(logs) - math.log(logs.size)), best, found[best]
+
+
+def averaged_over_blocks(
+    problem: LinearisedProblem, settings: Sequence[Real], blocks: Sequence[NDArray[np.int64]], sizes: Real
+) -> Real:
+    """ln of the mean evidence over the `settings` of the scales with each of some `blocks` of deviations, averaged over
+    their `sizes`: (blocks,)."""
+    whole = np.stack([problem.averaged(each).log_evidence + problem.added(each, blocks, sizes) for each in settings])
+    found = np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
+    # No likelihood is above that of data without a residual, and deviations lower it.
+    return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])

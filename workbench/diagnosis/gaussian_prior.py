@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, initial_optimum, inside
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.levels import LEVELS, SCHEDULE, inside
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.objective import Objective
 from workbench.fitting.search import NO_END
+from workbench.search.continuation import tempered
 from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]
@@ -69,7 +70,8 @@ class GaussianPrior:
         """
         search, known = likelihood.search(Hypothesis()), range(len(self.root))
         starts = [StartPoint("", x) for x in (self.x, *self.draws(DESCENTS, 0)[:DESCENTS - 1])]
-        trials = multistart(starts, lambda start: initial_optimum(likelihood, search, start.x), refused=NO_END)
+        trials = multistart(starts, lambda start: tempered(
+            SCHEDULE, lambda stage, x: likelihood.solve(search, stage, x), start.x), refused=NO_END)
         ends = [trial.end for trial in trials if trial.end is not None]
         if not ends:
             return self

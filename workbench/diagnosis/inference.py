@@ -1,15 +1,16 @@
 """The search of a diagnosis: every hypothesis by the same stages, from the model and its recordings to explanations.
 
-The stages of every hypothesis, the null hypothesis included: the basins of the prior at little weight of the data, then
-more weight, then full weight on models of its own optimum. After each stage those go on whose evidence there is not far
-behind the best.
+The null hypothesis is searched for first, on coarse meshes, with the data at little weight. Where it fits there, the
+scores at its optimum at full weight say which hypotheses are refitted. Where it does not, it is not followed further:
+hypotheses are searched for as it was, by their scores, and then in all sizes about the prior. Effects are added as long
+as something is left that a further one promises to explain.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,25 +20,27 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import explained_share
-from workbench.diagnosis.descent import LEVELS, STAGE, Candidate, distinct_ends, initial_optimum, refit_from
+from workbench.diagnosis.descent import candidate_from, descend_in_stages, initial_optimum
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import (
+    Candidate,
     Found,
     InitialOptimum,
     NotTried,
     Refitted,
-    candidate_evidence,
+    alike_weighted,
+    distinct_ends,
     leading_of,
-    negative_evidence,
 )
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, LaplaceApproximation, Likelihood
-from workbench.diagnosis.local_models import PLACES, ROUGH, LocalModels
-from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
+from workbench.diagnosis.levels import LEVELS, STAGE
+from workbench.diagnosis.likelihood import Hypothesis, LaplaceApproximation
+from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.odds import CLOSE, Criteria
 from workbench.diagnosis.profile_scan import corners, scan_profiles
-from workbench.diagnosis.ranking import Score, ranked
+from workbench.diagnosis.ranking import Score, Tangents, ranked_at_level, ranked_beside, start
+from workbench.diagnosis.refit import refit_candidate
 from workbench.diagnosis.refusal import EXPECTED, Refusal
-from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.tasks import SearchTask
 from workbench.fitting.search import NO_END
 from workbench.jobs.progress import Progress, no_progress
@@ -46,14 +49,14 @@ from workbench.model.discretisation import Discretisation
 
 Real = NDArray[np.float64]
 
-#: Hypotheses of largest predicted gain at any point that are refitted, if theirs is this share of the largest.
+#: Hypotheses of largest predicted gain at a point that are refitted, if theirs is this share of the largest.
 PROMISING, SHARE = 3, 0.3
 
 #: Hypotheses of least cost in any size that are refitted.
 SCANNED = 4
 
-#: Single hypotheses not far behind the best that are refitted with a second effect.
-ALIKE = 2
+#: Explanations not far behind the best that a further effect is added to, the best among them, and effects at most.
+ALIKE, MOST_EFFECTS = 2, 3
 
 #: Basins of the null hypothesis that descents go on in.
 BASINS = 4
@@ -62,11 +65,11 @@ BASINS = 4
 #: which is held at first: the farther ones where none of the nearer fits.
 PAIRS, STEPS = 1, ((-1.25, 1.25), (-2.5, 2.5))
 
-#: Hypotheses of one stage that go on to the next, at most, if they are not far behind (`odds.CLOSE`).
-CONTINUED = (8, 4)
+#: Share of its cost that a larger hypothesis may seem to fit worse by: descents end within it.
+WORSE = 0.01
 
-#: Rounds and steps of a refit of a hypothesis that is far behind.
-SHORT_REFIT = {"rounds": 2, "limit": 8}
+#: Hypotheses that are refitted of those that were searched for, at most, if they are not far behind (`odds.CLOSE`).
+CONTINUED = 3
 
 
 @dataclass(eq=False)
@@ -85,14 +88,13 @@ class DiagnosisSearch:
     interrupted: bool = False
     undone: list[str] = field(default_factory=list)
     not_tried: list[NotTried] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
     _workers: Workers = field(default_factory=Workers)
 
     @classmethod
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> DiagnosisSearch:
-        """A search for a worker, with its first models."""
-        made = cls(device_model(campaign, accuracy=accuracy))
-        _ = made.models.over_prior
-        return made
+        """A search for a worker."""
+        return cls(device_model(campaign, accuracy=accuracy))
 
     def say(self, *words: object) -> None:
         if self.trace is not None:
@@ -108,6 +110,10 @@ class DiagnosisSearch:
         """Log evidence below which a hypothesis is left out: its odds would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
 
+    def log_odds(self, found: Refitted) -> float:
+        """Posterior log odds of an explanation, up to a constant of all."""
+        return found.total + self.criteria.log_prior(self.model.hypotheses) * len(found.hypothesis.effects)
+
     @property
     def is_over(self) -> bool:
         """Whether the search has to end."""
@@ -120,37 +126,57 @@ class DiagnosisSearch:
             NotEnriched, NotConverged, MeshError, InputError: the device as it is stated cannot be predicted.
         """
         self._workers = workers or Workers()
-        predictors = dict.fromkeys(self.models.over_prior_and_places.predictors)
-        self.say("wide", [each.model.basis.shape[1] for each in predictors if each.model])
         self.progress("nothing wrong", 0.1)
         ends, null = self.initial_optima()
-        refits = dict[Candidate, Refitted]()
+        base, tangents = self.run_tasks([
+            SearchTask.of("nothing", self.refit, null, not null.fits),
+            SearchTask.of("scores of the hypotheses", self.tangents, null.x)], must=1)
+        if base.explanation.rms > self.models.stated_rms:
+            # A search that leads away from what is stated has failed: the optimum beside that is as good.
+            stated = Candidate.at(Hypothesis(), self.model.stated, base.explanation.errors)
+            base = min([base, *self.run_tasks([SearchTask.of("nothing, as stated", self.refit, stated)], must=1)],
+                       key=lambda each: each.explanation.rms)
+        base = self.scored(base, tangents)
+        found = [base, *map(base.beside, base.alternatives)]
         if null.fits:
-            refits[null] = self.refit(null)
-            if refits[null].explanation.accuracy <= INCONSPICUOUS:
-                return self.concluded(null, refits, [null])
-        self.progress("what is outside the catalogue", 0.2)
-        outside = self.run_tasks([SearchTask.of("what is outside the catalogue", self.outside_catalogue, null)])[0]
-        found: list[Candidate] = [*(outside or ())]
-        searches = [("hypotheses by their scores", lambda: self.by_score(null, ends, refits)),
-                    ("hypotheses of any size", lambda: self.by_size(null))]
+            self.progress("single hypotheses", 0.3)
+            found += self.refitted_beside(base)
+            if tangents is not None and not self.is_explained(found):
+                found += self.refitted_beside(base, ranked_beside(self.model, tangents, base.explanation, alone=True),
+                                              found)
+        searches = [("hypotheses by their scores", self.by_score), ("hypotheses of any size", self.by_size)]
         # No tangent counts where more is left than the points were allowed to deviate by.
-        if ends[0].cost > 0.5 * sum(2 * state.noise.size for state in self.model.campaign.fitted):
+        if ends[0].cost > sum(state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
-        for number, (name, search) in enumerate(searches):
-            if number and self.is_explained(refits[null], refits.values()):
+        for name, search in searches:
+            if null.fits or self.is_explained(found):
                 break
-            if number and self.is_over:
+            if self.is_over:
                 self.undone.append(name)
                 break
-            self.progress("single hypotheses", 0.3 + 0.3 * number)
-            found += search()
-            self.progress("the best of them", 0.45 + 0.3 * number)
-            self.refit_best(null, found, refits)
-        best: dict[str, Candidate] = {}
-        for each in sorted(found, key=lambda each: -each.log_evidence):
-            best.setdefault(each.hypothesis.name, each)
-        return self.concluded(null, refits, [null, *best.values()])
+            self.progress(name, 0.5)
+            found += self.refit_best(null, search(null, ends, tangents), found)
+        if not null.fits and not self.is_explained(found) and not self.is_over:
+            # Nothing explains: what is left, and where, is then told of the null hypothesis.
+            found = self.with_base_refitted(null, tangents, found)
+        self.progress("further effects", 0.7)
+        found = self.nested(self.with_further_effects(found))
+        final = alike_weighted(found)
+        base = next(each for each in final if each.hypothesis.name == Hypothesis().name)
+        return Found(base, tuple(final), (null, *self.candidates), tuple(self.undone),
+                     tuple(dict.fromkeys(self.not_tried)), self.interrupted)
+
+    def with_base_refitted(self, null: Candidate, tangents: Tangents | None, found: Sequence[Refitted]
+                           ) -> list[Refitted]:
+        """Explanations with the null hypothesis refitted to its end, and what is outside the catalogue beside it."""
+        base = self.run_tasks([SearchTask.of("nothing, to its end", self.refit, null)])[0]
+        if base is None or base.explanation.rms > found[0].explanation.rms:
+            return list(found)
+        base = self.scored(base, tangents)
+        return [base, *found[1:], *map(base.beside, base.alternatives)]
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The null hypothesis
 
     def initial_optima(self) -> tuple[list[InitialOptimum], Candidate]:
         """The initial optima of the null hypothesis at little weight, best first, and its candidate at more weight.
@@ -173,166 +199,209 @@ class DiagnosisSearch:
     ) -> tuple[list[InitialOptimum], Candidate]:
         """:meth:`initial_optima` from some `starts` (p,), each with indices of parameters that are held at first,
         merged with the optima `known` already."""
-        nothing = Hypothesis()
         found = self.run_tasks([
             SearchTask.of("a start where nothing is wrong", self.initial_optimum_near, *at) for at in starts], must=1)
         ends = distinct_ends(self.model, [*known, *(each for each in found if each is not None)],
                              lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
-        narrow = Likelihood.noise_only(self.model, self.models.over_prior)
-        self.models.places = tuple(
-            each.x for each in ends
-            if self.models.are_inaccurate(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.run_tasks([
             SearchTask.of("a basin where nothing is wrong", self.continue_null, each) for each in ends], must=1)
             if each is not None]
-        self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, *(round(x, 2) for x in w[4:]))
+        self.say("nothing", [(round(w.log_evidence, 1), *(round(x, 2) for x in w[3:]))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
-            further = [self.models.likelihood(ends[0].x).laplace(nothing, ends[0].x, LEVELS[1])]
-        null = Candidate.of(self.model, nothing, further)
+            further = [self.models.over_prior.laplace(Hypothesis(), ends[0].x, LEVELS[1])]
+        null = Candidate.of(self.model, Hypothesis(), further)
         assert null is not None
         return ends, null
 
     def initial_optimum_near(self, x: Real, held: tuple[int, ...] = ()) -> InitialOptimum | None:
-        """The optimum of the null hypothesis at little weight reached from x (p,); None if there is none.
-
-        Parameters of the indices `held` move only after the others.
-        """
-        simple = self.models.noise_only()
-        if held:
-            simple = simple.with_objective(self.models.around(x, self.models.prior, self.model.fitted))
-        search = simple.search(Hypothesis())
+        """The optimum of the null hypothesis at little weight reached from x (p,); None if there is none."""
         try:
-            end = initial_optimum(simple, search, x, held)
+            return initial_optimum(self.models, x, held)
         except NO_END:
             return None
-        return InitialOptimum(end.x, end.cost, search.errors(end))
 
     def continue_null(self, optimum: InitialOptimum) -> LaplaceApproximation | None:
-        """The next continuation stage of the null hypothesis from an initial optimum, on models made about it."""
-        nothing, likelihood = Hypothesis(), self.models.noise_only()
-        end = likelihood.laplace(nothing, optimum.x, LEVELS[0])
+        """The optimum of the null hypothesis at more weight reached from an initial one; None if there is none."""
         try:
-            for _ in range(PLACES):
-                if not self.models.are_inaccurate(end.error_estimate, LEVELS[1]):
-                    break
-                likelihood = likelihood.with_objective(self.models.near(nothing, end.x, end.errors, ROUGH))
-                x = likelihood.solve(likelihood.search(nothing), STAGE, end.x).x
-                end = likelihood.laplace(nothing, x, LEVELS[0])
-            return refit_from(likelihood.with_discrepancy(end.x), nothing, [end.x], LEVELS[1]).laplace
+            return descend_in_stages(self.models, Hypothesis(), optimum.x, optimum.errors,
+                                     likelihood=self.models.over_prior, levels=LEVELS[1:])
         except NO_END:
             return None
 
-    def by_score(
-        self, null: Candidate, ends: Sequence[InitialOptimum], refits: Mapping[Candidate, Refitted]
-    ) -> list[Candidate]:
-        """The hypotheses of largest predicted gain at the ends of the null hypothesis, refitted at more weight."""
-        *places, last = self.run_tasks([
-            *(SearchTask.of("scores of the hypotheses", self.scored, end.x, LEVELS[0]) for end in ends),
-            SearchTask.of("scores of the hypotheses", self.scored, null.x, LEVELS[1])])
-        scores = [each for each in (*places, last, *(base.scores for base in refits.values())) if each]
-        return self.refit_hypotheses(null, null.x, [
-            (effect, starts_of(self.model, effect, ends, places)) for effect in self.most_promising(scores)])
+    # ----------------------------------------------------------------------------------------------------------------
+    # Hypotheses
 
-    def by_size(self, null: Candidate) -> list[Candidate]:
-        """The hypotheses of least cost in a profile scan about the mean of the prior, refitted at more weight.
+    def tangents(self, x: Real) -> Tangents:
+        """The derivatives of the data by all parameters at x (p,)."""
+        return self.models.tangents(x)
 
-        A hypothesis is left out if none of its numbers can change the recordings by as much as the residual there.
+    def scored(self, refitted: Refitted, tangents: Tangents | None) -> Refitted:
+        """An explanation with the scores of further effects."""
+        if tangents is None:
+            return refitted
+        scores = ranked_beside(self.model, tangents, refitted.explanation)
+        self.say("   beside", refitted.hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
+        return replace(refitted, scores=tuple(scores))
+
+    def promising(self, scores: Sequence[Score], *, is_further: bool = False) -> list[Score]:
+        """The scores of largest predicted gain, of those that would be looked at; a further effect has to be accepted
+        beside the others."""
+        least = self.least_evidence + (math.log(self.criteria.accepted) if is_further else 0.0)
+        return [each for each in scores[:PROMISING] if each.evidence > max(least, SHARE * scores[0].evidence)]
+
+    def refitted_beside(
+        self, best: Refitted, scores: Sequence[Score] = (), done: Sequence[Refitted] = ()
+    ) -> list[Refitted]:
+        """An explanation refitted together with each of the effects of largest predicted gain by its scores, or others,
+        that are not `done`."""
+        found, known = best.explanation, {each.hypothesis.name for each in done}
+        tasks = []
+        for score in self.promising(scores or best.scores, is_further=bool(found.hypothesis.effects)):
+            begin, errors = start(self.model, score.effect, found.x, score), found.errors.copy()
+            for name, error in zip(score.effect.names, score.error, strict=True):
+                i = self.model.index(name)
+                errors[i] = max(abs(begin[i] - found.x[i]), error if np.isfinite(error) else 0.0)
+            both = Hypothesis((*found.hypothesis.effects, score.effect))
+            if both.name in known:
+                continue
+            tasks.append(SearchTask.of(both.name, self.refit, Candidate.at(both, begin, errors)))
+        return [each for each in self.run_tasks(tasks) if each is not None]
+
+    def by_score(self, null: Candidate, ends: Sequence[InitialOptimum], tangents: Tangents | None) -> list[Candidate]:
+        """The hypotheses of largest predicted gain where the null hypothesis ends at either level, searched for."""
+        states = self.model.campaign.fitted
+        there = self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, ends[0].x)])
+        starts: dict[str, list[Real]] = {}
+        for at, level in ((tangents, LEVELS[1]), (there[0], LEVELS[0])):
+            if at is None:
+                continue
+            scores = ranked_at_level(self.model, at, states, level)
+            self.say("   ", [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
+            for each in self.promising(scores):
+                starts.setdefault(each.effect.name, []).append(start(self.model, each.effect, at.x, each))
+        return self.searched([(self.model.effect(name), own) for name, own in starts.items()])
+
+    def by_size(self, null: Candidate, ends: Sequence[InitialOptimum], _tangents: Tangents | None) -> list[Candidate]:
+        """The hypotheses of least cost in a profile scan about the mean of the prior, searched for.
+
+        The scan is of the state that is left most of: each has to explain that. A hypothesis is left out if none of its
+        numbers can change the recordings by as much as the residual there.
         """
         x = self.models.prior.x
-        scores = self.run_tasks([SearchTask.of("scores of the hypotheses", self.scored, x, LEVELS[0])])[0] or []
-        simple = self.models.noise_only()
-        residual = math.sqrt(2.0 * simple.solve(simple.search(Hypothesis()), STAGE, x).cost)
-        effects = [each.effect for each in scores if each.most > residual]
-        self.say("   swept", len(effects), "of", len(scores), "left", residual)
+        tangents = self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, x)])[0]
+        if tangents is None:
+            return []
+        over_prior = self.models.over_prior
+        end = over_prior.solve(over_prior.search(Hypothesis()), STAGE, x)
+        residual = math.sqrt(2.0 * end.cost)
+        left = [float(np.mean(np.abs(log) ** 2)) for log in end.residual.data.log_ratio]
+        worst = over_prior.states[int(np.argmax(left))].name
+        effects = [each.effect for each in ranked_at_level(self.model, tangents, self.model.campaign.fitted, LEVELS[0])
+                   if each.most > residual]
+        self.say("   swept", len(effects), "of", len(self.model.effects), "left", residual)
         scans = self.run_tasks([
-            SearchTask.of(f"{effect.name} of any size", self.scan_effect, effect.name) for effect in effects])
+            SearchTask.of(f"{effect.name} of any size", self.scan_effect, effect.name, worst)
+            for effect in effects])
         best = sorted(((each, effect) for each, effect in zip(scans, effects, strict=True) if each),
                       key=lambda both: both[0][0].cost)[:SCANNED]
         for each, effect in best:
             self.say("   swept", effect.name, [(round(e.cost, 1), e.x[[*map(self.model.index, effect.names)]])
                                                for e in each])
-        return self.refit_hypotheses(null, x, [(effect, [at.x for at in each]) for each, effect in best])
+        return self.searched([(effect, [at.x for at in each]) for each, effect in best], held=True)
 
-    def scan_effect(self, name: str) -> list[InitialOptimum]:
-        """The sizes of an effect of least cost about the mean of the prior."""
-        effect, x = self.effect(name), self.models.prior.x
-        wider = self.models.coarsely_towards(Hypothesis((effect,)), corners(self.model, effect, x))
-        return scan_profiles(self.models.noise_only().with_objective(wider), effect, x)
+    def scan_effect(self, name: str, state: str) -> list[InitialOptimum]:
+        """The sizes of an effect of least cost about the mean of the prior, in the one state that shows most."""
+        effect, x = self.model.effect(name), self.models.prior.x
+        likelihood = self.models.towards(Hypothesis((effect,)), corners(self.model, effect, x), only=state)
+        return scan_profiles(likelihood, effect, x)
 
-    def effect(self, name: str) -> Effect:
-        """The hypothesis of that name."""
-        return next(each for each in self.model.effects if each.name == name)
+    def searched(self, starts: Iterable[tuple[Effect, Sequence[Real]]], *, held: bool = False) -> list[Candidate]:
+        """Hypotheses searched for from some starts (p,), in each of which they may be `held` at first."""
+        tasks = [SearchTask.of(effect.name, self.candidate, effect.name, own, held) for effect, own in starts]
+        found = [each for each in self.run_tasks(tasks) if each is not None]
+        self.candidates += found
+        return found
 
-    def refit_hypotheses(self, null: Candidate, at: Real,
-                         starts: Sequence[tuple[Effect, Sequence[Real]]]) -> list[Candidate]:
-        """Hypotheses refitted from some starts (p,) at little weight, and at more weight those that are not far behind
-        the others; the discrepancy of the model is that `at` a point (p,)."""
-        little = [each for each in self.run_tasks([
-            SearchTask.of(effect.name, self.refit_hypothesis, effect.name, at, own)
-            for effect, own in starts if len(own)]) if each is not None]
-        further = [each for each in self.run_tasks([
-            SearchTask.of(f"{each.hypothesis.name}, further", self.continue_candidate, each, at)
-            for each in leading_of(little, CONTINUED[0], candidate_evidence)]) if each is not None]
-        for candidate in further:
-            self.say("   more", candidate.hypothesis.name, candidate.log_evidence - null.log_evidence,
-                     *candidate.laplace[3:])
-        return further
+    def candidate(self, name: str, starts: Sequence[Real], held: bool = False) -> Candidate:
+        """A hypothesis searched for from some `starts` (p,); see `descent.candidate_from`."""
+        found = candidate_from(self.models, Hypothesis((self.model.effect(name),)), starts, held=held)
+        self.say("   more", name, found.log_evidence, *found.ends[0][3:],
+                 [float(found.x[self.model.index(each)]) for each in found.hypothesis.names])
+        return found
 
-    def refit_best(self, null: Candidate, found: Sequence[Candidate], refits: dict[Candidate, Refitted]) -> None:
-        """Refit the leading candidates and the null hypothesis at full weight, each on own models, into `refits`."""
-        # A hypothesis outside the catalogue follows the recordings at once; one of the catalogue needs a refit first.
-        inside = [null, *(each for each in found if not each.hypothesis.is_outside)]
-        leading = leading_of(inside, CONTINUED[1], candidate_evidence)
-        leading += leading_of([each for each in found if each.hypothesis.is_outside and each.log_evidence
-                          > leading[0].log_evidence - CLOSE], 1, candidate_evidence)
-        new = [each for each in dict.fromkeys([leading[0], null, *leading]) if each not in refits]
-        # Every verdict needs the null hypothesis, whatever the time.
-        new.sort(key=lambda each: each is not null)
-        done = self.run_tasks([
-            SearchTask.of(each.hypothesis.name, self.refit, each, each not in leading) for each in new],
-            must=0 if null in refits else 1)
-        refits |= {each: own for each, own in zip(new, done, strict=True) if own is not None}
+    def refit_best(self, null: Candidate, candidates: Sequence[Candidate], found: Sequence[Refitted]) -> list[Refitted]:
+        """The leading candidates refitted at full weight; None of those that were."""
+        done = {each.hypothesis.name for each in found}
+        leading = leading_of([null, *candidates], CONTINUED + 1, lambda each: each.log_evidence)
+        return [each for each in self.run_tasks([
+            SearchTask.of(each.hypothesis.name, self.refit, each) for each in leading
+            if each.hypothesis.name not in done]) if each is not None]
 
-    def is_explained(self, base: Refitted, refits: Iterable[Refitted]) -> bool:
-        """Whether the best explanation of the catalogue leaves no more than models are inaccurate by, or a trace."""
-        best = min((each for each in refits if not each.explanation.hypothesis.is_outside), key=negative_evidence)
-        return best.explanation.accuracy <= INACCURATE or self.takes_most(base, best)
+    def refit(self, candidate: Candidate, is_behind: bool = False) -> Refitted:
+        """A candidate refitted at full weight; see `refit.refit_candidate`."""
+        found = refit_candidate(self.models, candidate, is_behind=is_behind)
+        own = found.explanation
+        self.say("settled", own.hypothesis.name, f"{100.0 * own.rms:.3f} % left, evidence {own.log_evidence:.1f}, held "
+                 f"out {found.held_out:.1f}, error {own.error_estimate:.1g}, inflation "
+                 f"{own.weighting.inflation.round(2)}, points {own.weighting.points.round(1)}, inhomogeneity "
+                 f"{own.scales.inhomogeneity:.2g},",
+                 [(round(each.gains, 1), each.hypothesis.name) for each in found.alternatives[:3]],
+                 [float(own.x[self.model.index(each)]) for each in own.hypothesis.names])
+        return found
 
-    def leaves_a_trace(self, base: Refitted, best: Refitted) -> bool:
-        """Whether an explanation leaves more than the inaccuracy of models, but little of the remainder of the `base`.
-        A further effect cannot be told then: evidences that rest on such an accuracy mean little."""
-        return best.explanation.accuracy > self.criteria.inaccurate and self.takes_most(base, best)
-
-    def takes_most(self, base: Refitted, best: Refitted) -> bool:
-        """Whether an explanation takes away all but a trace of the remainder of the `base`."""
-        return explained_share(self.model, base.explanation, best.explanation) >= self.criteria.most
-
-    def concluded(self, null: Candidate, refits: dict[Candidate, Refitted], candidates: Sequence[Candidate]) -> Found:
-        """The results of the search, with second effects added to the best explanation of one effect."""
-        base, found = refits[null], dict[str, Refitted]()
-        for each in sorted(refits.values(), key=negative_evidence):
-            found.setdefault(each.explanation.hypothesis.name, each)
-        best: Refitted | None = None
-        while best is not (leader := min(found.values(), key=negative_evidence)):
-            best = leader
-            hypothesis = best.explanation.hypothesis
-            if len(hypothesis.effects) > 1 or hypothesis.is_outside or self.leaves_a_trace(base, best):
+    def with_further_effects(self, found: list[Refitted]) -> list[Refitted]:
+        """Explanations with effects added to the best ones, as long as the best one changes."""
+        done = {Hypothesis().name}
+        while True:
+            leading = leading_of((each for each in alike_weighted(found) if not each.hypothesis.is_outside), ALIKE,
+                                 self.log_odds)
+            if leading[0].hypothesis.name in done:
                 break
-            # Where the best alone leaves more than noise, its evidence rests on an inaccuracy: another one that is not
-            # far behind may be better with a second effect.
-            alike = [each for each in found.values() if best.explanation.accuracy > INCONSPICUOUS
-                     and len(each.explanation.hypothesis.effects) == 1 and not each.explanation.hypothesis.is_outside
-                     and negative_evidence(each) < negative_evidence(best) + CLOSE]
-            tasks = {task.name: task for each in dict.fromkeys([best, *alike[:ALIKE]])
-                     for task in self.second_effects(each)}
-            for each in self.run_tasks([task for name, task in tasks.items() if name not in found]):
-                if each is not None:
-                    found[each.explanation.hypothesis.name] = each
-        return Found(base, tuple(sorted(found.values(), key=negative_evidence)), tuple(candidates), tuple(self.undone),
-                     tuple(dict.fromkeys(self.not_tried)), self.interrupted)
+            if self.is_over:
+                self.undone.append("further effects")
+                break
+            leading = [each for each in leading if each.hypothesis.name not in done
+                       and len(each.hypothesis.effects) < MOST_EFFECTS]
+            done |= {each.hypothesis.name for each in leading}
+            tangents = self.run_tasks([
+                SearchTask.of("scores of further effects", self.tangents, each.explanation.x) for each in leading])
+            for each, at in zip(leading, tangents, strict=True):
+                scored = self.scored(each, at)
+                found = [scored if other.hypothesis.name == scored.hypothesis.name else other for other in found]
+                found += self.refitted_beside(scored, done=found)
+        return found
+
+    def nested(self, found: Sequence[Refitted]) -> list[Refitted]:
+        """Explanations of which none fits worse than one that has fewer effects: where one does, its search failed, and
+        it is refitted from the other's optimum."""
+        result = list(found)
+        for index, each in enumerate(result):
+            own = [other for other in alike_weighted(result)
+                   if set(other.hypothesis.effects) < set(each.hypothesis.effects) and not other.hypothesis.is_outside]
+            best = min(own, key=lambda other: other.explanation.cost, default=None)
+            if each.hypothesis.is_outside or best is None or (
+                    each.weighted(best).explanation.cost <= (1.0 + WORSE) * best.explanation.cost):
+                continue
+            start = Candidate.at(each.hypothesis, best.explanation.x, each.explanation.errors)
+            again = self.run_tasks([SearchTask.of(each.hypothesis.name, self.refit, start)])[0]
+            if again is not None and again.weighted(best).explanation.cost < each.weighted(best).explanation.cost:
+                result[index] = replace(again, scores=each.scores)
+        return result
+
+    def is_explained(self, found: Sequence[Refitted]) -> bool:
+        """Whether the best explanation of the catalogue leaves little more than noise, or a trace of what the null
+        hypothesis leaves."""
+        final = alike_weighted(found)
+        best = next(each for each in final if not each.hypothesis.is_outside)
+        base = next(each for each in final if each.hypothesis.name == Hypothesis().name)
+        return best.explanation.weighting.largest <= self.criteria.inflated or explained_share(
+            self.model, base.explanation, best.explanation) >= self.criteria.most
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Tasks
 
     def run_tasks(self, tasks: Sequence[SearchTask], *, must: int = 0) -> list[Any]:
         """Results of the tasks in their order; None for one that there was no time for, or that failed.
@@ -343,8 +412,7 @@ class DiagnosisSearch:
             NotEnriched, NotConverged, MeshError, InputError, ValueError, ArithmeticError: one of these failed.
         """
         results: dict[int, Any] = {}
-        waiting = ((index, replace(task, places=self.models.places)) for index, task in enumerate(tasks)
-                   if index < must or not self.is_over)
+        waiting = ((index, task) for index, task in enumerate(tasks) if index < must or not self.is_over)
         try:
             for index, done in self._workers.completed(waiting, own=self):
                 results[index] = done.result()
@@ -363,137 +431,8 @@ class DiagnosisSearch:
         return [None if isinstance(found := results.get(index), Refusal) else found for index in range(len(tasks))]
 
     def attempt(self, task: SearchTask) -> Any:
-        """The result of a task on models that cover its places, or the refusal that ended it."""
-        self.models.places = task.places
+        """The result of a task, or the refusal that ended it."""
         try:
             return task.method(self, *task.arguments)
         except EXPECTED as error:
             return Refusal(error)
-
-    def scored(self, x: Real, level: float) -> list[Score]:
-        """The scores of all hypotheses at x (p,)."""
-        return ranked(self.models.noise_only(), x, level)
-
-    def most_promising(self, scores: Sequence[Sequence[Score]]) -> list[Effect]:
-        """The hypotheses of largest predicted gain at any point."""
-        found: dict[str, Effect] = {}
-        for scored in scores:
-            self.say("   ", [(round(s.evidence, 1), s.effect.name) for s in scored[:4]])
-            for each in scored[:PROMISING]:
-                if each.evidence > max(self.least_evidence, SHARE * scored[0].evidence):
-                    found.setdefault(each.effect.name, each.effect)
-        self.say("chosen", list(found))
-        return list(found.values())
-
-    def refit_hypothesis(self, name: str, at: Real, starts: Sequence[Real]) -> Candidate:
-        """A hypothesis refitted from some `starts` (p,) at little weight; the discrepancy of the model is that `at` a
-        point (p,)."""
-        hypothesis = Hypothesis((self.effect(name),))
-        own = [self.model.index(each) for each in hypothesis.effects[0].names]
-        largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
-        likelihood = self.models.likelihood(at).with_objective(self.models.towards(hypothesis, [largest]))
-        candidate = refit_from(likelihood, hypothesis, starts, LEVELS[0])
-        self.say("   little", name, candidate.log_evidence, candidate.laplace.error_estimate,
-                 [float(candidate.x[i]) for i in own])
-        return candidate
-
-    def continue_candidate(self, candidate: Candidate, at: Real) -> Candidate:
-        """The next continuation stage of a candidate, on models made again where their error estimate is too large; the
-        discrepancy of the model is that `at` a point (p,)."""
-        hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
-        if not self.models.are_inaccurate(candidate.laplace.error_estimate, LEVELS[0]):
-            likelihood = likelihood.with_objective(self.models.towards(hypothesis, [candidate.x]))
-        likelihood, little = self.refit_on_new_models(likelihood, candidate, LEVELS[0])
-        found = refit_from(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
-        return self.refit_on_new_models(likelihood, found, LEVELS[1])[1]
-
-    def refit_on_new_models(self, likelihood: Likelihood, candidate: Candidate,
-                            level: float) -> tuple[Likelihood, Candidate]:
-        """A candidate refitted on models made about it while their error estimate is too large; the last likelihood."""
-        for _ in range(PLACES):
-            if not self.models.are_inaccurate(candidate.laplace.error_estimate, level):
-                break
-            self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.laplace[-1])
-            likelihood = self.models.about_candidate(likelihood, candidate)
-            candidate = refit_from(likelihood, candidate.hypothesis, [candidate.x], level)
-        return likelihood, candidate
-
-    def outside_catalogue(self, null: Candidate) -> list[Candidate]:
-        """Hypotheses outside the catalogue, at the optimum of the null hypothesis: a change in a region, or modes."""
-        every = self.models.likelihood(null.x).alternatives(null.hypothesis, null.x, LEVELS[1], null.laplace.accuracy)
-        self.say("   outside", [(round(worth - null.log_evidence, 1), each.name) for each, worth in every[:4]])
-        return [Candidate(each, (null.laplace._replace(log_evidence=worth, reduced_chi_square=math.inf),))
-                for each, worth in every]
-
-    def refit(self, candidate: Candidate, far_behind: bool = False) -> Refitted:
-        """A candidate refitted at full weight, on models and with the discrepancy at its own optimum.
-
-        One `far_behind` the others is refitted roughly: the size of its distance does not matter.
-        """
-        hypothesis, likelihood = candidate.hypothesis, self.models.noise_only()
-        if hypothesis.effects:
-            likelihood = likelihood.with_objective(self.models.towards(hypothesis, [candidate.x]))
-        # Of several ends full weight tells on a model of its own which it is.
-        limits = SHORT_REFIT if far_behind or len(candidate.ends) > 1 else {}
-        optima = [self.refit_optimum(likelihood, hypothesis, end, limits) for end in candidate.ends]
-        likelihood, found = max(optima, key=lambda each: each[1].log_evidence)
-        for _ in range(0 if far_behind else PLACES - 1):
-            if not (limits or self.models.are_inaccurate(found.error_estimate, found.accuracy)
-                    or self.needs_other_meshes(likelihood, hypothesis, found.x)):
-                break
-            limits = {}
-            likelihood, found = self.refit_optimum(likelihood, hypothesis, found.laplace, limits)
-        self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
-                 float(np.mean(found.residual.vector**2)), "doubt", found.error_estimate)
-        density, predicted = 0.0, list[NDArray[np.complex128]]()
-        if self.model.held_out is not None:
-            rounds = 0 if far_behind or found.accuracy > INACCURATE else 1
-            limit = SHORT_REFIT["limit"]
-            density, predicted = self.models.predict_held_out(likelihood, found, rounds=rounds, limit=limit)
-            self.say("   with all", density)
-        scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
-        self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
-        alternatives = () if hypothesis.is_outside else tuple(
-            likelihood.alternatives(hypothesis, found.x, 0.0, found.accuracy))
-        assert likelihood.region_discrepancy is not None
-        return Refitted(found, scores, alternatives, density, tuple(predicted), likelihood.columns,
-                     likelihood.region_discrepancy)
-
-    def refit_optimum(
-        self, likelihood: Likelihood, hypothesis: Hypothesis, end: LaplaceApproximation, limits: Mapping[str, int]
-    ) -> tuple[Likelihood, Explanation]:
-        """The optimum at full weight near an end, on models made about it where the error estimate of the likelihood's
-        is too large."""
-        # An inaccurate explanation needs no accurate models.
-        if self.needs_other_meshes(likelihood, hypothesis, end.x) or self.models.are_inaccurate(
-                likelihood.data(hypothesis, end.x).error, end.accuracy if limits else 0.0):
-            likelihood = likelihood.with_objective(self.models.near(hypothesis, end.x, end.errors))
-        likelihood = likelihood.with_discrepancy(end.x)
-        try:
-            return likelihood, likelihood.refit(hypothesis, end.x, **limits)
-        except NO_END:
-            self.say("   NO END", hypothesis.name)
-            raise
-
-    def needs_other_meshes(self, likelihood: Likelihood, hypothesis: Hypothesis, x: Real) -> bool:
-        """Whether a hypothesis at x (p,) has other meshes than those of a likelihood."""
-        own = self.model.about(hypothesis.effects, x).fitted.recordings[0].problem.mesh
-        return likelihood.objective.recordings[0].problem.mesh is not own
-
-    def second_effects(self, refit: Refitted) -> list[SearchTask]:
-        """Tasks that refit an explanation together with each of the effects of largest predicted gain."""
-        best, tasks = refit.explanation, list[SearchTask]()
-        for score in refit.scores[:PROMISING]:
-            if score.evidence > self.least_evidence:
-                begin, errors = start(self.model, score.effect, best.x, score), best.errors
-                for name, error in zip(score.effect.names, score.error, strict=True):
-                    i = self.model.index(name)
-                    errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
-                both = Hypothesis((*best.hypothesis.effects, score.effect))
-                place = best.laplace._replace(x=begin, errors=errors)
-                tasks.append(SearchTask.of(both.name, self.refit, Candidate(both, (place,))))
-        if not best.hypothesis.effects:
-            tasks += [SearchTask.of(each.name, self.refit, Candidate(each, (best.laplace,)))
-                      for each, worth in refit.alternatives[:PROMISING]
-                      if worth - best.log_evidence > self.least_evidence]
-        return tasks

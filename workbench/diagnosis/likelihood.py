@@ -1,62 +1,63 @@
 """The one probability model of a campaign, for any hypothesis about it.
 
-With r = ln(Z_measured / Z_model) of all recordings stacked, real parts and imaginary parts,
+With r = ln(Z_model / Z_measured) of all recordings stacked, real parts and imaginary parts,
 
-    r ~ Normal(0, W + tau^2 K K^T + R),    theta ~ what is known of it,    phi ~ anywhere within its range,
+    r ~ Normal(0, V + R),    theta ~ the prior of the known numbers,    phi ~ anywhere within its range,
 
-W is the noise of the points, K the discrepancy modes (`discrepancy`) and tau the accuracy of the model, stated or
-averaged over; R holds the deviations of a hypothesis: changes of any size within one region, and the error of its own
-term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one frequency.
+V is diagonal (`weighting`): noise, as much larger as the best explanation leaves. R holds correlated deviations: the
+inhomogeneity of all parts, and those of a hypothesis: changes of any size within one region, modes that the model does
+not have, and the error of its own term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one
+frequency. An optimum is that of least squares with V alone, so that nothing is fitted by R: it makes evidences smaller
+and intervals wider.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.discrepancy import DiscrepancyModes, discrepancy_modes
-from workbench.diagnosis.evidence import Average, LinearisedProblem, checked, over_scales
+from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_over_blocks, over_scales
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.modes import Mode, columns, strongest
-from workbench.diagnosis.odds import ACCURACIES, INACCURATE, REGION_SIZES, TERM
+from workbench.diagnosis.modes import Mode, columns
+from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES, TERM
 from workbench.diagnosis.state import DeviceState
+from workbench.diagnosis.weighting import Weighting
 from workbench.fitting.covariance import NEGLIGIBLE, Covariance, principal
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import FitSearch, Optimum
-from workbench.fitting.uncertainty import correlation_length
 from workbench.results.spectrum import Spectrum
 from workbench.search.continuation import ContinuationStage
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-T = TypeVar("T")
-
 #: Cosines along the band that the error of a term is a sum of.
 WAVES = 5
 
-#: Points of a recording that a search uses at little weight, about.
+#: Points of a recording that a search uses, about.
 SEARCHED = 121
 
-#: Rounds of a fit: the accuracy of the model is that of the largest evidence at the last optimum, and then this share
-#: of it, as long as that finds a better one.
-ROUNDS, STRICTER = 6, 0.3
+#: A relative fall of chi-square that ends a fit, its most steps, and how often its weights are found anew.
+ENOUGH, STEPS, REWEIGHTED = 1e-3, 25, 4
 
-#: Log evidences that differ by less are alike.
-ALIKE = 0.5
+#: Times, at most, that the optimum with all deviations is looked for with sizes of these found anew.
+WHITENED = 3
 
-#: A relative fall of chi-square that ends a fit, and its most steps.
-ENOUGH, STEPS = 1e-3, 25
+#: Share of what least squares leaves that an explanation leaves at most.
+AS_GOOD = 1.05
+
+#: Step of a parameter without a prior at first, in its standard deviations, and the least share of its range: what is
+#: admissible may be a million times what the data determine.
+FIRST_STEP, SMALLEST_STEP = 10.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,60 +81,121 @@ class Hypothesis:
         """Whether it is outside the catalogue."""
         return bool(self.region or self.modes)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that its effects move, each once."""
+        return tuple(dict.fromkeys(name for effect in self.effects for name in effect.names))
+
 
 class Scales(NamedTuple):
-    """Sizes of the deviations beside the noise: the ``accuracy`` of the model, the ``size`` of changes outside the
+    """Sizes of the deviations beside the noise: the ``inhomogeneity`` of all parts, the ``size`` of changes outside the
     catalogue, and whether the ``term`` of a hypothesis is right to :data:`TERM` only (1), or exact (0)."""
 
-    accuracy: float
+    inhomogeneity: float
     size: float
     term: float
 
 
 @dataclass(frozen=True, eq=False)
 class LocalProblem:
-    """A problem linearised at a point: its ``data`` there, the ``settings`` of the scales that are averaged over, and
-    the ``counts`` of columns of the deviations: of the parts, outside the catalogue, of the term, and further ones."""
+    """A problem linearised at x: rows in units of the stated noise, which weights may be given to afterwards.
 
-    problem: LinearisedProblem
-    settings: tuple[Scales, ...]
-    counts: tuple[int, ...]
-    data: Residual
+    ``tangents`` (m, p) by the free parameters and the ``residual`` (m,) there; ``parts`` (m, k), ``outside`` (m, l) and
+    ``term`` (m, q) deviations of unit size; ``inhomogeneities`` the sizes of the first that are averaged over;
+    ``information`` (m,) of each row, one over its variance and the rows that carry what one does; the rest as of
+    `evidence.LinearisedProblem`.
+    """
 
-    def _expanded(self, scales: Scales) -> Real:
-        return np.repeat([*scales, 0.0], self.counts)
+    tangents: Real
+    residual: Real
+    parts: Real
+    outside: Real
+    term: Real
+    inhomogeneities: tuple[float, ...]
+    information: Real
+    precision: Real
+    offset: Real
+    widths: Real
+    below: Real
+    above: Real
+
+    @cached_property
+    def settings(self) -> tuple[Scales, ...]:
+        """The scales that are averaged over."""
+        every = itertools.product(self.inhomogeneities if self.parts.size else (0.0,),
+                                  REGION_SIZES.tolist() if self.outside.size else (0.0,),
+                                  (0.0, 1.0) if self.term.size else (0.0,))
+        return tuple(itertools.starmap(Scales, every))
+
+    @cached_property
+    def problem(self) -> LinearisedProblem:
+        """The problem in units of what each row may deviate by."""
+        return self._problem(np.zeros((self.residual.size, 0)))
+
+    def _problem(self, further: Real) -> LinearisedProblem:
+        root = np.sqrt(self.information)[:, None]
+        deviations = np.column_stack([self.parts, self.outside, self.term, further])
+        return LinearisedProblem.of(
+            self.tangents * root, self.residual * root[:, 0], deviations * root, precision=np.diag(self.precision**2),
+            offset=self.offset, widths=self.widths, below=self.below, above=self.above)
+
+    def expanded(self, scales: Scales, further: int = 0) -> Real:
+        """The scale of every deviation, zero of `further` ones."""
+        return np.repeat([*scales, 0.0], [*self._counts, further])
+
+    @property
+    def _counts(self) -> tuple[int, int, int]:
+        return self.parts.shape[1], self.outside.shape[1], self.term.shape[1]
+
+    def deviations(self, scales: Scales) -> Real:
+        """The deviations (m, k) beside the noise at their `scales`, in units of what each row may deviate by."""
+        every = np.column_stack([self.parts, self.outside, self.term]) * self.expanded(scales)
+        return every[:, every.any(axis=0)] * np.sqrt(self.information)[:, None]
+
+    def covariance(self, scales: Scales) -> Real:
+        """Covariance (p, p) of the estimate by least squares where the deviations beside the noise are so large.
+
+        H^-1 (H + J^T R J) H^-1, H the information of the data and the prior. A parameter without a prior that is at an
+        end of its range does not move.
+        """
+        least = replace(self, parts=self.parts[:, :0], outside=self.outside[:, :0], term=self.term[:, :0])
+        plain = least.best[2].covariance
+        along = plain @ (self.tangents * np.sqrt(self.information)[:, None]).T @ self.deviations(scales)
+        return np.asarray(plain + along @ along.T)
 
     def averaged(self, scales: Scales) -> Average:
         """Over the parameters."""
-        return self.problem.averaged(self._expanded(scales))
+        return self.problem.averaged(self.expanded(scales))
 
-    def over_scales(self) -> tuple[float, Scales, Average]:
+    @cached_property
+    def best(self) -> tuple[float, Scales, Average]:
         """ln of the mean evidence over all settings, the best of these and the average at it."""
-        worth, best, average = over_scales(self.problem, [self._expanded(each) for each in self.settings])
+        worth, best, average = over_scales(self.problem, [self.expanded(each) for each in self.settings])
         return worth, self.settings[best], average
 
-    def over_blocks(self, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
-        """ln of the mean evidence over all settings with each of some blocks of the further columns, averaged over
-        their `sizes`: (blocks,)."""
-        every = []
-        for each in self.settings:
-            scales = self._expanded(each)
-            every.append(self.problem.averaged(scales).log_evidence + self.problem.added(scales, blocks, sizes))
-        whole = np.stack(every)
-        found = np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
-        # No likelihood is above that of data without a residual, and deviations lower it.
-        return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])
+    def with_each(self, blocks: Sequence[Real]) -> Real:
+        """ln of the mean evidence over all settings with each of some blocks of further deviations (m, k), averaged
+        over their sizes: (blocks,)."""
+        further = np.column_stack(blocks)
+        problem, start = self._problem(further), sum(self._counts)
+        ends = start + np.cumsum([0, *(each.shape[1] for each in blocks)])
+        return averaged_over_blocks(problem, [self.expanded(each, further.shape[1]) for each in self.settings],
+                                    [np.arange(low, high) for low, high in pairwise(ends.tolist())], REGION_SIZES)
+
+
+    def informed(self, weighting: Weighting) -> LocalProblem:
+        """A copy with other weights of the points."""
+        return replace(self, information=1.0 / (weighting.variances() * weighting.counts))
 
 
 class LaplaceApproximation(NamedTuple):
     """Laplace's approximation of a posterior at ``x`` (p,), where a search goes on from: ``log_evidence``, standard
-    deviations ``errors`` (p,), ``accuracy`` of the model there, ``reduced_chi_square`` at an accuracy of
-    :data:`INACCURATE` at most, and the ``error_estimate`` of Z (relative)."""
+    deviations ``errors`` (p,), ``reduced_chi_square`` with the deviations that points were given, and the
+    ``error_estimate`` of Z (relative)."""
 
     x: Real
     log_evidence: float
     errors: Real
-    accuracy: float
     reduced_chi_square: float
     error_estimate: float
 
@@ -142,88 +204,82 @@ class LaplaceApproximation(NamedTuple):
 class Explanation:
     """A hypothesis at its optimum.
 
-    ``x`` (p,) all parameters; ``free`` the indices of those that move and ``covariance`` of them; ``log_evidence`` up
-    to a constant of all hypotheses; ``scales`` of the deviations, of the largest evidence; ``residual`` the data there,
-    in units of the noise; ``occam`` the part of the evidence that the ranges of its parameters cost; ``error_estimate``
-    of Z, relative.
+    ``x`` (p,) all parameters, and what is left there; ``free`` the indices of those that move; ``local`` the problem
+    linearised at ``likeliest`` (p,), the optimum with the correlated deviations, and with the ``weighting`` that its
+    evidence is by: its own at first, and then that of the best explanation. The two are one point where that optimum
+    leaves hardly more than least squares (:data:`AS_GOOD`); where it leaves more, x is that of least squares.
     """
 
     hypothesis: Hypothesis
     x: Real
+    likeliest: Real
     free: tuple[int, ...]
-    covariance: Real
-    log_evidence: float
-    scales: Scales
-    occam: float
-    residual: Residual
+    local: LocalProblem
+    weighting: Weighting
+    log_ratio: tuple[Complex, ...]
+    impedances: tuple[Complex, ...]
     error_estimate: float
-    correlation: float = 1.0
+
+    def weighted(self, weighting: Weighting) -> Explanation:
+        """A copy with other weights of the points."""
+        return replace(self, weighting=weighting, local=self.local.informed(weighting))
 
     @property
-    def accuracy(self) -> float:
-        """Accuracy of the model, relative."""
-        return self.scales.accuracy
+    def log_evidence(self) -> float:
+        """The log evidence, up to a constant of all hypotheses with these weights."""
+        return self.local.best[0] - sum(mode.cost for mode in self.hypothesis.modes)
+
+    @property
+    def scales(self) -> Scales:
+        """The scales of the deviations, of the largest evidence."""
+        return self.local.best[1]
+
+    @property
+    def covariance(self) -> Real:
+        """Covariance (k, k) of the free parameters."""
+        return self.local.best[2].covariance if self.x is self.likeliest else self.local.covariance(self.scales)
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares that least squares with these weights makes least, with the rows of the priors."""
+        offset = self.local.offset + (self.x - self.likeliest)[list(self.free)]
+        square = sum(float(np.sum(np.abs(log / deviation) ** 2))
+                     for log, deviation in zip(self.log_ratio, self.weighting.deviations(), strict=False))
+        return 0.5 * (square + float(np.sum((offset * self.local.precision) ** 2)))
+
+    @property
+    def rms(self) -> float:
+        """The rms of ln(Z_model / Z_measured) over all points."""
+        return float(np.sqrt(np.mean(np.abs(np.concatenate(self.log_ratio)) ** 2)))
+
+    @property
+    def chi_square(self) -> float:
+        """The sum of squares of what is left at x, in units of the stated noise."""
+        return float(sum(np.sum(np.abs(log / state.noise) ** 2)
+                         for log, state in zip(self.log_ratio, self.weighting.states, strict=False)))
 
     def error(self, index: int) -> float:
         """Standard deviation of the parameter of that index."""
         return float(self.errors[index])
 
-    @property
+    @cached_property
     def errors(self) -> Real:
         """Standard deviations of all parameters (p,), zero of those that do not move."""
         found = np.zeros(self.x.size)
-        found[list(self.free)] = np.sqrt(self.correlation * np.maximum(np.diag(self.covariance), 0.0))
+        found[list(self.free)] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return found
-
-    @property
-    def laplace(self) -> LaplaceApproximation:
-        """The Laplace approximation there, for a search that goes on from it."""
-        return LaplaceApproximation(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.error_estimate)
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The recordings, the models that predict them within some ranges, and the discrepancy of these models.
-
-    ``columns`` (m, k) are changes of ln Z by the fields within all parts, of covariance equal to that of
-    ``discrepancy`` at a relative size of one; ``region_discrepancy`` holds the modes of each region by itself, with
-    losses of any size, for hypotheses of a region.
-    """
+    """The recordings of an objective, and the models that predict them within some ranges."""
 
     model: Model
     objective: Objective
-    columns: Real
-    region_discrepancy: DiscrepancyModes | None = None
-    discrepancy: DiscrepancyModes | None = None
-
-    @classmethod
-    def noise_only(cls, model: Model, objective: Objective) -> Likelihood:
-        """A likelihood without discrepancy."""
-        return cls(model, objective, np.zeros((sum(2 * r.measured.frequency.size for r in objective.recordings), 0)))
 
     def with_objective(self, objective: Objective) -> Likelihood:
         """A copy with the predictions of another objective."""
         return replace(self, objective=objective)
-
-    def with_discrepancy(self, x: Real) -> Likelihood:
-        """A copy with the discrepancy of the model at x (p,)."""
-        return self._with_modes(*discrepancy_modes(self.objective, x))
-
-    def _with_modes(self, discrepancy: DiscrepancyModes, region_discrepancy: DiscrepancyModes) -> Likelihood:
-        sizes = self.noise[:, None] / ACCURACIES[-1]
-        directions, lengths = principal(discrepancy.columns / sizes, NEGLIGIBLE)
-        return replace(self, columns=directions * lengths * sizes, region_discrepancy=region_discrepancy,
-                       discrepancy=discrepancy)
-
-    def joined(self, other: Likelihood) -> Likelihood:
-        """The likelihood of these recordings and others, both with their discrepancies."""
-        assert self.discrepancy is not None
-        assert self.region_discrepancy is not None
-        assert other.discrepancy is not None
-        assert other.region_discrepancy is not None
-        both = Likelihood.noise_only(self.model, self.objective.joined(other.objective))
-        return both._with_modes(self.discrepancy.stacked(other.discrepancy),
-                                self.region_discrepancy.stacked(other.region_discrepancy))
 
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
@@ -247,90 +303,51 @@ class Likelihood:
         ends = np.cumsum([0, *(2 * each.frequency.size for each in self.measured)]).tolist()
         return [slice(low, high) for low, high in pairwise(ends)]
 
-    def strongest_modes(self, hypothesis: Hypothesis, x: Real, accuracy: float) -> tuple[Mode, ...]:
-        """The modes that the model seems to lack under a hypothesis at x (p,), one at most for every body recorded."""
-        search = self.search(hypothesis)
-        data = self.data(hypothesis, x)
-        whiten = Covariance.of(self.columns / self.noise[:, None] * accuracy).whitened
-        precision = np.diag(search.precision[search.free])
-        # A parameter that nothing is known of may be anything.
-        nuisances, _ = np.linalg.qr(np.vstack([whiten(data.jacobian[:, search.free]), precision]))
-
-        def project(columns: Real) -> Real:
-            """Whitened, and without what known parameters imitate; the rows of the priors are nothing to a mode."""
-            whole = np.vstack([whiten(columns), np.zeros((len(precision), columns.shape[1]))])
-            return np.asarray(whole - nuisances @ (nuisances.T @ whole))
-
-        residual = np.concatenate([whiten(data.vector), (x - search.centre)[search.free] * np.diag(precision)])
-        residual = residual - nuisances @ (nuisances.T @ residual)
-        bodies: dict[object, list[int]] = {}
-        for index, predictor in enumerate(self.objective.predictors):
-            bodies.setdefault(predictor, []).append(index)
-        return strongest(self.measured, self.places, list(bodies.values()), self.noise, project, residual,
-                         REGION_SIZES)
-
     def point_deviations(self, level: float = 0.0, every: Sequence[int] | None = None) -> list[Real]:
-        """Deviations (n,) of every recording's points with a further deviation `level`."""
+        """Deviations (n,) of every recording's points, of the stated noise and a further deviation `level`."""
         steps = every or [1] * len(self.objective.recordings)
         return [np.sqrt(state.noise[::step] ** 2 + level**2)
                 for state, step in zip(self.states, steps, strict=True)]
 
     def search(self, hypothesis: Hypothesis) -> FitSearch:
-        """The least-squares problem under a hypothesis, without discrepancy."""
+        """The least-squares problem under a hypothesis."""
         free, released = self.model.free(hypothesis.effects)
         return FitSearch(self.objective, free=free, released=released, refusals=self.model.refusals)
 
-    def solve(self, search: FitSearch, stage: ContinuationStage, x: Real, *, accuracy: float = 0.0) -> Optimum:
-        """The optimum of a stage from x (p,), on few of the points; `accuracy` is that of the model."""
+    def solve(self, search: FitSearch, stage: ContinuationStage, x: Real) -> Optimum:
+        """The optimum of a stage from x (p,), on few of the points."""
         every = [own.step(SEARCHED) for own in search.objective.recordings]
-        spreads = self.point_deviations(stage.deviation, every)
         thin = search.with_objective(search.objective.thinned(SEARCHED))
-        if accuracy > 0.0 and self.columns.size:
-            rows = np.concatenate([np.concatenate([np.arange(place.start, middle, step),
-                                                   np.arange(middle, place.stop, step)])
-                                   for place, step in zip(self.places, every, strict=True)
-                                   for middle in [(place.start + place.stop) // 2]])
-            deviation = np.concatenate([np.tile(each, 2) for each in spreads])
-            thin = thin.with_covariance(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
-        return thin.solve(stage, x, spreads)
+        return thin.solve(stage, x, self.point_deviations(stage.deviation, every))
 
-    def stage_optimum(
-        self, hypothesis: Hypothesis, search: FitSearch, x: Real, stage: ContinuationStage
-    ) -> LaplaceApproximation:
-        """The optimum of a stage near x (p,), with the accuracy of the model of largest evidence there."""
-        level = stage.deviation
+    def data(self, hypothesis: Hypothesis, x: Real) -> Residual:
+        """The data at x (p,), in units of the stated noise, with their derivatives by the parameters of a hypothesis.
+        """
+        free = frozenset(self.model.free(hypothesis.effects)[0])
+        return self.objective(x, deviation=self.point_deviations(), free=free)
 
-        def again(best: LaplaceApproximation, strictness: float) -> LaplaceApproximation:
-            end = self.solve(search, stage, best.x, accuracy=strictness * best.accuracy)
-            return self.laplace(hypothesis, end.x, level)
+    def impedances(self, x: Real) -> list[Complex]:
+        """Impedance (n,) ohm of every recording as predicted at x (p,)."""
+        return [self.objective.predict(x, index, ())[0] for index in range(len(self.objective.recordings))]
 
-        return _improved(self.laplace(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS,
-                         lambda each: each.accuracy > level)
-
-    def linearised(
-        self, hypothesis: Hypothesis, search: FitSearch, x: Real, level: float = 0.0, further: Real | None = None
-    ) -> LocalProblem:
-        """The problem linearised at x (p,), with `further` columns (m, k) of deviations of scale zero."""
+    def linearised(self, hypothesis: Hypothesis, search: FitSearch, x: Real, data: Residual) -> LocalProblem:
+        """The problem linearised at x (p,), where the `data` are, with the weights of the stated noise."""
         free = search.free
-        data = self.data(hypothesis, x, level)
-        parameters = [self.model.parameters[i] for i in free]
-        deviations = list(self.deviations(hypothesis, data, x, level))
-        deviations += [np.zeros((self.noise.size, 0)) if further is None else further]
-        problem = LinearisedProblem.of(
-            data.jacobian[:, free], data.vector, np.column_stack(deviations),
-            precision=np.diag(search.precision[free] ** 2), offset=(x - search.centre)[free],
-            widths=np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
-                             for i, p in zip(free, parameters, strict=True)]),
-            below=np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
-            above=np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
-        stated = self.model.campaign.inhomogeneity
-        counts = tuple(each.shape[1] for each in deviations)
-        settings = itertools.product(
-            ACCURACIES if stated is None else (stated,), REGION_SIZES if hypothesis.is_outside else (0.0,),
-            (0.0, 1.0) if counts[2] else (0.0,))
-        return LocalProblem(problem, tuple(Scales(*map(float, each)) for each in settings), counts, data)
+        parameters, stated = [self.model.parameters[i] for i in free], self.model.campaign.inhomogeneity
+        return LocalProblem(
+            data.jacobian[:, free], data.vector, np.zeros((self.noise.size, 0)), self._outside(hypothesis),
+            self._term_errors(hypothesis, data, x), tuple(INHOMOGENEITIES) if stated is None else (stated,),
+            np.ones(self.noise.size), search.precision[free], (x - search.centre)[free],
+            np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
+                      for i, p in zip(free, parameters, strict=True)]),
+            np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
+            np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
 
-    def _term_errors(self, hypothesis: Hypothesis, tangents: Real, x: Real) -> Real:
+    def _outside(self, hypothesis: Hypothesis) -> Real:
+        """The change of the data (m, k), in units of the noise, by modes that the model does not have."""
+        return columns(self.measured, self.places, hypothesis.modes, self.noise.size) / self.noise[:, None]
+
+    def _term_errors(self, hypothesis: Hypothesis, data: Residual, x: Real) -> Real:
         """The change of the data (m, k) by errors of a hypothesis' own terms: of each parameter, along the band, state
         by state.
 
@@ -339,147 +356,86 @@ class Likelihood:
         own = [self.model.index(name) for effect in hypothesis.effects if effect.terms for name in effect.names]
         if not own:
             return np.zeros((self.noise.size, 0))
-        moved = x[own] - np.array([self.model.parameters[i].start for i in own])
-        whole, columns, start = tangents[:, own] @ moved, [], 0
-        for state in self.states:
-            count = state.noise.size
-            rows = slice(start, start + 2 * count)
+        moved = x[own] - self.model.stated[own]
+        whole, found = data.jacobian[:, own] @ moved, []
+        for state, rows in zip(self.states, self.places, strict=True):
             for wave in range(WAVES):
                 column = np.zeros(whole.size)
-                along = np.cos(np.pi * wave * np.linspace(0.0, 1.0, count))
+                along = np.cos(np.pi * wave * np.linspace(0.0, 1.0, state.noise.size))
                 column[rows] = whole[rows] * np.tile(along, 2) * (math.sqrt(2.0) if wave else 1.0)
-                columns.append(column * TERM / math.sqrt(WAVES))
-            start += 2 * count
-        return np.stack(columns, axis=1)
+                found.append(column * TERM / math.sqrt(WAVES))
+        return np.stack(found, axis=1)
 
-    def whitening(self, explanation: Explanation) -> Covariance:
-        """The covariance of the deviations beside the noise at the optimum of an explanation."""
-        hypothesis, x = explanation.hypothesis, explanation.x
-        return self._covariance(self.deviations(hypothesis, self.data(hypothesis, x), x), explanation.scales)
+    def laplace(self, hypothesis: Hypothesis, x: Real, level: float) -> LaplaceApproximation:
+        """The Laplace approximation at x (p,), with points of a further deviation `level`."""
+        search, data = self.search(hypothesis), self.data(hypothesis, x)
+        local = self.linearised(hypothesis, search, x, data)
+        share = self.noise**2 / (self.noise**2 + level**2)
+        local = replace(local, information=share)
+        worth, _, average = local.best
+        errors = np.zeros(x.size)
+        errors[search.free] = np.sqrt(np.maximum(np.diag(average.covariance), 0.0))
+        return LaplaceApproximation(x, worth, errors, average.chi_square / self.noise.size, data.error)
 
-    @staticmethod
-    def _covariance(deviations: Sequence[Real], scales: Scales) -> Covariance:
-        return Covariance.of(np.column_stack([part * size for part, size in zip(deviations, scales, strict=True)]))
-
-    def refit(self, hypothesis: Hypothesis, x: Real, *, rounds: int = ROUNDS, limit: int = STEPS) -> Explanation:
-        """The optimum of the posterior near x (p,), with all data at full weight, and the evidence there.
+    def refit(self, hypothesis: Hypothesis, x: Real, *, limit: int = STEPS) -> Explanation:
+        """The optimum near x (p,), where every recording is weighted by what its own residual shows.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near x can be predicted, or is
                 admissible.
         """
         search = self.search(hypothesis)
-        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
+        weighting = self._scaled(search, hypothesis, x)
+        for _ in range(REWEIGHTED):
+            x = search.minimise(x, weighting.deviations(), limit=limit, tolerance=ENOUGH).x
+            before, data = weighting, self.data(hypothesis, x)
+            weighting = Weighting.left(self.states, data.log_ratio)
+            if weighting.is_near(before):
+                break
+        return self.explanation(hypothesis, x, data).weighted(weighting)
 
-        def at(x: Real) -> tuple[Real, LocalProblem, float, Scales, Average]:
-            local = self.linearised(hypothesis, search, x)
-            return x, local, *local.over_scales()
+    def explanation(self, hypothesis: Hypothesis, x: Real, data: Residual | None = None) -> Explanation:
+        """A hypothesis at x (p,), with the weights of the stated noise."""
+        search, data = self.search(hypothesis), self.data(hypothesis, x) if data is None else data
+        return Explanation(hypothesis, x, x, tuple(map(int, search.free)), self.linearised(hypothesis, search, x, data),
+                           Weighting.stated(self.states), data.log_ratio, data.impedance, data.error)
 
-        def again(
-            best: tuple[Real, LocalProblem, float, Scales, Average], strictness: float
-        ) -> tuple[Real, LocalProblem, float, Scales, Average]:
-            x, local, _, scales, average = best
-            for i, deviation in zip(search.free, np.sqrt(np.diag(average.covariance)), strict=True):
-                if i in own:
-                    # The admissible range may be a million times the one that the data determine.
-                    width = search.high[i] - search.low[i]
-                    search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
-            deviations = self.deviations(hypothesis, local.data, x)
-            covariance = self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy))
-            whitened = search.with_covariance(covariance)
-            return at(whitened.minimise(x, self.point_deviations(), limit=limit, tolerance=ENOUGH).x)
+    def whitened(self, found: Explanation, parts: Real) -> Explanation:
+        """An explanation with its problem at the optimum with all deviations, of which `parts` (m, k) are those of the
+        inhomogeneity: far from it the linear problem overrates what hypotheses gain.
 
-        x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
-        worth -= sum(mode.cost for mode in hypothesis.modes)
-        covariance = self._covariance(self.deviations(hypothesis, local.data, x), scales)
-        return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, scales,
-                           average.occam, replace(local.data, predictions=()), local.data.error,
-                           self._correlation(covariance.whitened(covariance.whitened(local.data.vector))))
-
-    def _correlation(self, noise: Real) -> float:
-        """The number of neighbouring points that carry the information of one, for a residual of `noise` (m,)."""
-        parts = [np.split(noise[place], 2) for place in self.places]
-        lengths = [correlation_length(real + 1j * imaginary) for real, imaginary in parts]
-        return float(np.average(lengths, weights=[real.size for real, _ in parts]))
-
-    def deviations(
-        self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
-    ) -> tuple[Real, Real, Real]:
-        """Columns (m, k) of the deviations beside the noise, of size one: within all parts, within one region, and of
-        the term."""
-        noise = np.sqrt(self.noise**2 + level**2)[:, None]
-        outside = np.zeros((self.noise.size, 0))
-        if hypothesis.region and self.region_discrepancy is not None:
-            outside = compressed_columns(self.region_discrepancy.of_region(hypothesis.region) / noise, REGION_SIZES[-1])
-        elif hypothesis.modes:
-            outside = columns(self.measured, self.places, hypothesis.modes, self.noise.size) / noise
-        return self.columns / noise, outside, self._term_errors(hypothesis, data.jacobian, x)
-
-    def data(self, hypothesis: Hypothesis, x: Real, level: float = 0.0) -> Residual:
-        """The data at x (p,) with their derivatives by the parameters of a hypothesis."""
-        free = frozenset(self.model.free(hypothesis.effects)[0])
-        return self.objective(x, deviation=self.point_deviations(level), free=free)
-
-    def impedances(self, x: Real) -> list[Complex]:
-        """Impedance (n,) ohm of every recording as predicted at x (p,)."""
-        return [self.objective.predict(x, index, ())[0] for index in range(len(self.objective.recordings))]
-
-    def laplace(self, hypothesis: Hypothesis, x: Real, level: float) -> LaplaceApproximation:
-        """The Laplace approximation at x (p,), with points of a further deviation `level`."""
-        search = self.search(hypothesis)
-        local = self.linearised(hypothesis, search, x, level)
-        worth, best, average = local.over_scales()
-        errors = np.zeros(x.size)
-        errors[search.free] = np.sqrt(np.maximum(np.diag(average.covariance), 0.0))
-        if self.model.campaign.inhomogeneity is None and best.accuracy > INACCURATE:
-            average = local.averaged(best._replace(accuracy=INACCURATE))
-        expected = float(np.sum(self.noise**2 / (self.noise**2 + level**2)))
-        return LaplaceApproximation(x, worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
-                                    average.chi_square / expected, local.data.error)
-
-    def alternatives(
-        self, hypothesis: Hypothesis, x: Real, level: float, accuracy: float
-    ) -> list[tuple[Hypothesis, float]]:
-        """Hypotheses outside the catalogue added to a hypothesis at x (p,), with their log evidences, best first.
-
-        They are a change in each region, and the modes that a model of that `accuracy` seems to lack.
+        Raises:
+            NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near it can be predicted.
         """
-        assert self.region_discrepancy is not None
-        noise = np.sqrt(self.noise**2 + level**2)[:, None]
-        free = self.region_discrepancy
-        found = {replace(hypothesis, region=each): compressed_columns(free.of_region(each) / noise, REGION_SIZES[-1])
-                 for each in dict.fromkeys(free.regions)}
-        if modes := self.strongest_modes(hypothesis, x, accuracy):
-            found[replace(hypothesis, modes=modes)] = columns(
-                self.measured, self.places, modes, self.noise.size) / noise
-        local = self.linearised(hypothesis, self.search(hypothesis), x, level, np.column_stack(list(found.values())))
-        ends = np.cumsum([sum(local.counts[:-1]), *(part.shape[1] for part in found.values())]).tolist()
-        worth = local.over_blocks([np.arange(low, high) for low, high in pairwise(ends)], REGION_SIZES)
-        worth -= [sum(mode.cost for mode in each.modes) for each in found]
-        return sorted(zip(found, worth.tolist(), strict=True), key=lambda each: -each[1])
+        search = self.search(found.hypothesis)
+        best, data = replace(found, local=replace(found.local, parts=parts)), None
+        spreads = [np.sqrt(points) * each for points, each in zip(
+            found.weighting.points, found.weighting.deviations(), strict=True)]
+        for _ in range(WHITENED):
+            under = search.with_covariance(Covariance.of(best.local.deviations(best.scales)))
+            x = under.minimise(best.likeliest, spreads, limit=STEPS, tolerance=ENOUGH).x
+            data = self.data(found.hypothesis, x)
+            local = self.linearised(found.hypothesis, search, x, data)
+            there = replace(best, likeliest=x, local=replace(local, parts=parts, information=best.local.information))
+            before, best = best, there
+            if there.scales == before.scales:
+                break
+        assert data is not None
+        there = replace(best, x=best.likeliest, log_ratio=data.log_ratio, impedances=data.impedance,
+                        error_estimate=data.error)
+        return there if there.rms <= AS_GOOD * found.rms else best
 
-
-def _improved(
-    best: T, again: Callable[[T, float], T], worth: Callable[[T], float], rounds: int,
-    is_lenient: Callable[[T], bool] = lambda _best: True,
-) -> T:
-    """The best of at most `rounds` rounds that each begin `again` from it, with a factor on the accuracy of the model.
-
-    The factor is one as long as that helps, and then :data:`STRICTER` if the best one `is_lenient`: an inaccurate model
-    leaves much that it could explain. The worth of the start does not count: it is no optimum, and far from one the
-    tangents predict too large a gain.
-    """
-    strictness = 1.0
-    best = again(best, strictness) if rounds else best
-    for _ in range(rounds - 1):
-        found = again(best, strictness)
-        if worth(found) > worth(best) + ALIKE:
-            best = found
-        elif strictness < 1.0 or not is_lenient(best):
-            break
-        else:
-            strictness = STRICTER
-    return best
+    def _scaled(self, search: FitSearch, hypothesis: Hypothesis, x: Real) -> Weighting:
+        """The weights at x (p,), by which the steps of parameters without a prior are scaled."""
+        data = self.data(hypothesis, x)
+        weighting = Weighting.left(self.states, data.log_ratio)
+        local = self.linearised(hypothesis, search, x, data)
+        errors = np.sqrt(np.diag(replace(local, information=1.0 / weighting.variances()).best[2].covariance))
+        for i, error in zip(search.free, errors, strict=True):
+            if self.model.parameters[i].name in hypothesis.names:
+                width = search.high[i] - search.low[i]
+                search.scale[i] = float(np.clip(FIRST_STEP * error, SMALLEST_STEP * width, width))
+        return weighting
 
 
 def compressed_columns(columns: Real, size: float) -> Real:

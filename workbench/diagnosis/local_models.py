@@ -1,4 +1,8 @@
-"""The models that a search predicts with, each on local bases: none of them is right over the whole prior."""
+"""The models that a search predicts with, each on local bases: none of them is right over the whole prior.
+
+A search goes on on coarse meshes, and only explanations that are told of have the meshes that were asked for. A model
+carries the terms of the hypotheses that act in it and no others, and its meshes have lines of nodes for these alone.
+"""
 
 from __future__ import annotations
 
@@ -10,182 +14,152 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, Candidate
-from workbench.diagnosis.device import Model
+from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smallest_body
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
-from workbench.diagnosis.starts import replaced
+from workbench.diagnosis.levels import replaced
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.ranking import Tangents
 from workbench.fitting.objective import Objective
-from workbench.reduced.about_point import TERMS
 from workbench.reduced.estimate import SLACK
 
 Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-#: Error of Z that models are made for: for a search, and about an optimum, that relative to noise.
-ROUGH, FINE = 3e-4, 0.03
+#: Error of Z that meshes of a search are made for, and at least that of those asked for.
+SEARCHED = 5e-3
 
-#: Error of Z that models of a profile scan are made for, a fiftieth of the deviation of the points there
-#: (`descent.LEVELS`): at a tenth of it a rim was found a tenth too wide.
-COARSE = 0.02 * LEVELS[0]
+#: Share of Z that is left as stated from which on a search's meshes are right enough to say so: 20 times their error.
+FAR_OFF = 20.0 * SEARCHED
 
-#: Terms of the series to a point of a profile scan (`about_point.TERMS`).
-FEW = 3
+#: Error of Z that reduced models are made for: over the prior, about a point of a search, and about an optimum, that
+#: relative to noise. Where constants are known to a tenth, a search over models ten times as wrong ends elsewhere.
+BROAD, ROUGH, FINE = 3e-4, 3e-3, 0.1
 
-#: Reach of models: over the prior, in its uncertainties, and about an optimum, in its standard deviations.
-FAR, NEAR = 1.5, 2.0
+#: Reach of models: over the prior, in its uncertainties, and about an optimum, in its standard deviations; and of an
+#: effect where a search begins, in its size there.
+FAR, NEAR, OF_SIZE = 1.5, 2.0, 0.3
 
 #: Times, at most, that an optimum is searched for on models made again about it, until their error estimate there is
 #: within tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
-PLACES = 3
+PLACES = 2
 
 
 @dataclass(eq=False)
 class LocalModels:
-    """Predictions of the recordings, on models made where a search needs them.
-
-    ``places`` (p,) are optima that :attr:`over_prior_and_places` has to be right at besides the prior.
-    """
+    """Predictions of the recordings, on models made where a search needs them."""
 
     model: Model
-    places: tuple[Real, ...] = ()
 
     @cached_property
-    def centre(self) -> Real:
-        """The stated values of all parameters (p,)."""
-        return np.array([p.start for p in self.model.parameters])
+    def rough(self) -> Model:
+        """The model of a search, on coarse meshes."""
+        if not isinstance(self.model.accuracy, float) or self.model.accuracy >= SEARCHED:
+            return self.model
+        return device_model(self.model.campaign, accuracy=SEARCHED, catalogue=(self.model.effects, self.model.others))
 
     @cached_property
     def prior(self) -> GaussianPrior:
         """The prior of the known numbers, updated by the smallest body of several."""
-        prior = GaussianPrior.prior(self.model)
-        first = smallest_body(self.model.fitted)
-        return prior if first is None else prior.updated(
-            Likelihood.noise_only(self.model, self.around(prior.x, prior, first)))
+        prior = GaussianPrior.prior(self.rough)
+        first = smallest_body(self.rough.fitted)
+        if first is None:
+            return prior
+        return prior.updated(Likelihood(self.rough, self._around(prior, first)))
 
     @cached_property
-    def known_reach(self) -> dict[str, float]:
-        """The reach of models over the prior, by name."""
-        return self.prior.reach(self.model, FAR)
+    def over_prior(self) -> Likelihood:
+        """The likelihood over the updated prior, of a search for the null hypothesis."""
+        return Likelihood(self.rough, self._around(self.prior, self.rough.fitted))
 
-    def around(self, x: Real, prior: GaussianPrior, recordings: Objective, *, enriches: bool = False) -> Objective:
-        """Recordings predicted about x (p,), as far as a `prior` reaches from there."""
-        return recordings.near(x, prior.reach(self.model, FAR), ROUGH, only=range(self.model.known), enriches=enriches)
+    def _around(self, prior: GaussianPrior, recordings: Objective) -> Objective:
+        return recordings.near(prior.x, prior.reach(self.rough, FAR), BROAD, only=range(self.rough.known))
+
+    @cached_property
+    def multimodal(self) -> list[int]:
+        """Indices of the known numbers along which there are several optima."""
+        return multimodal(self.over_prior, self.prior)
 
     @cached_property
     def noise(self) -> float:
         """Relative standard deviation of a point, of the best recording."""
         return min(float(np.median(state.noise)) for state in self.model.campaign.states)
 
-    @property
-    def over_prior_and_places(self) -> Objective:
-        """The recordings predicted over the updated prior, and at :attr:`places` too."""
-        return self._made[1]
-
-    @cached_property
-    def over_prior(self) -> Objective:
-        """The recordings predicted over the updated prior alone."""
-        return self.around(self.prior.x, self.prior, self.model.fitted, enriches=True)
-
-    @cached_property
-    def multimodal(self) -> list[int]:
-        """Indices of the known numbers along which there are several optima."""
-        return multimodal(Likelihood.noise_only(self.model, self.over_prior), self.prior)
-
-    @property
-    def _made(self) -> tuple[bytes, Objective, dict[bytes, Likelihood]]:
-        """A key of the present places, the models for these, and the likelihoods on them."""
-        key = b"".join(each.tobytes() for each in self.places)
-        if self._latest is None or self._latest[0] != key:
-            self._latest = key, self.over_prior.enriched_at(self.prior.x, self.places, ROUGH), {}
-        return self._latest
-
-    _latest: tuple[bytes, Objective, dict[bytes, Likelihood]] | None = None
-
-    def noise_only(self) -> Likelihood:
-        """The likelihood without discrepancy, over the prior."""
-        return Likelihood.noise_only(self.model, self.over_prior_and_places)
-
-    def likelihood(self, x: Real) -> Likelihood:
-        """The likelihood over the prior, with the discrepancy of the model at x (p,)."""
-        known = self._made[2]
-        if (key := x.tobytes()) not in known:
-            known.clear()
-            known[key] = self.noise_only().with_discrepancy(x)
-        return known[key]
-
-    def near(
-        self, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None, *, held_out: bool = False
-    ) -> Objective:
-        """The recordings that were fitted, or those `held_out`, predicted about an optimum x (p,) of those standard
-        deviations (p,), on meshes for it.
-
-        To a relative error of Z of `tolerance`; far below the noise if that is None.
-        """
-        own = self.model.about(hypothesis.effects, x)
-        recordings = own.held_out if held_out else own.fitted
-        assert recordings is not None
-        reach = {p.name: NEAR * float(error)
-                 for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), enriches=False)
-
     def are_inaccurate(self, error: float, level: float = 0.0) -> bool:
         """Whether an error estimate is above tolerance where points have a further deviation `level`."""
         return error > SLACK * math.hypot(self.noise, level)
 
-    def predict_held_out(
-        self, likelihood: Likelihood, found: Explanation, *, rounds: int, limit: int
-    ) -> tuple[float, list[NDArray[np.complex128]]]:
-        """The log evidence that the states held out add at the optimum of all, and their predicted impedances.
+    def towards(self, hypothesis: Hypothesis, places: Sequence[Real], *, only: str = "") -> Likelihood:
+        """The likelihood of a search over the prior and on the way to a hypothesis as it is at `places` (p,), of `only`
+        one state if it is named.
 
-        `likelihood` is that of the fitted states, `found` the explanation of them; `rounds` and `limit` as in
-        `Likelihood.refit`. A number of the held-out states alone (the thickness of a gel that was laid anew) may be far
-        from its prior: the models are made again about the optimum of all, unless that does not move.
+        Without a solve where the meshes of the null hypothesis have no other lines of nodes.
         """
-        hypothesis, every, impedances = found.hypothesis, found, list[NDArray[np.complex128]]()
-        for _ in range(PLACES if rounds else 1):
-            held = Likelihood.noise_only(self.model, self.near(
-                hypothesis, every.x, found.errors, held_out=True)).with_discrepancy(every.x)
-            if impedances:
-                near = self.near(hypothesis, every.x, found.errors)
-                likelihood = likelihood.with_objective(near).with_discrepancy(every.x)
-            else:
-                impedances = held.impedances(found.x)
-            every = likelihood.joined(held).refit(hypothesis, every.x, rounds=rounds, limit=limit)
-            if not self.are_inaccurate(every.error_estimate, every.accuracy):
-                break
-        return every.log_evidence - found.log_evidence, impedances
+        own, moving, x = self.rough.of(hypothesis.effects), self.moving(hypothesis), self.prior.x
+        names = {only} if only else {state.name for state in own.campaign.fitted}
+        fitted = own.fitted.among(names)
+        objective = fitted.on_bases_of(self.over_prior.objective.among(names))
+        if objective is None:
+            objective = fitted.near(x, self.prior.reach(own, FAR), ROUGH, only=moving)
+        indices = [own.index(name) for name in hypothesis.names]
+        there = [replaced(x, indices, place[indices]) for place in places]
+        return Likelihood(own, objective.neumann_enriched(x, there, ROUGH, only=moving))
 
-    def towards(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
-        """The recordings predicted over the prior, and on the way to a hypothesis as it is at `places` (p,)."""
-        return self._towards(self.over_prior_and_places, hypothesis, places, ROUGH)
+    def searched(self, hypothesis: Hypothesis, x: Real, errors: Real | None = None) -> Likelihood:
+        """The likelihood of a search about x (p,), on coarse meshes for a hypothesis.
 
-    def coarsely_towards(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
-        """:meth:`towards` to the accuracy that a profile scan needs, with points of the first deviation of
-        `descent.LEVELS`."""
-        return self._towards(self._coarse, hypothesis, places, COARSE, FEW)
+        Models reach over the prior, or over the standard deviations `errors` (p,) where these are less.
+        """
+        own = self.rough.of(hypothesis.effects, x)
+        reach = self.prior.reach(own, FAR)
+        for name in hypothesis.names:
+            reach[name] = OF_SIZE * abs(float(x[own.index(name)]) - own.stated[own.index(name)])
+        if errors is not None:
+            reach = {name: min(size, NEAR * float(errors[own.index(name)])) for name, size in reach.items()}
+        return Likelihood(own, own.fitted.near(x, reach, ROUGH, only=self.moving(hypothesis), enriches=False))
+
+    def near(
+        self, hypothesis: Hypothesis, x: Real, errors: Real, *, noise: float = 0.0, held_out: bool = False
+    ) -> Likelihood:
+        """The likelihood of the recordings that were fitted, or of those `held_out`, about an optimum x (p,) of those
+        standard deviations (p,), on meshes for it.
+
+        The models are right far below the noise, or below `noise` where points deviate by more.
+        """
+        own = self.model.of(hypothesis.effects, x)
+        recordings = own.held_out if held_out else own.fitted
+        assert recordings is not None
+        reach = {p.name: NEAR * float(error)
+                 for p, error in zip(own.parameters, errors, strict=True) if error > 0.0}
+        return Likelihood(own, recordings.near(x, reach, FINE * max(self.noise, noise), only=self.moving(hypothesis),
+                                               enriches=False))
 
     @cached_property
-    def _coarse(self) -> Objective:
-        return self.over_prior.coarser(COARSE)
+    def stated(self) -> tuple[list[Complex], float]:
+        """Impedance (n,) ohm of every state as it is stated, those held out last, and the rms of ln(Z_model /
+        Z_measured) of those that were fitted; on the coarse meshes of a search where so much is left that their error
+        does not matter (:data:`FAR_OFF`)."""
+        for model in (self.rough, self.model):
+            parts = [each.near(model.stated, {}, ROUGH, only=(), enriches=False)
+                     for each in (model.fitted, model.held_out) if each is not None]
+            found = [Likelihood(model, each) for each in parts]
+            data = found[0].data(Hypothesis(), model.stated)
+            left = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
+            if left > FAR_OFF or model is self.model:
+                break
+        return [impedance for each in found for impedance in each.impedances(model.stated)], left
 
-    def _towards(
-        self, objective: Objective, hypothesis: Hypothesis, places: Sequence[Real], tolerance: float,
-        terms: int = TERMS,
-    ) -> Objective:
-        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        there = [replaced(self.centre, own, place[own]) for place in places]
-        return objective.neumann_enriched(self.centre, there, tolerance, only=self.moving(hypothesis), terms=terms)
+    @property
+    def stated_rms(self) -> float:
+        """Rms of ln(Z_model / Z_measured) as the campaign states the device."""
+        return self.stated[1]
+
+    def tangents(self, x: Real) -> Tangents:
+        """The data at x (p,) and their derivatives by all parameters of all hypotheses, on coarse meshes."""
+        every = self.rough.of(self.rough.effects)
+        objective = every.fitted.near(x, {}, ROUGH, only=(), enriches=False).with_every(x)
+        found = objective(x, deviation=Likelihood(every, objective).point_deviations())
+        return Tangents(x, found.jacobian, found.vector)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of the parameters that move under a hypothesis."""
         return self.model.free(hypothesis.effects)[0]
-
-    def about_candidate(self, likelihood: Likelihood, candidate: Candidate) -> Likelihood:
-        """The likelihood on models for the prior about the optimum of a candidate."""
-        reach = dict(self.known_reach)
-        for effect in candidate.hypothesis.effects:
-            for name in effect.names:
-                i = self.model.index(name)
-                reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
-        return likelihood.with_objective(self.model.fitted.near(candidate.x, reach, ROUGH,
-                                                    only=self.moving(candidate.hypothesis), enriches=False))

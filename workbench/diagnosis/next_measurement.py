@@ -1,8 +1,8 @@
 """The next measurement: the one of largest expected information about which of the rival hypotheses is true.
 
 Hypothesis i, of probability p_i, predicts for n recordings of a state a mean m_i and a covariance C_i: noise, what
-every recording draws anew (clips, gain), the uncertainty of its parameters, and the posterior of the discrepancy, of
-the model or of a region, from the recordings there are. With
+every recording draws anew (clips, gain), the uncertainty of its parameters, and the posterior of the changes in a
+region from the recordings there are. With
 
     D_ij^2 = (m_i - m_j)^T ((C_i + C_j) / 2)^-1 (m_i - m_j),   I = -sum_i p_i ln sum_j p_j exp(-D_ij^2 / 8),
 
@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.likelihood import Explanation, Likelihood
-from workbench.diagnosis.modes import columns
+from workbench.diagnosis.likelihood import Explanation
 from workbench.fitting.covariance import Covariance
 from workbench.model.numbers import BENCH
 from workbench.physics.softening import DRIVE_SQUARED
@@ -57,17 +56,14 @@ class Option:
     times: int
 
 
-def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], wanted: float) -> list[Option]:
+def options(model: Model, alive: Sequence[tuple[Explanation, float]], wanted: float) -> list[Option]:
     """Measurements, best first, with their number until explanations with their log odds are told apart by odds of
-    `wanted`.
-
-    The discrepancy of the model is that of a `likelihood`, at whatever point it was computed.
-    """
+    `wanted`."""
     weights = np.exp([odds - max(odds for _, odds in alive) for _, odds in alive])
     weights /= weights.sum()
     found = []
-    systematic = [(each, _systematic(likelihood, each)) for each, _ in alive]
-    for name, predicted in _predictions(likelihood, [each for each, _ in alive]):
+    systematic = [(each, _systematic(each)) for each, _ in alive]
+    for name, predicted in _predictions(model, [each for each, _ in alive]):
         distances = {n: _distances([predicted(*each, n) for each in systematic]) for n in TIMES}
         share = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
         times = next((n for n in TIMES if distances[n][0, 1] > 2.0 * math.log(wanted)), TIMES[-1])
@@ -101,20 +97,19 @@ def _distances(every: Sequence[tuple[Real, Real]]) -> Real:
     return result
 
 
-def _systematic(likelihood: Likelihood, found: Explanation) -> Covariance:
-    """The deviations beside the noise under an explanation: within all parts, in its region, and as its modes."""
-    hypothesis, parts = found.hypothesis, [likelihood.columns * found.accuracy]
-    if hypothesis.region and likelihood.region_discrepancy is not None:
-        parts.append(likelihood.region_discrepancy.of_region(hypothesis.region) * found.scales.size)
-    if hypothesis.modes:
-        modes = columns(likelihood.measured, likelihood.places, hypothesis.modes, likelihood.noise.size)
-        parts.append(modes * found.scales.size)
-    return Covariance.of(np.column_stack(parts) / likelihood.noise[:, None])
+def _systematic(found: Explanation) -> Covariance:
+    """The deviations beside the noise under an explanation: in its region, and as its modes."""
+    return Covariance.of(found.local.outside * _root(found)[:, None] * found.scales.size)
 
 
-def _predictions(likelihood: Likelihood, alive: Sequence[Explanation]) -> Iterator[tuple[str, Predicted]]:
-    model = likelihood.model
-    for state, rows in zip(model.campaign.fitted, likelihood.places, strict=True):
+def _root(found: Explanation) -> Real:
+    """One over the deviations (m,) of the data, in units of the stated noise."""
+    return np.sqrt(found.local.information)
+
+
+def _predictions(model: Model, alive: Sequence[Explanation]) -> Iterator[tuple[str, Predicted]]:
+    ends = np.cumsum([0, *(2 * state.noise.size for state in model.campaign.fitted)]).tolist()
+    for state, rows in zip(model.campaign.fitted, itertools.starmap(slice, itertools.pairwise(ends)), strict=True):
         yield f"record {state.name} again", partial(_recorded, model, state.name, rows, 1.0)
         if state.drive and any(_driven(model, each, state.name) for each in alive):
             for factor in DRIVES:
@@ -130,20 +125,22 @@ def _recorded(
     model: Model, state: str, rows: slice, drive: float, found: Explanation, systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
     """The prediction for recordings of a fitted state, its drive times a factor."""
-    tangents, free = found.residual.jacobian[rows], np.array(found.free)
+    free, root = np.array(found.free), _root(found)
+    tangents = found.local.tangents[rows] * root[rows, None]
     is_new = np.array([model.parameters[i].offset and model.parameters[i].recordings == (state,) for i in free])
-    new, own = free[is_new], _driven(model, found, state)
+    own = _driven(model, found, state)
+    driven = np.isin(free, own)
     # The posterior of the deviations from the recordings there are.
     said = systematic.variances / (1.0 + systematic.variances)
-    vector, directions = found.residual.vector, systematic.directions
+    vector, directions = found.local.residual * root, systematic.directions
     mean = (vector - directions @ (said * (directions.T @ vector)))[rows]
     # The offsets of the recording there is are not those of the next.
-    mean = mean - tangents[:, new] @ found.x[new]
-    mean = mean + (drive**2 - 1.0) * tangents[:, own] @ (found.x[own] - [model.parameters[i].start for i in own])
+    mean = mean - tangents[:, is_new] @ found.x[free[is_new]]
+    mean = mean + (drive**2 - 1.0) * tangents[:, driven] @ (found.x - model.stated)[free[driven]]
     values, vectors = np.linalg.eigh(found.covariance[np.ix_(~is_new, ~is_new)])
-    uncertain = tangents[:, free[~is_new]] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    uncertain = tangents[:, ~is_new] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     same = math.sqrt(times) * np.column_stack([uncertain, directions[rows] * np.sqrt(said)])
-    drawn = tangents[:, new] * np.array([model.parameters[i].prior or 0.0 for i in new])
+    drawn = tangents[:, is_new] * np.array([model.parameters[i].prior or 0.0 for i in free[is_new]])
     return math.sqrt(times) * mean, np.column_stack([same, drawn])
 
 

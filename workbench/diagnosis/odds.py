@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-#: Accuracies of a model where nobody states one (relative changes of stiffness, mass and loss), and sizes of changes
-#: within a region of which nothing is known: each as likely in every decade.
-ACCURACIES = np.logspace(-4.0, -1.5, 11)
-REGION_SIZES = np.logspace(-3.0, 0.0, 7)
+#: Relative changes of stiffness, mass and loss within parts, each as likely in every decade: hardly a part is more
+#: inhomogeneous than the last.
+INHOMOGENEITIES = np.logspace(-4.0, -2.5, 7)
 
-#: The search ends where the null hypothesis leaves noise by a model of the first accuracy: tangents do not show effects
-#: that a larger one hides. Beyond the second it goes on for a better explanation: hardly a part is that inhomogeneous.
-#: The bound of a verdict is :attr:`Criteria.inaccurate`.
-INCONSPICUOUS, INACCURATE = 0.001, 0.005
+#: Relative sizes of changes within a region of which nothing is known, each as likely in every decade: parts are
+#: inhomogeneous by some tenths of a per cent, and nobody looks for that.
+REGION_SIZES = np.logspace(-2.0, 0.0, 5)
 
 #: Log evidences that are further behind the best are given up on the way: odds of 160000, where a final optimum has
 #: been seen to change hardly one by a tenth of that.
@@ -38,9 +37,9 @@ class Criteria:
         nothing_wrong: prior probability that nothing is.
         redundant: standard deviations from its neutral value within which a further parameter is redundant: an
             explanation that has the best one's parameters and redundant ones is no rival of it.
-        inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which the remainder is
-            no inaccuracy: neither the null hypothesis nor an effect explains all then. No part is inhomogeneous by a
-            per cent. Doubled, mismatches twice as large pass for inaccuracy.
+        inflated: times the stated noise that an explanation leaves in a recording at most (`weighting`): neither the
+            null hypothesis nor an effect explains all where more is left. Doubled, mismatches twice as large pass for
+            noise.
         most: share of the mismatch that an effect has to take away to be named where more than that is left: all but a
             tenth, so that nobody takes the rest for the larger part.
         at_odds: distance from its prior, in standard uncertainties, beyond which a parameter is at odds with it: of a
@@ -53,16 +52,21 @@ class Criteria:
     rival: float = 20.0
     nothing_wrong: float = 0.5
     redundant: float = 2.0
-    inaccurate: float = 0.01
+    inflated: float = 2.0
     most: float = 0.9
     at_odds: float = 3.5
+
+    def log_prior(self, hypotheses: int) -> float:
+        """Prior log odds of each effect against none, of so many single `hypotheses`."""
+        return math.log1p(-self.nothing_wrong) - math.log(self.nothing_wrong) - math.log(max(hypotheses, 1))
 
     def __post_init__(self) -> None:
         if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.redundant > 0.0):
             raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
                              "1")
-        if not (self.inaccurate > 0.0 and 0.0 < self.most <= 1.0 and self.at_odds > 0.0):
-            raise ValueError(f"{self}: an accuracy and standard uncertainties above zero, and a share of one at most")
+        if not (self.inflated >= 1.0 and 0.0 < self.most <= 1.0 and self.at_odds > 0.0):
+            raise ValueError(f"{self}: standard uncertainties above zero, an inflation of one at least, and a share of "
+                             "one at most")
         if not 0.0 < self.nothing_wrong < 1.0:
             raise ValueError(f"a prior probability of {self.nothing_wrong:g} that nothing is wrong must lie between 0 "
                              "and 1")

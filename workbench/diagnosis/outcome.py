@@ -14,6 +14,7 @@ from workbench.diagnosis.advice import advice
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import NOT_FINISHED, VERDICTS
+from workbench.diagnosis.description import Description
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.hypothesis import Effect
@@ -39,8 +40,8 @@ NAMED = 6
 
 class FoundNumber(NamedTuple):
     """A parameter, SI: its ``value``, the ends of its 95 % interval, and the ``stated`` one, or the optimum where
-    nothing is wrong. ``sigmas`` is the distance between the two in standard uncertainties of the prior, None without a
-    prior. A ``relative`` number is a factor of the one stated in each state."""
+    nothing is wrong. ``sigmas`` is the distance between the two in standard uncertainties of the prior and of the value
+    together, None without a prior. A ``relative`` number is a factor of the one stated in each state."""
 
     name: str
     value: float
@@ -69,8 +70,8 @@ class FoundNumber(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Established(Brief):
-    """An effect, its parameters, whether all of these are ``admissible``, and its ``share`` of the mismatch beyond
-    noise that the known parameters leave."""
+    """An effect, its parameters, whether all of these lie within what is ``admissible``, and its ``share`` of the
+    mismatch beyond noise that the known parameters leave."""
 
     effect: Effect
     estimates: tuple[FoundNumber, ...]
@@ -81,13 +82,14 @@ class Established(Brief):
 @dataclass(frozen=True)
 class Remainder:
     """The mismatch that an explanation leaves: ``rms`` of ln(Z / Z_measured) over all fitted states, and the part of it
-    that is ``noise``. ``accuracy`` of the model, relative changes within parts, ``allows`` that much of it; ``region``
-    is the one that there is evidence for, empty if there is none."""
+    that is ``noise``. ``inflation`` is how many times the stated noise the best explanation leaves in a recording;
+    ``inhomogeneity`` (relative) of all parts is the one of its largest evidence; ``region`` is the one that there is
+    evidence for, empty if there is none."""
 
     rms: float
     noise: float
-    accuracy: float
-    allows: float
+    inflation: float
+    inhomogeneity: float
     region: str
 
 
@@ -110,7 +112,8 @@ class Diagnosis(Shown):
     parameters fitted, ``best`` with the ``established`` effects (the base itself if there are none). ``location`` lists
     suspect places, best first; ``known`` the known parameters except those that effects release; ``scores`` those of
     all hypotheses; ``next_options`` measurements that tell the ``alive`` explanations apart, best first.
-    ``provisional`` is the diagnosis that a search that was cut short would come to so far, None after a whole search.
+    ``provisional`` is the diagnosis that a search that was cut short would come to so far, None after a whole search;
+    ``description`` that of a mismatch that nothing explains, None where nothing more than noise is left.
     """
 
     model: Model
@@ -129,6 +132,7 @@ class Diagnosis(Shown):
     next_options: tuple[Option, ...]
     seconds: float
     provisional: Diagnosis | None = None
+    description: Description | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -174,8 +178,13 @@ class Diagnosis(Shown):
     def where(self) -> tuple[str, ...]:
         """The regions of the established effects, all regions of a material included, or else the one that there is
         evidence for."""
-        found = [name for each in self.effects for name in self._regions(each)] or [self.remainder.region]
+        found = [name for each in self.effects for name in self._regions(each)] or [self.suspect_region]
         return tuple(dict.fromkeys(filter(None, found)))
+
+    @property
+    def suspect_region(self) -> str:
+        """The region that there is evidence for beside what is established; empty if there is none."""
+        return self.remainder.region or self.conclusion.chosen.hypothesis.region
 
     def _regions(self, effect: Effect) -> list[str]:
         """The regions where an effect acts: all regions of its material, if it has one."""
@@ -272,11 +281,12 @@ class Diagnosis(Shown):
             result.append(f"Beside that, {_remainder_in_words(self.remainder)}"
                           + (f"; it looks like something in the {self.remainder.region}."
                              if self.remainder.region else "."))
+        result += self.description.in_words if self.description is not None else ()
         result += [f"{_capital(_listed([plain_words(each.effect.name) for each in group]))} "
                    f"{'takes' if len(group) == 1 else 'together take'} {100.0 * share:.3g} % of the mismatch."
                    for group, share in self.shares if len(self.shares) > 1]
-        result += [f"A parameter of {plain_words(each.effect.name)} lies outside what is admissible: the sign of "
-                   "another cause."
+        result += [f"A parameter of {plain_words(each.effect.name)} lies at the end of what is admissible, or "
+                   "outside: the sign of another cause."
                    for each in self.established if not each.admissible]
         result += [f"The recordings cannot rule out {plain_words(each.name)}: odds of "
                    f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
@@ -334,7 +344,8 @@ class Diagnosis(Shown):
         formatted = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
         compared = next_measurement_text(self.next_options, [plain_words(name) for name in self.alive],
                                          self.criteria.rival)
-        return " ".join(filter(None, (*formatted, compared)))
+        described = "" if self.description is None else self.description.next
+        return " ".join(filter(None, (*formatted, compared, described)))
 
     def summary(self) -> Summary:
         """Headline, effects with their numbers, and findings, for a notebook."""
@@ -365,7 +376,8 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[F
     """Parameters by their names, as an explanation has them."""
     of = {name: model.parameters[model.index(name)] for name in names}
     return tuple(FoundNumber(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
-                             (float(found.x[model.index(name)]) - p.start) / p.prior, p.relative and not p.offset)
+                             (float(found.x[model.index(name)]) - p.start)
+                             / math.hypot(p.prior, found.error(model.index(name))), p.relative and not p.offset)
                  for name, p in of.items())
 
 
@@ -391,9 +403,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _remainder_in_words(remainder: Remainder) -> str:
-    return (f"{100.0 * remainder.rms:.2g} % of Z is left (rms of both parts); {_noise_in_words(remainder)}, and "
-            f"changes of {100.0 * remainder.accuracy:.2g} % within parts, the accuracy of the model, may make "
-            f"{100.0 * remainder.allows:.2g} %")
+    return f"{100.0 * remainder.rms:.2g} % of Z is left (rms of both parts); {_noise_in_words(remainder)}"
 
 
 def _noise_in_words(remainder: Remainder) -> str:

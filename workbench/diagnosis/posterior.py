@@ -1,13 +1,13 @@
 """The posterior of one hypothesis as a function of its parameters, for samplers.
 
 The probability model is that of the diagnosis (`likelihood`, `evidence`) without its linearisation. With the residuals
-r(theta) = ln(Z_model / Z_measured) / noise (m,), real parts and imaginary parts of all fitted recordings, and the
-deviations B (m, k) at the place of the hypothesis,
+r(theta) = ln(Z_model / Z_measured) (m,), real parts and imaginary parts of all fitted recordings, over the deviations
+that points have by its weights, and the deviations B (m, k) at the place of the hypothesis,
 
     ln L(theta) = ln mean_s exp(-(r^T Sigma_s^-1 r + ln det Sigma_s) / 2),   Sigma_s = 1 + B diag(s^2) B^T,
 
 the mean being over all settings s of the scales. Left out, as in the evidence of an explanation, is what all
-hypotheses share: -(m / 2) ln 2 pi - sum ln noise. The integral of L over the prior is therefore the evidence that
+hypotheses share: -(m / 2) ln 2 pi - sum ln deviation. The integral of L over the prior is therefore the evidence that
 `Explanation.log_evidence` approximates. Laplace's approximation does not see that
 
 - r is not linear;
@@ -34,9 +34,10 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, LocalProblem, Scales
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Scales
 from workbench.diagnosis.local_models import LocalModels
-from workbench.diagnosis.starts import start
+from workbench.diagnosis.ranking import start
+from workbench.diagnosis.weighting import Weighting
 from workbench.files.errors import nearest_names
 from workbench.fitting.search import REFUSED, FitSearch
 from workbench.results.brief import Brief
@@ -74,16 +75,14 @@ class Posterior(Brief):
     """
 
     likelihood: Likelihood
-    hypothesis: Hypothesis
-    x: Real
+    explanation: Explanation
     scales: Scales | None = None
 
     @classmethod
     def of(
         cls, model: Model, hypothesis: Hypothesis, x: Real, *, errors: Real | None = None, scales: Scales | None = None
     ) -> Posterior:
-        """The posterior on reduced models made for the neighbourhood of x (p,), with the discrepancy of the model
-        there.
+        """The posterior on reduced models made for the neighbourhood of x (p,), with the weights of what is left there.
 
         The models cover two standard deviations `errors` (p,), zero of parameters that do not move; by default those of
         Laplace's approximation at x.
@@ -93,10 +92,9 @@ class Posterior(Brief):
         """
         models = LocalModels(model)
         if errors is None:
-            there = Likelihood.noise_only(model, models.near(hypothesis, x, np.zeros(x.size)))
-            errors = there.with_discrepancy(x).laplace(hypothesis, x, 0.0).errors
-        own = Likelihood.noise_only(model, models.near(hypothesis, x, errors))
-        return cls(own.with_discrepancy(x), hypothesis, x, scales)
+            errors = _explained(models.near(hypothesis, x, np.zeros(x.size)), hypothesis, x).errors
+        own = models.near(hypothesis, x, errors)
+        return cls(own, _explained(own, hypothesis, x), scales)
 
     @classmethod
     def of_refit(cls, model: Model, refit: Refitted, *, scales: Scales | None = None) -> Posterior:
@@ -106,9 +104,16 @@ class Posterior(Brief):
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
         found = refit.explanation
-        near = LocalModels(model).near(found.hypothesis, found.x, found.errors)
-        own = Likelihood(model, near, refit.columns, refit.region_discrepancy)
-        return cls(own, found.hypothesis, found.x, scales)
+        return cls(LocalModels(model).near(found.hypothesis, found.x, found.errors), found, scales)
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        return self.explanation.hypothesis
+
+    @property
+    def x(self) -> Real:
+        """All parameters (p,) at the optimum."""
+        return self.explanation.likeliest
 
     @cached_property
     def _search(self) -> FitSearch:
@@ -224,14 +229,10 @@ class Posterior(Brief):
         return max(float(each.error.max()) for each in predictions)
 
     def laplace(self) -> NormalApproximation:
-        """The approximation by tangents at x, which a diagnosis decides by; samplers begin with it.
-
-        Raises:
-            NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted at x.
-        """
-        local = self._local
+        """The approximation by tangents at x, which a diagnosis decides by; samplers begin with it."""
+        local = self.explanation.local
         if self.scales is None:
-            worth, _, average = local.over_scales()
+            worth, _, average = local.best
         else:
             average = local.averaged(self.scales)
             worth = average.log_evidence
@@ -239,22 +240,24 @@ class Posterior(Brief):
         return NormalApproximation(worth - cost, self.place + average.step, average.covariance)
 
     @cached_property
-    def _local(self) -> LocalProblem:
-        return self.likelihood.linearised(self.hypothesis, self._search, self.x)
+    def _root(self) -> Real:
+        """One over the deviation (m,) of every datum, in units of the stated noise."""
+        return np.sqrt(self.explanation.local.information)
 
     @cached_property
     def _deviations(self) -> Real:
         """B (m, k)."""
-        return np.column_stack(self.likelihood.deviations(self.hypothesis, self._local.data, self.x))
+        local = self.explanation.local
+        return np.column_stack([local.parts, local.outside, local.term]) * self._root[:, None]
 
     @cached_property
     def _inverse_covariances(self) -> list[_InverseCovariance]:
-        settings = self._local.settings if self.scales is None else (self.scales,)
+        settings = self.explanation.local.settings if self.scales is None else (self.scales,)
         return [self._inverse_covariance(each) for each in settings]
 
     def _inverse_covariance(self, scales: Scales) -> _InverseCovariance:
         # By Woodbury: Sigma^-1 = 1 - C (1 + C^T C)^-1 C^T with C = B diag(s).
-        every = np.repeat([*scales, 0.0], self._local.counts)
+        every = self.explanation.local.expanded(scales)
         acting = np.flatnonzero(every)
         columns = self._deviations[:, acting] * every[acting]
         factor = np.linalg.cholesky(columns.T @ columns + np.eye(acting.size))
@@ -264,7 +267,7 @@ class Posterior(Brief):
     def _residual(self, x: Real) -> Real:
         """r (m,) at x (p,), without derivatives."""
         data = self.likelihood.objective(x, deviation=self.likelihood.point_deviations(), free=())
-        return data.vector
+        return data.vector * self._root
 
     def _all_parameters(self, theta: Real) -> Real:
         x = self.x.copy()
@@ -304,10 +307,11 @@ def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None
         near = f"; did you mean {' or '.join(map(repr, like))}?" if (like := nearest_names(name, known)) else ""
         raise ValueError(f"unknown hypothesis {name!r}{near}; known: {', '.join(dict.fromkeys(known))}")
     hypothesis, x = begins[name]
-    explanation = _refit(model, hypothesis, x)
-    return Posterior.of(model, hypothesis, explanation.x, errors=explanation.errors, scales=scales)
+    own = Posterior.of(model, hypothesis, x).likelihood.refit(hypothesis, x)
+    return Posterior.of(model, hypothesis, own.x, errors=own.errors, scales=scales)
 
 
-def _refit(model: Model, hypothesis: Hypothesis, x: Real) -> Explanation:
-    """The optimum near x (p,) at full weight."""
-    return Posterior.of(model, hypothesis, x).likelihood.refit(hypothesis, x)
+def _explained(likelihood: Likelihood, hypothesis: Hypothesis, x: Real) -> Explanation:
+    """A hypothesis at x (p,), with the weights of what is left there."""
+    found = likelihood.explanation(hypothesis, x)
+    return found.weighted(Weighting.left(likelihood.states, found.log_ratio))

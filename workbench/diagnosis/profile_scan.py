@@ -2,22 +2,21 @@
 
 The tangents at the null hypothesis do not show a large effect, and at the end of a search without it, known numbers
 have moved to make up for a part of it. A scan starts from the prior instead: every hypothesis is tried in several
-sizes, and the known numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
+sizes, and the known numbers follow to first order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, inside
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import InitialOptimum
 from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.levels import LEVELS, inside, replaced
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
-from workbench.diagnosis.starts import replaced
 from workbench.fitting.search import NO_END
 
 Real = NDArray[np.float64]
@@ -31,11 +30,8 @@ HELD = (0.1, 0.3, 0.6)
 #: Points of a recording that a scan uses, about.
 LOOKED_AT = 41
 
-#: Times that steps about the best size are halved.
-HALVED = 2
-
-#: Points that a scan returns, at most.
-LEFT = 3
+#: Sizes that a scan returns, at most.
+LEFT = 2
 
 
 def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
@@ -63,19 +59,16 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
             size; the reason is that of the first one.
     """
-    model, found = likelihood.model, dict[tuple[int, float], InitialOptimum]()
-    hypothesis = Hypothesis((effect,))
+    model, found, refused = likelihood.model, list[InitialOptimum](), list[Exception]()
     own = [model.index(name) for name in effect.names]
-    search, every = likelihood.search(hypothesis), [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
+    search = likelihood.search(Hypothesis((effect,)))
+    every = [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
     thin = search.with_objective(search.objective.thinned(LOOKED_AT))
     spreads = likelihood.point_deviations(LEVELS[0], every)
     free = np.setdiff1d(search.free, own)
-    directions = list(search_directions(model, effect))
-    refused: list[Exception] = []
-
-    def scan(direction: int, sizes: Sequence[float]) -> None:
-        for size in sizes:
-            place = _sized(model, effect, x, directions[direction], size)
+    for direction in search_directions(model, effect):
+        for size in SIZES:
+            place = _sized(model, effect, x, direction, size)
             try:
                 weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
             except NO_END as error:
@@ -83,21 +76,10 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
                 continue
             step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
             cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
-            found[direction, size] = InitialOptimum(place, cost, np.zeros(place.size))
-
-    for direction in range(len(directions)):
-        scan(direction, SIZES)
-    for _ in range(HALVED):
-        if not found and refused:
-            raise refused[0]
-        if not found:
-            return []
-        direction, size = min(found, key=lambda each: found[each].cost)
-        known = sorted({0.0, *(other for number, other in found if number == direction)})
-        at = known.index(size)
-        beside = [*known[at - 1:at], *known[at + 1:at + 2]]
-        scan(direction, [0.5 * (size + other) for other in beside])
-    return sorted(found.values(), key=lambda each: each.cost)[:LEFT]
+            found.append(InitialOptimum(place, cost, np.zeros(place.size)))
+    if not found and refused:
+        raise refused[0]
+    return sorted(found, key=lambda each: each.cost)[:LEFT]
 
 
 def _sized(model: Model, effect: Effect, x: Real, direction: Real, size: float) -> Real:

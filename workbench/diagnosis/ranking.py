@@ -7,15 +7,21 @@ nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import occam_factor
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Explanation, Likelihood
+from workbench.diagnosis.levels import inside, replaced
+from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.state import DeviceState
+from workbench.diagnosis.weighting import Weighting
+from workbench.fitting.covariance import Covariance
 
 Real = NDArray[np.float64]
 
@@ -41,37 +47,66 @@ class Score:
     most: float = 0.0
 
 
-def ranked(
-    likelihood: Likelihood, x: Real, level: float, explained_by: Explanation | None = None
-) -> list[Score]:
-    """The scores at x (p,) of all hypotheses, best first, where points have a further deviation of `level`.
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """The data at x (p,): their derivatives ``jacobian`` (m, p) by all parameters of all hypotheses and the
+    ``residual`` (m,), in units of the stated noise."""
 
-    With `explained_by`, an explanation found already, only hypotheses on other parameters are scored, beside that one.
+    x: Real
+    jacobian: Real
+    residual: Real
+
+
+def ranked_at_level(model: Model, tangents: Tangents, states: Sequence[DeviceState], level: float) -> list[Score]:
+    """The scores of all hypotheses, best first, where nothing is explained and points have a further deviation of
+    `level`."""
+    root = 1.0 / np.sqrt(Weighting.stated(states).variances(level))
+    return _ranked(model, tangents.jacobian * root[:, None], tangents.residual * root, tangents.x, ())
+
+
+def ranked_beside(model: Model, tangents: Tangents, found: Explanation, *, alone: bool = False) -> list[Score]:
+    """The scores of all hypotheses on other parameters than those of an explanation, best first, by its own weights.
+
+    The `tangents` are those at its optimum, or near it. If points count `alone`, what is left of a spectrum counts as
+    many times as neighbours go together in it: such scores overrate, but hypotheses that may take it all come first.
     """
-    model = likelihood.model
-    there = () if explained_by is None else explained_by.hypothesis.effects
-    taken = {name for effect in there for name in effect.names}
+    local = found.local
+    if alone:
+        local = replace(local, information=local.information * found.weighting.counts, parts=local.parts[:, :0])
+    root = np.sqrt(local.information)
+    whiten = Covariance.of(local.deviations(found.scales)).whitened
+    return _ranked(model, whiten(tangents.jacobian * root[:, None]), whiten(local.residual * root), found.likeliest,
+                   found.hypothesis.names)
+
+
+def _ranked(model: Model, tangents: Real, residual: Real, x: Real, taken: Sequence[str]) -> list[Score]:
     # No inequality is looked at: those of one hypothesis must not hold all others up.
-    centre = np.array([p.start for p in model.parameters])
+    centre = model.stated
     precision = np.array([0.0 if p.prior is None else 1.0 / p.prior for p in model.parameters])
-    data = likelihood.objective.with_every(x)(x, deviation=likelihood.point_deviations(level))
-    tangents, residual = data.jacobian, data.vector
-    if explained_by is not None:
-        whiten = likelihood.whitening(explained_by).whitened
-        tangents, residual = whiten(tangents), whiten(residual)
-    nuisances = np.array(sorted({*range(model.known), *(model.index(name) for name in taken)}))
+    nuisances = np.array(sorted({*range(model.known), *map(model.index, taken)}))
     offset = (x - centre) * precision
     everything = _Nuisances.of(tangents, residual, nuisances, precision, offset)
     # The remainder of the known parameters under the null hypothesis.
     least = float(everything.residual @ everything.residual)
     found = []
-    for effect in (each for each in model.effects if not taken & set(each.names)):
+    for effect in (each for each in model.effects if not set(taken) & set(each.names)):
         own = np.array([model.index(name) for name in effect.names])
         bounds = np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])
         imitated = everything if not effect.releases else _Nuisances.of(
             tangents, residual, np.setdiff1d(nuisances, own), precision, offset)
         found.append(_score(effect, tangents[:, own], imitated, least, bounds))
     return sorted(found, key=lambda score: -score.evidence)
+
+
+def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
+    """The start of a hypothesis at x (p,): its parameters as its score predicts them, or at their error where that is
+    larger."""
+    indices = [model.index(name) for name in effect.names]
+    low, high = model.bounds(indices)
+    least = np.where(np.isfinite(score.error), np.minimum(score.error, 0.1 * (high - low)), 0.0)
+    sign = np.where(score.amplitude < 0.0, -1.0, 1.0)
+    asked = np.where(np.abs(score.amplitude) < least, sign * least, score.amplitude)
+    return replaced(x, indices, inside(x[indices] + asked, low, high))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,23 +7,14 @@ from dataclasses import dataclass
 from types import MethodType
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-Real = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class SearchTask:
-    """A piece of a search: its ``name``, a ``method`` of searches, and its ``arguments``.
-
-    ``places`` (p,) are points that the models of the search have to cover.
-    """
+    """A piece of a search: its ``name``, a ``method`` of searches, and its ``arguments``."""
 
     name: str
     method: Callable[..., Any]
     arguments: tuple[Any, ...]
-    places: tuple[Real, ...] = ()
 
     @classmethod
     def of(cls, name: str, method: Callable[..., Any], *arguments: Any) -> SearchTask:

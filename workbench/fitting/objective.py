@@ -109,9 +109,8 @@ class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
     A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; dimensions
-    of the chip are put among them (`dimensions.parametrised_within`). Recordings of one problem share a predictor. An
-    objective is a value: where its models do not predict within their tolerance, residuals come with predictions of
-    enriched ones, which :meth:`holding` goes on with.
+    of the chip are put among them. Recordings of one problem share a predictor. An objective is a value: where its
+    models do not predict within their tolerance, predictions are of enriched ones, which :meth:`holding` goes on with.
     """
 
     views: tuple[RecordingView, ...]
@@ -130,7 +129,8 @@ class Objective:
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
         flexed: dict[Any, Problem] = {}
-        recordings = [_with_lengths(r, parameters, flexed) for r in recordings]
+        acting = [p for p in parameters if any(map(p.acts_in, names))]
+        recordings = [_with_lengths(r, acting, flexed) for r in recordings]
         parts = []
         for r in recordings:
             own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(r.name)]
@@ -176,9 +176,8 @@ class Objective:
     ) -> Objective:
         """A copy on local bases about x (p,), where parameters move by `reach`, by name (`about_point.local_basis`).
 
-        Its models stay as they are, and nothing is taken over from those there are. Where only the parameters of the
-        indices `only` are going to move, models hold no more than that takes, and say nothing of changes by others.
-        Unless they are to be `neumann_enriched`, the factors of the full solves, most of their memory, are let go.
+        Its models stay as they are. Where only the parameters of the indices `only` are going to move, models hold no
+        more than that takes. Unless they are to be `neumann_enriched`, the factors of the full solves are let go.
         """
         def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
             made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
@@ -189,6 +188,18 @@ class Objective:
         # Recordings of one model whose values differ, by their offsets, have a basis each.
         return own._on_bases(local, [(predictor, alike) for predictor, indices in own._sharing().items()
                                      for alike in own._alike(x, indices)])
+
+    def on_bases_of(self, other: Objective) -> Objective | None:
+        """A copy on the local bases of an objective, of :meth:`near`, over the same recordings; None if their meshes
+        differ."""
+        made = dict[Predictor, Predictor]()
+        for own, known in zip(self.predictors, other.predictors, strict=True):
+            if own.every.size != known.every.size or known.local is None:
+                return None
+            if known not in made:
+                values = {**own.problem.values, **known.local.values}
+                made[known] = own.on_basis(replace(known.local.of(own.every), values=values))
+        return self.predicted_by([made[known] for known in other.predictors])
 
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
         """A copy without terms that are zero at x (p,) and stay so while no others than `only` move."""
@@ -219,23 +230,6 @@ class Objective:
 
         own = self._acting(x, only)
         return own._on_bases(local, own._sharing().items())
-
-    def coarser(self, tolerance: float) -> Objective:
-        """A copy, of :meth:`near`, with its models truncated to what an error of Z of `tolerance` needs."""
-        def local(predictor: Predictor, _indices: Sequence[int]) -> LocalBasis:
-            assert predictor.local is not None  # one of `near`
-            return predictor.local.coarser(tolerance)
-
-        return self._on_bases(local, self._sharing().items())
-
-    def enriched_at(self, x: Real, places: Sequence[Real], tolerance: float) -> Objective:
-        """A copy, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
-        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
-            assert predictor.local is not None  # one of `near`
-            there = self._relative(predictor.local, indices[0], x, places)
-            return predictor.local.enriched_at(there, predictor.frequencies, tolerance)
-
-        return self._on_bases(local, self._sharing().items())
 
     def _relative(self, local: LocalBasis, index: int, x: Real, places: Sequence[Real]) -> list[dict[str, complex]]:
         """Parameter values of one recording at each of `places`, relative to the point the local basis was made at.
@@ -326,10 +320,7 @@ class Objective:
         return replace(self, views=self.views + other.views)
 
     def truncated(self, points: Sequence[Real]) -> Objective:
-        """A copy truncated to what the spectra at `points` (p,) need of each basis, with a count of its own.
-
-        Elsewhere error estimates are above tolerance, and the models are enriched again.
-        """
+        """A copy truncated to what the spectra at `points` (p,) need of each basis, with a count of its own."""
         made = dict[Predictor, Predictor]()
         for predictor, indices in self._sharing().items():
             settings: list[dict[str, complex]] = []

@@ -1,8 +1,7 @@
 """The local reduced basis: for parameters about a point, from few full solves and one projection.
 
 Full solves at a few frequencies give the states all over the band, and how draws of the moves of the parameters change
-them (a tangent-enriched basis). Further on the basis is enriched without a solve by the Neumann series to other values,
-or by solves there.
+them (a tangent-enriched basis). Further on the basis is enriched without a solve by the Neumann series to other values.
 """
 
 from __future__ import annotations
@@ -51,10 +50,6 @@ class LocalBasis:
         """A copy without the factors of its full solves, which cannot be :meth:`neumann_enriched`."""
         return replace(self, samples=tuple(replace(each, factor=None) for each in self.samples))
 
-    def coarser(self, tolerance: float) -> LocalBasis:
-        """A copy truncated to what an error of Z of `tolerance` needs."""
-        return replace(self, model=self.model.coarser(tolerance))
-
     def of(self, operators: FullOperators) -> LocalBasis:
         """A copy of other integrals of the same unknowns."""
         return replace(self, model=self.model.of(operators))
@@ -78,26 +73,6 @@ class LocalBasis:
         with one_thread():
             found = [self._terms(each, taken, terms) for each in self.samples]
             model = self.model.joined([(np.column_stack(of_place), smallest) for of_place in zip(*found, strict=True)])
-        return replace(self, model=model)
-
-    def enriched_at(
-        self, places: Sequence[Values], frequencies: Real, tolerance: float, depth: int = NODE_DEPTH
-    ) -> LocalBasis:
-        """A copy that also holds the states at `frequencies` (n,) Hz and other values, `places`.
-
-        To an error of Z of `tolerance`, from full solves there at the frequencies of :attr:`samples`.
-
-        Raises:
-            NotConverged: a full solve that failed.
-        """
-        looked_at, trials, residuals = watched(np.asarray(frequencies, dtype=float)), list[TrialBasis](), list[float]()
-        with one_thread():
-            for place in places:
-                system = System(self.model.full, place)
-                found = [sample(system, each.frequency, depth) for each in self.samples]
-                trials.append(TrialBasis.of(self.model, system, looked_at).joined(found))
-                residuals += [each.residual for each in found]
-            model = grow(self.model, trials, smallest=smallest_part(tolerance)).counted(*residuals)
         return replace(self, model=model)
 
     def _change(self, own: Sample, place: Values) -> Complex:

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-#: Number of states side by side, and the size of each in inches.
-_ACROSS, _WIDTH, _HEIGHT = 3, 4.4, 3.9
+#: Number of states side by side, the size of each in inches, and the height of the legend above them.
+_ACROSS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.4, 4.3, 1.0
 _AFTER, _BEFORE = LINE_COLOURS[:2]
+
+#: Times that the difference before is larger than after from which on one linear scale cannot show both.
+_ORDERS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +40,8 @@ class StatePicture:
 
 
 def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, after: str) -> Path:
-    """Draw |Z| of every state above the residual of ln Z, both with the lines `before` and `after`. Writes `path`.
+    """Draw |Z| of every state above its difference from the recording, both with the lines `before` and `after`. Writes
+    `path`.
 
     Raises:
         ValueError: no states.
@@ -46,49 +50,56 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
         raise ValueError("no states to draw")
     across = min(_ACROSS, len(states))
     down = math.ceil(len(states) / across)
-    figure = new_figure(_WIDTH * across, _HEIGHT * down + 0.5)
-    outer = figure.add_gridspec(down, across, hspace=0.32, wspace=0.22, top=1.0 - 0.85 / (_HEIGHT * down + 0.5),
-                                bottom=0.5 / (_HEIGHT * down + 0.5), left=0.75 / (_WIDTH * across),
-                                right=1.0 - 0.15 / (_WIDTH * across))
+    height, width = _HEIGHT * down + 0.5, _WIDTH * across
+    figure = new_figure(width, height)
+    outer = figure.add_gridspec(down, across, hspace=0.42, wspace=0.22, top=1.0 - _LEGEND / height, bottom=0.5 / height,
+                                left=0.75 / width, right=1.0 - 0.15 / width)
     handles: list[Artist] = []
     for index, state in enumerate(states):
         row, column = divmod(index, across)
-        inner = outer[row, column].subgridspec(2, 1, height_ratios=(3, 2), hspace=0.08)
+        inner = outer[row, column].subgridspec(2, 1, height_ratios=(1, 1), hspace=0.08)
         upper = figure.add_subplot(inner[0])
         lower = figure.add_subplot(inner[1], sharex=upper)
         handles = _draw_state(upper, lower, state)
         if column == 0:
             upper.set_ylabel("|Z| (Ω)")
-            lower.set_ylabel("left of Z (%)")
+            lower.set_ylabel("difference (% of |Z|)")
         if index + across >= len(states):
             lower.set_xlabel("frequency (MHz)")
-    figure.legend(handles, ["measured", before, after, "noise, two standard deviations"], loc="upper center", ncols=4,
-                  frameon=False)
+    figure.legend(handles, ["measured", before, after, "noise, two standard deviations"], loc="upper center",
+                  ncols=4 if across == _ACROSS else 2, frameon=False)
     return save_figure(figure, path)
 
 
 def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
-    """One state into axes for |Z| and for the residual; the lines for a legend."""
+    """One state into axes for |Z| and for the difference; the lines for a legend."""
     megahertz = state.frequency / 1e6
     dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
                        alpha=0.5, markeredgewidth=0.0)
-    # One per cent and thirty stand side by side; nothing far below the noise is visible.
-    lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise))
+    differences = [100.0 * np.abs(np.log(each / state.measured)) for each in (state.before, state.after)]
+    rms = [float(np.sqrt(np.mean(each**2))) for each in differences]
+    # Nothing far below the noise is visible where the two are orders apart.
+    lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise)) if rms[0] > _ORDERS * rms[1] else 0.0
+    # The line after lies on the other where both coincide: one broad and pale, one narrow.
+    looks = ((_BEFORE, 3.2, 0.45), (_AFTER, 1.1, 1.0))
     lines = []
-    for impedance, colour, style in ((state.before, _BEFORE, "--"), (state.after, _AFTER, "-")):
-        line, = upper.plot(megahertz, np.abs(impedance), color=colour, linestyle=style, linewidth=1.2)
-        left = 100.0 * np.abs(np.log(impedance / state.measured))
-        lower.plot(megahertz, np.maximum(left, lowest), color=colour, linestyle=style, linewidth=0.9)
+    for impedance, difference, (colour, width, alpha) in zip((state.before, state.after), differences, looks,
+                                                             strict=True):
+        line, = upper.plot(megahertz, np.abs(impedance), color=colour, linewidth=width, alpha=alpha)
+        lower.plot(megahertz, np.maximum(difference, lowest), color=colour, linewidth=0.5 * (1.0 + width), alpha=alpha)
         lines.append(line)
     # For the two parts of ln Z together, each of that standard deviation.
-    band = lower.fill_between(megahertz, lowest, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd")
+    band = lower.fill_between(megahertz, lowest, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd", zorder=0)
     upper.set_yscale("log")
-    upper.set_title(state.name, fontsize=10)
+    left = [f"{float(f'{each:.2g}'):g} %" for each in rms]
+    upper.set_title(f"{state.name}\n{left[0]} of Z is left before, {left[1]} after", fontsize=9)
     upper.tick_params(labelbottom=False)
     upper.tick_params(which="minor", labelsize=6)
-    lower.set_yscale("log")
+    if lowest:
+        lower.set_yscale("log")
+        lower.yaxis.set_major_formatter("{x:g}")
+        lower.tick_params(which="minor", labelsize=6)
     lower.set_ylim(bottom=lowest)
-    lower.tick_params(which="minor", labelsize=6)
     for axes in (upper, lower):
         tidy(axes)
     return [dots, *lines, band]

@@ -39,6 +39,15 @@ DEFINITIONS = {
     "MAPE of |Z|": "mean absolute percentage error: the mean over the points of ||Z_sim| - |Z_meas|| / |Z_meas|.",
     "rms of ln(Z_sim / Z_meas)": "root mean square of the complex logarithm: relative error of magnitude and error of "
                                  "phase in radian together.",
+    "share of the mismatch": "part of the mismatch that known numbers alone leave beyond noise, and that the effect "
+                             "takes away: of chi-square, with the distances of known numbers from what is stated.",
+    "share of what is left": "part of the square of ln(Z_model / Z_measured), in units of the stated noise, of all "
+                             "states that were fitted.",
+    "left of Z": "root mean square of ln(Z_model / Z_measured), the real and the imaginary part together.",
+    "times the noise": "what is left of Z over what the stated noise alone leaves.",
+    "noise alone": "what the stated noise of both parts leaves of Z.",
+    "known numbers within their uncertainties": "the best that the numbers taken as known can do alone.",
+    "odds against nothing further": "posterior odds that this is there beside what was found, against nothing more.",
     "above the floor": "height above the floor of the cavity; z counts from the bottom of the chip.",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from geometry.names import parent_place
 from workbench.acoustics.fields import section_nodes
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.decision import NOT_FINISHED
+from workbench.diagnosis.description import Description, regions_in_words, states_that_show
 from workbench.diagnosis.known_physics import Contribution
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
@@ -27,10 +29,13 @@ from workbench.results.comparison import compare
 from workbench.results.merit import Figures, measured_figures
 
 #: Title of the table of remainders.
-LEFT = "what is left of Z, rms of both parts (%)"
+LEFT = "left of Z: rms of ln(Z_model / Z_measured), both parts together, in %"
 
 #: Rows of a table of hypotheses.
 LISTED = 12
+
+#: Share of the change by an effect from which on a state shows it.
+SHOWN = 0.01
 
 #: A hypothesis is detected from this many standard deviations on.
 DETECTED = 5.0
@@ -47,32 +52,63 @@ def established_table(found: Diagnosis) -> TextTable:
                              f"{number_text(e.shown[1])} to {number_text(e.shown[2])}",
                              "of what is stated" if e.relative else shown_unit(e.unit)))
                 cell = ""
-    return TextTable(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
+    return TextTable(("effect", "share of the mismatch", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
 def remainder_table(found: Diagnosis) -> TextTable:
-    """Rms of ln(Z / Z_measured) of every state (%): noise, as stated, with the known parameters, with the effects."""
-    held = {state.name for state in found.campaign.held_out}
+    """Rms of ln(Z / Z_measured) of every state (%): that of noise alone, as stated, with the known numbers fitted
+    within their uncertainties, and with the effects; those held out last."""
     rows = []
     for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
-        stated = 100.0 * math.sqrt(float((state.noise**2).mean()))
-        cell = [number_text(100.0 * fit.rms, 3) for fit in fits]
-        rows.append((state.name + (", held out" if state.name in held else ""),
-                     f"{number_text(stated, 3)} leaves {number_text(math.sqrt(2.0) * stated, 3)}",
-                     *(cell if found.established else cell[:2])))
-    columns = ("state", "noise", "as stated", "known parameters", "with what was found")
+        noise = 100.0 * math.sqrt(2.0 * float((state.noise**2).mean()))
+        cells = [number_text(100.0 * fit.rms, 3) for fit in fits]
+        rows.append((_state_name(found, state), number_text(noise, 3), *(cells if found.established else cells[:2])))
+    known = "known numbers, some beyond their uncertainties" if _beyond(found) else (
+        "known numbers within their uncertainties")
+    columns = ("state", "noise alone (%)", "as stated (%)", f"{known} (%)", "with what was found (%)")
     return TextTable(columns if found.established else columns[:-1], tuple(rows))
 
 
+def unexplained_tables(found: Description) -> list[Block]:
+    """The mismatch that nothing explains: in which states, at which frequencies, and what takes most of it."""
+    states = TextTable(("state", "left of Z (%)", "times the noise", "share of what is left (%)"), tuple(
+        (each.name, number_text(100.0 * each.rms, 3), number_text(each.times, 3),
+         "held out" if each.share is None else f"{100.0 * each.share:.0f}") for each in found.states))
+    bands = TextTable(("state", "from (MHz)", "to (MHz)", "largest at (MHz)", "left of Z (%)",
+                       "share of what is left (%)", "nearest mode of the model", "its energy in"), tuple(
+        (each.state, *(f"{number / 1e6:.4f}" for number in (each.low, each.high, each.peak)),
+         number_text(100.0 * each.rms, 3), f"{100.0 * each.share:.0f}",
+         "none in the recording" if each.mode is None else f"{each.mode.kind} {each.mode.frequency / 1e6:.4f} MHz",
+         regions_in_words(each.regions)) for each in found.bands))
+    takers = TextTable(("hypothesis", "share of what is left (%)", "odds against nothing further", "found by"), tuple(
+        (plain_words(each.name), f"{100.0 * each.share:.2g}", _power(each.log_odds),
+         "its score" if each.predicted else "a fit") for each in found.takers))
+    first = [f"{100.0 * found.rms:.3g} % of Z is left, {found.times:.3g} times the stated noise. By state:", states,
+             "The frequencies where most of it lies, with the regions that hold the mechanical energy of the nearest "
+             "mode:", bands]
+    taken = ["The hypotheses of the catalogue that take most of it:", takers] if found.takers else [
+        "No hypothesis of the catalogue takes any of it."]
+    return [*first, *taken]
+
+
+def _state_name(found: Diagnosis, state: DeviceState) -> str:
+    """The name of a state, marked if it is held out."""
+    held = {each.name for each in found.campaign.held_out}
+    return state.name + (", held out" if state.name in held else "")
+
+
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
-    """``report.html``: the headline, its pictures, the next measurement and the prior knowledge; then evidence."""
+    """``report.html``: the headline, a rest that nothing explains, the fit before and after, the next measurement and
+    the prior knowledge; then evidence."""
     first: list[Block] = [Note(found.headline), f"Verdict: {found.verdict.replace('_', ' ')}.",
                            "\n\n".join(found.findings)]
     if found.established:
         first.append(established_table(found))
-    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", remainder_table(found), *_pictures(found, folder)]
     if found.next_measurement:
         first.append(Note(f"Next measurement. {found.next_measurement}"))
+    rest: list[tuple[str, Sequence[Block]]] = []
+    if found.description is not None:
+        rest.append(("What nothing explains", unexplained_tables(found.description)))
     so_far = found.provisional
     provisional: list[tuple[str, Sequence[Block]]] = []
     if so_far is not None and so_far.established:
@@ -80,7 +116,9 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
                                             "much, or more.", established_table(so_far)]))
     cut = "" if so_far is None else ", as far as it went"
     sections: Sequence[tuple[str, Sequence[Block]]] = [
-        ("What was found" if so_far is None else "Not finished", first), *provisional,
+        ("What was found" if so_far is None else "Not finished", first), *rest, *provisional,
+        ("Before and after", [f"{LEFT[0].upper()}{LEFT[1:]}.", *_beyond(found), remainder_table(found),
+                              *_pictures(found, folder)]),
         ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
                                      _taken(found.campaign)]),
         (f"Odds of the hypotheses{cut}", [
@@ -117,16 +155,17 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
-    """Every state before and after, a bar of shares, and the section with the suspect places marked."""
+    """Every state before and after, a bar of shares, and the section with the suspect places marked and the states that
+    show them."""
     first, last = ((found.base, found.best) if found.established else (found.stated, found.base))
-    labels = (("known parameters alone", "with what was found") if found.established
-              else ("as stated", "known parameters fitted"))
-    held = {state.name for state in found.campaign.held_out}
-    states = [StatePicture(state.name + (", held out" if state.name in held else ""), state.measured.frequency,
-                           state.measured.impedance, before.impedance, after.impedance, state.noise)
+    labels = (("before: known numbers alone", "after: with what was found") if found.established
+              else ("before: as stated", "after: known numbers fitted"))
+    states = [StatePicture(_state_name(found, state), state.measured.frequency, state.measured.impedance,
+                           before.impedance, after.impedance, state.noise)
               for state, before, after in zip(found.states, first, last, strict=True)]
     pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
-                                     "Every state as recorded, before and after, and below what is left of it")]
+                                     "Every state as recorded, before and after, and below the difference, "
+                                     "|ln(Z_model / Z_measured)|")]
     if found.established:
         shares = {" and ".join(plain_words(each.effect.name) for each in group): share
                   for group, share in found.shares}
@@ -137,15 +176,39 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     nodes, _ = section_nodes(mesh)
     marked = [name for name in dict.fromkeys(map(parent_place, found.where)) if name in nodes.regions]
     if marked:
-        pictures.append(Picture(draw_marked(nodes, marked, folder / "where.png", title="Where it sits"),
-                                f"The section of the chip, with {' and '.join(marked)} marked"))
+        shown = _shown_by(found)
+        pictures.append(Picture(
+            draw_marked(nodes, marked, folder / "where.png", title="\n".join(filter(None, ("Where it sits", shown)))),
+            f"The section of the chip, with {' and '.join(marked)} marked"
+            + (f"; {shown}, by the square of its change of ln Z in units of the noise" if shown else "")))
     elif found.where:
         pictures.append(f"It sits in the {' and the '.join(found.where)}, which the section of the chip does not show.")
     return pictures
 
 
+def _shown_by(found: Diagnosis) -> str:
+    """The states that show what is established, or the region that there is evidence for."""
+    outside = None if found.established else next(
+        (each for each in found.found.final if each.hypothesis.region == found.suspect_region), None)
+    shares = states_that_show(found.model, found.conclusion.chosen.explanation, outside)
+    shown = [f"{name} ({100.0 * share:.0f} %)" for name, share in shares.items() if share >= SHOWN]
+    others = [name for name, share in shares.items() if share < SHOWN]
+    return "" if not shown else f"shown by {', '.join(shown)}" + (f", not by {', '.join(others)}" if others else "")
+
+
+def _beyond(found: Diagnosis) -> list[str]:
+    """A sentence on known numbers that the fit of these alone moves beyond their uncertainties; none if there are none.
+    """
+    model, base, limit = found.model, found.found.base.explanation, found.criteria.at_odds
+    moved = {p.name: abs(float(x) - p.start) / p.prior
+             for p, x in zip(model.parameters[:model.known], base.x, strict=False) if p.prior}
+    beyond = sorted((name for name, far in moved.items() if far > limit), key=lambda name: -moved[name])
+    return [f"To come so far, known numbers leave what is stated of them, by more than {limit:g} of their standard "
+            f"uncertainties: {', '.join(beyond)}."] if beyond else []
+
+
 def _taken(campaign: Campaign) -> TextTable:
-    return TextTable(("parameter", "standard uncertainty", "unit", "from"), tuple(
+    return TextTable(("parameter", "standard uncertainty", "unit", "source"), tuple(
         (each.name, number_text(each.deviation * shown_factor(each.unit), 3), shown_unit(each.unit), each.origin)
         for each in campaign.taken))
 
@@ -158,8 +221,8 @@ def _odds(found: Diagnosis) -> TextTable:
         rows.append((decision.log_odds[e.hypothesis.name], (
             e.hypothesis.name, _power(decision.log_odds[e.hypothesis.name]),
             f"{e.log_evidence - base.explanation.log_evidence:.1f}", f"{refit.held_out - base.held_out:.1f}",
-            f"{100.0 * e.accuracy:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(refit)))))
-    return TextTable(("hypothesis", "odds", "evidence", "of it by states held out", "accuracy of the model (%)",
+            f"{100.0 * e.rms:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(refit)))))
+    return TextTable(("hypothesis", "odds", "evidence", "of it by states held out", "left of Z (%)",
                       "parameters"), tuple(row for _, row in sorted(rows, key=lambda both: -both[0])))
 
 
@@ -173,32 +236,32 @@ def _given_up(found: Diagnosis) -> TextTable:
     null = next((each.log_evidence for each in found.found.candidates
                   if each.hypothesis.name == found.found.base.explanation.hypothesis.name), 0.0)
     others = [each for each in found.found.candidates if each.hypothesis.name not in refitted]
-    return TextTable(("hypothesis", "evidence"), tuple(
+    return TextTable(("hypothesis", "evidence there"), tuple(
         (each.hypothesis.name, f"{each.log_evidence - null:.1f}")
         for each in sorted(others, key=lambda each: -each.log_evidence)))
 
 
 def _location(found: Diagnosis) -> TextTable:
-    return TextTable(("region", "evidence", "sigmas", "where"), tuple(
+    return TextTable(("region", "evidence added", "as sigmas", "modes"), tuple(
         (place.region, f"{place.evidence:.1f}", f"{place.sigmas:.1f}", "; ".join(place.modes))
         for place in found.location))
 
 
 def _scores(found: Diagnosis) -> TextTable:
-    return TextTable(("hypothesis", "where", "kind", "fall of chi-square", "evidence"), tuple(
+    return TextTable(("hypothesis", "region", "kind", "fall of chi-square", "evidence predicted"), tuple(
         (s.effect.name, s.effect.region, s.effect.kind, f"{s.gain:.1f}", f"{s.evidence:.1f}")
         for s in found.scores[:LISTED]))
 
 
 def _known(known: Sequence[FoundNumber]) -> TextTable:
-    return TextTable(("known parameter", "stated", "found", "unit", "sigmas"), tuple(
+    return TextTable(("known parameter", "stated", "found", "unit", "moved by (sigmas)"), tuple(
         (each.name, number_text(each.shown[3], 5), number_text(each.shown[0], 5), shown_unit(each.unit),
          f"{each.sigmas or 0.0:+.2f}") for each in sorted(known, key=lambda each: -abs(each.sigmas or 0.0))))
 
 
 def _known_physics(known: Sequence[Contribution]) -> TextTable:
     """Changes by every effect with known constants."""
-    return TextTable(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
+    return TextTable(("effect", "state", "change of f0 (Hz)", "change of Q", "change of ln Z, rms (%)"), tuple(
         (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
                                   for value in (row.f0_change, row.q_change)),
          f"{100.0 * row.rms_log_change:.3g}") for row in known))
@@ -246,7 +309,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
     return {
         "campaign": found.campaign.name, "verdict": found.verdict, "headline": found.headline,
         "effects": _effects(found),
-        "left": vars(found.remainder), "accuracy": found.remainder.accuracy,
+        "left": vars(found.remainder),
         "moved_parameters": [{"name": p.name, "from": p.stated, "to": p.value, "unit": p.unit, "sigmas": p.sigmas}
                              for p in found.known],
         "rivals": [{"effects": list(e.effects), "name": e.name,
@@ -254,6 +317,8 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
                     "parameters": {p.name: [p.value, p.low, p.high] for p in found.estimates_of(refit)}}
                    for e, refit in rivals],
         "location": [place._asdict() for place in found.location],
+        # None where nothing more than noise is left.
+        "unexplained": None if found.description is None else asdict(found.description),
         **{key: {name: of[name] for name in fitted}
            for key, of in (("before", before), ("known_parameters_only", base), ("after", after))},
         "held_out": {name: {"before": base[name], "after": after[name]} for name in held},
@@ -264,8 +329,8 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         "refits": [{"name": e.hypothesis.name, "effects": [effect.name for effect in e.hypothesis.effects],
                     "evidence": e.log_evidence - found.found.base.explanation.log_evidence,
                     "held_out": refit.held_out - found.found.base.held_out,
-                    "log_odds": decision.log_odds[e.hypothesis.name], "accuracy": e.accuracy,
-                    "reduced_chi_square": float(np.mean(e.residual.vector**2))}
+                    "log_odds": decision.log_odds[e.hypothesis.name], "rms_log_residual": e.rms,
+                    "reduced_chi_square": e.chi_square / e.local.residual.size}
                    for refit in found.found.final for e in [refit.explanation]],
         "taken": _taken_record(found.campaign), "undone": list(found.found.undone),
         "not_tried": [vars(each) for each in found.found.not_tried],
