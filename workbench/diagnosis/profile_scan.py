@@ -2,11 +2,12 @@
 
 The tangents at the null hypothesis do not show a large effect, and at the end of a search without it, known numbers
 have moved to make up for a part of it. A scan starts from the prior instead: every hypothesis is tried in several
-sizes, and the known numbers follow to first order.
+sizes, and the known numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,7 +31,10 @@ HELD = (0.1, 0.3, 0.6)
 #: Points of a recording that a scan uses, about.
 LOOKED_AT = 41
 
-#: Sizes that a scan returns, at most.
+#: Times that steps about the best size are halved.
+HALVED = 3
+
+#: Sizes that a scan returns, at most: the best one, and the next best of the coarse ones.
 LEFT = 2
 
 
@@ -62,24 +66,39 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     model, found, refused = likelihood.model, list[InitialOptimum](), list[Exception]()
     own = [model.index(name) for name in effect.names]
     search = likelihood.search(Hypothesis((effect,)))
-    every = [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
+    steps = [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
     thin = search.with_objective(search.objective.thinned(LOOKED_AT))
-    spreads = likelihood.point_deviations(LEVELS[0], every)
+    spreads = likelihood.point_deviations(LEVELS[0], steps)
     free = np.setdiff1d(search.free, own)
-    for direction in search_directions(model, effect):
-        for size in SIZES:
-            place = _sized(model, effect, x, direction, size)
-            try:
-                weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
-            except NO_END as error:
-                refused.append(error)
-                continue
-            step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
-            cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
-            found.append(InitialOptimum(place, cost, np.zeros(place.size)))
+    def tried(direction: Real, size: float) -> float:
+        """The cost that a size leaves, kept with its point; infinite where nothing can be predicted."""
+        place = _sized(model, effect, x, direction, size)
+        try:
+            weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
+        except NO_END as error:
+            refused.append(error)
+            return math.inf
+        step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
+        cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
+        found.append(InitialOptimum(place, cost, np.zeros(place.size)))
+        return cost
+
+    every = [(direction, size, tried(direction, size))
+             for direction in search_directions(model, effect) for size in SIZES]
     if not found and refused:
         raise refused[0]
-    return sorted(found, key=lambda each: each.cost)[:LEFT]
+    coarse = sorted(found, key=lambda each: each.cost)
+    if found:
+        direction, _, _ = min(every, key=lambda each: each[2])
+        known = {0.0: math.inf, **{at: cost for along, at, cost in every if along is direction}}
+        for _ in range(HALVED):
+            sizes = sorted(known)
+            at = sizes.index(min(known, key=lambda each: known[each]))
+            for other in (*sizes[max(at - 1, 0):at], *sizes[at + 1:at + 2]):
+                between = 0.5 * (sizes[at] + other)
+                known[between] = tried(direction, between)
+    best = min(found, key=lambda each: each.cost, default=None)
+    return [] if best is None else [best, *(each for each in coarse if each is not best)][:LEFT]
 
 
 def _sized(model: Model, effect: Effect, x: Real, direction: Real, size: float) -> Real:
