@@ -95,11 +95,11 @@ class Made(DiagnosisSearch):
             Score(SMALL, 4.0, 2.0, np.array([0.5]), np.array([0.1])),)
         return replace(refitted, scores=further)
 
-    def by_score(self, null: Candidate, ends: Sequence[InitialOptimum], tangents: Any) -> list[Candidate]:
+    def by_score(self, ends: Sequence[InitialOptimum], tangents: Any) -> list[Candidate]:
         self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, PLACE)])
         return self.searched([(SMALL, [PLACE])])
 
-    def by_size(self, null: Candidate, ends: Sequence[InitialOptimum], _tangents: Any) -> list[Candidate]:
+    def by_size(self) -> list[Candidate]:
         self.run_tasks([SearchTask.of("large of any size", self.scan_effect, "large", "disc")])
         return self.searched([(LARGE, [PLACE])], held=True)
 

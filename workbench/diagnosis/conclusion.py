@@ -12,7 +12,6 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import TERM, Criteria
-from workbench.diagnosis.weighting import Weighting
 
 #: Standard deviations to either side of a 95 % interval.
 DEVIATIONS = 1.96
@@ -57,9 +56,9 @@ def evidence(model: Model, refit: Refitted, base: Explanation) -> Evidence:
             moved = abs(float(found.x[i]) - model.parameters[i].start)
             # One that the end of its range holds has no error, however far it has moved.
             z_scores[name] = moved / error if error > 0.0 else math.inf if moved > 0.0 else 0.0
-    left = Weighting.left(found.weighting.states, found.log_ratio)
     return Evidence(hypothesis.name, found.log_evidence, tuple(effect.name for effect in hypothesis.effects),
-                    hypothesis.is_outside, z_scores, refit.held_out, left.largest, explained_share(model, base, found))
+                    hypothesis.is_outside, z_scores, refit.held_out, found.inflation,
+                    explained_share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:

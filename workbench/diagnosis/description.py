@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,10 @@ from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.inhomogeneity import MASS, STIFFNESS, cell_forms
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.state import DeviceState
-from workbench.diagnosis.weighting import Weighting
+from workbench.diagnosis.state import DeviceState, data_rows, state_fit
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution, solve_full
-from workbench.fitting.covariance import Covariance
+from workbench.fitting.measurement_model import log_ratio
 from workbench.model.numbers import plain_words
 from workbench.model.problem import Problem
 
@@ -143,16 +141,16 @@ def remainder_description(model: Model, found: Found, conclusion: Conclusion, cr
     """
     refit = found.base if conclusion.chosen.hypothesis.is_outside else conclusion.chosen
     best, fitted = refit.explanation, model.campaign.fitted
-    if found.undone or Weighting.left(fitted, best.log_ratio).largest <= criteria.inflated:
+    if found.undone or best.inflation <= criteria.inflated:
         return None
-    squares = [np.abs(log / state.noise) ** 2 for log, state in zip(best.log_ratio, fitted, strict=True)]
-    whole = float(sum(each.sum() for each in squares))
-    states = [StateRemainder(state.name, _rms(log), math.sqrt(0.5 * float(square.mean())), float(square.sum()) / whole)
-              for state, log, square in zip(fitted, best.log_ratio, squares, strict=True)]
-    states += [_held_out(state, impedance)
+    squares = [float(np.sum(np.abs(log / state.noise) ** 2)) for log, state in zip(best.log_ratio, fitted, strict=True)]
+    whole = sum(squares)
+    states = [_of_state(state, log, impedance, square / whole) for state, log, impedance, square in zip(
+        fitted, best.log_ratio, best.impedances, squares, strict=True)]
+    states += [_of_state(state, log_ratio(impedance, state.measured.impedance), impedance, None)
                for state, impedance in zip(model.campaign.held_out, refit.held_out_impedances, strict=True)]
     bands = remainder_bands(fitted, best.log_ratio)
-    times = math.sqrt(0.5 * whole / sum(each.size for each in squares))
+    times = math.sqrt(0.5 * whole / sum(log.size for log in best.log_ratio))
     takers = _takers(model, found, refit, conclusion, criteria)
     return Description(best.rms, times, tuple(states), tuple(_with_modes(model, best, bands)), takers,
                        recorded_next(model, states, takers))
@@ -162,9 +160,9 @@ def _rms(log: Complex) -> float:
     return float(np.sqrt(np.mean(np.abs(log) ** 2)))
 
 
-def _held_out(state: DeviceState, impedance: Complex) -> StateRemainder:
-    log = np.log(impedance / state.measured.impedance)
-    return StateRemainder(state.name, _rms(log), _rms(log / state.noise) / math.sqrt(2.0), None)
+def _of_state(state: DeviceState, log: Complex, impedance: Complex, share: float | None) -> StateRemainder:
+    fit = state_fit(state.name, log, impedance, state.noise)
+    return StateRemainder(state.name, fit.rms, math.sqrt(fit.reduced), share)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -274,13 +272,9 @@ def _takers(
 ) -> tuple[Taker, ...]:
     """The hypotheses of the catalogue that take most of what an explanation leaves, largest share first."""
     best, odds = refit.explanation, conclusion.decision.log_odds
-    deviations, before = best.weighting.deviations(), best.hypothesis.name
-
-    def left(each: Explanation) -> float:
-        return float(sum(np.sum(np.abs(log / own) ** 2) for log, own in zip(each.log_ratio, deviations, strict=True)))
-
-    whole = left(best)
-    refits = [(each.hypothesis, 1.0 - left(each.explanation) / whole) for each in found.final
+    left, before = best.weighting.chi_square, best.hypothesis.name
+    whole = left(best.log_ratio)
+    refits = [(each.hypothesis, 1.0 - left(each.explanation.log_ratio) / whole) for each in found.final
               if each is not refit and each.hypothesis.effects and not each.hypothesis.is_outside]
     # One with further effects that take no more is no hypothesis of its own.
     takers = [Taker(hypothesis.name, share, odds[hypothesis.name] - odds[before], False) for hypothesis, share in refits
@@ -317,15 +311,12 @@ def states_that_show(model: Model, found: Explanation, outside: Refitted | None 
     effects of an explanation, or by the region of a hypothesis `outside` the catalogue."""
     if outside is not None:
         local, scales = outside.explanation.local, outside.explanation.scales
-        root = np.sqrt(local.information)
-        systematic = Covariance.of(local.outside * root[:, None] * scales.size)
-        said = systematic.variances / (1.0 + systematic.variances)
-        change = systematic.directions @ (said * (systematic.directions.T @ (local.residual * root))) / root
+        systematic = local.deviating(scales._replace(inhomogeneity=0.0, term=0.0))
+        change = systematic.expected(local.residual * local.root) / local.root
     else:
         own = [model.index(name) for name in found.hypothesis.names]
         columns = [found.free.index(i) for i in own]
         change = found.local.tangents[:, columns] @ (found.likeliest - model.stated)[own]
-    ends = np.cumsum([0, *(2 * state.noise.size for state in model.campaign.fitted)]).tolist()
-    squares = [float(np.sum(change[low:high] ** 2)) for low, high in pairwise(ends)]
+    squares = [float(np.sum(change[rows] ** 2)) for rows in data_rows(model.campaign.fitted)]
     whole = sum(squares) or 1.0
     return {state.name: square / whole for state, square in zip(model.campaign.fitted, squares, strict=True)}

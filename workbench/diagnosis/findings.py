@@ -130,7 +130,7 @@ class Refitted:
     @property
     def total(self) -> float:
         """The log evidence of all recordings."""
-        return self.explanation.log_evidence + self.held_out
+        return (self.explanation if self.every is None else self.every).log_evidence
 
     def weighted(self, other: Refitted) -> Refitted:
         """A copy with the weights of another explanation."""
@@ -174,9 +174,19 @@ class Found:
 
 def alike_weighted(found: Sequence[Refitted]) -> list[Refitted]:
     """Explanations by the weights of the one of the catalogue that leaves least, best first."""
-    best = max((each for each in found if not each.hypothesis.is_outside),
-               key=lambda each: each.explanation.weighting.log_likelihood(each.explanation.log_ratio))
+    best = leaving_least(found)
     return sorted((each.weighted(best) for each in found), key=lambda each: -each.total)
+
+
+def of_catalogue(found: Sequence[Refitted]) -> list[Refitted]:
+    """:func:`alike_weighted` of the explanations by the catalogue; evidences outside it are dear, and not asked for."""
+    return alike_weighted([each for each in found if not each.hypothesis.is_outside])
+
+
+def leaving_least(found: Sequence[Refitted]) -> Refitted:
+    """The explanation of the catalogue that leaves least, by its own weights."""
+    return max((each for each in found if not each.hypothesis.is_outside),
+               key=lambda each: each.explanation.weighting.log_likelihood(each.explanation.log_ratio))
 
 
 def leading_of(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

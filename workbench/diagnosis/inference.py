@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ from workbench.diagnosis.findings import (
     alike_weighted,
     distinct_ends,
     leading_of,
+    leaving_least,
+    of_catalogue,
 )
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.levels import LEVELS, STAGE
@@ -136,15 +138,17 @@ class DiagnosisSearch:
             stated = Candidate.at(Hypothesis(), self.model.stated, base.explanation.errors)
             base = min([base, *self.run_tasks([SearchTask.of("nothing, as stated", self.refit, stated)], must=1)],
                        key=lambda each: each.explanation.rms)
-        base = self.scored(base, tangents)
-        found = [base, *map(base.beside, base.alternatives)]
+        found = self.with_alternatives(base, tangents)
+        base = found[0]
         if null.fits:
             self.progress("single hypotheses", 0.3)
             found += self.refitted_beside(base)
             if tangents is not None and not self.is_explained(found):
                 found += self.refitted_beside(base, ranked_beside(self.model, tangents, base.explanation, alone=True),
                                               found)
-        searches = [("hypotheses by their scores", self.by_score), ("hypotheses of any size", self.by_size)]
+        searches: list[tuple[str, Callable[[], list[Candidate]]]] = [
+            ("hypotheses by their scores", partial(self.by_score, ends, tangents)),
+            ("hypotheses of any size", self.by_size)]
         # No tangent counts where more is left than the points were allowed to deviate by.
         if ends[0].cost > sum(state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
@@ -155,7 +159,7 @@ class DiagnosisSearch:
                 self.undone.append(name)
                 break
             self.progress(name, 0.5)
-            found += self.refit_best(null, search(null, ends, tangents), found)
+            found += self.refit_best(null, search(), found)
         if not null.fits and not self.is_explained(found) and not self.is_over:
             # Nothing explains: what is left, and where, is then told of the null hypothesis.
             found = self.with_base_refitted(null, tangents, found)
@@ -172,8 +176,13 @@ class DiagnosisSearch:
         base = self.run_tasks([SearchTask.of("nothing, to its end", self.refit, null)])[0]
         if base is None or base.explanation.rms > found[0].explanation.rms:
             return list(found)
+        base, *outside = self.with_alternatives(base, tangents)
+        return [base, *found[1:], *outside]
+
+    def with_alternatives(self, base: Refitted, tangents: Tangents | None) -> list[Refitted]:
+        """An explanation with its scores, and what is outside the catalogue beside it."""
         base = self.scored(base, tangents)
-        return [base, *found[1:], *map(base.beside, base.alternatives)]
+        return [base, *map(base.beside, base.alternatives)]
 
     # ----------------------------------------------------------------------------------------------------------------
     # The null hypothesis
@@ -270,7 +279,7 @@ class DiagnosisSearch:
             tasks.append(SearchTask.of(both.name, self.refit, Candidate.at(both, begin, errors)))
         return [each for each in self.run_tasks(tasks) if each is not None]
 
-    def by_score(self, null: Candidate, ends: Sequence[InitialOptimum], tangents: Tangents | None) -> list[Candidate]:
+    def by_score(self, ends: Sequence[InitialOptimum], tangents: Tangents | None) -> list[Candidate]:
         """The hypotheses of largest predicted gain where the null hypothesis ends at either level, searched for."""
         states = self.model.campaign.fitted
         there = self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, ends[0].x)])
@@ -284,7 +293,7 @@ class DiagnosisSearch:
                 starts.setdefault(each.effect.name, []).append(start(self.model, each.effect, at.x, each))
         return self.searched([(self.model.effect(name), own) for name, own in starts.items()])
 
-    def by_size(self, null: Candidate, ends: Sequence[InitialOptimum], _tangents: Tangents | None) -> list[Candidate]:
+    def by_size(self) -> list[Candidate]:
         """The hypotheses of least cost in a profile scan about the mean of the prior, searched for.
 
         The scan is of the state that is left most of: each has to explain that. A hypothesis is left out if none of its
@@ -333,7 +342,7 @@ class DiagnosisSearch:
         return found
 
     def refit_best(self, null: Candidate, candidates: Sequence[Candidate], found: Sequence[Refitted]) -> list[Refitted]:
-        """The leading candidates refitted at full weight; None of those that were."""
+        """The leading candidates refitted at full weight, those that were not yet."""
         done = {each.hypothesis.name for each in found}
         leading = leading_of([null, *candidates], CONTINUED + 1, lambda each: each.log_evidence)
         return [each for each in self.run_tasks([
@@ -356,8 +365,7 @@ class DiagnosisSearch:
         """Explanations with effects added to the best ones, as long as the best one changes."""
         done = {Hypothesis().name}
         while True:
-            leading = leading_of((each for each in alike_weighted(found) if not each.hypothesis.is_outside), ALIKE,
-                                 self.log_odds)
+            leading = leading_of(of_catalogue(found), ALIKE, self.log_odds)
             if leading[0].hypothesis.name in done:
                 break
             if self.is_over:
@@ -379,7 +387,8 @@ class DiagnosisSearch:
         it is refitted from the other's optimum."""
         result = list(found)
         for index, each in enumerate(result):
-            own = [other for other in alike_weighted(result)
+            least = leaving_least(result)
+            own = [other.weighted(least) for other in result
                    if set(other.hypothesis.effects) < set(each.hypothesis.effects) and not other.hypothesis.is_outside]
             best = min(own, key=lambda other: other.explanation.cost, default=None)
             if each.hypothesis.is_outside or best is None or (
@@ -394,9 +403,8 @@ class DiagnosisSearch:
     def is_explained(self, found: Sequence[Refitted]) -> bool:
         """Whether the best explanation of the catalogue leaves little more than noise, or a trace of what the null
         hypothesis leaves."""
-        final = alike_weighted(found)
-        best = next(each for each in final if not each.hypothesis.is_outside)
-        base = next(each for each in final if each.hypothesis.name == Hypothesis().name)
+        best, *others = of_catalogue(found)
+        base = next(each for each in (best, *others) if each.hypothesis.name == Hypothesis().name)
         return best.explanation.weighting.largest <= self.criteria.inflated or explained_share(
             self.model, base.explanation, best.explanation) >= self.criteria.most
 

@@ -29,7 +29,7 @@ from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_ov
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.modes import Mode, columns
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES, TERM
-from workbench.diagnosis.state import DeviceState
+from workbench.diagnosis.state import DeviceState, data_rows
 from workbench.diagnosis.weighting import Weighting
 from workbench.fitting.covariance import NEGLIGIBLE, Covariance, principal
 from workbench.fitting.objective import Objective, Residual
@@ -133,11 +133,26 @@ class LocalProblem:
         return self._problem(np.zeros((self.residual.size, 0)))
 
     def _problem(self, further: Real) -> LinearisedProblem:
-        root = np.sqrt(self.information)[:, None]
-        deviations = np.column_stack([self.parts, self.outside, self.term, further])
+        deviations = np.column_stack([self._beside, further])
         return LinearisedProblem.of(
-            self.tangents * root, self.residual * root[:, 0], deviations * root, precision=np.diag(self.precision**2),
-            offset=self.offset, widths=self.widths, below=self.below, above=self.above)
+            self.tangents * self.root[:, None], self.residual * self.root, deviations * self.root[:, None],
+            precision=np.diag(self.precision**2), offset=self.offset, widths=self.widths, below=self.below,
+            above=self.above)
+
+    @cached_property
+    def root(self) -> Real:
+        """One over what each row (m,) may deviate by."""
+        return np.sqrt(self.information)
+
+    @cached_property
+    def _beside(self) -> Real:
+        """The deviations (m, k) of unit size beside the noise."""
+        return np.column_stack([self.parts, self.outside, self.term])
+
+    @property
+    def unit_deviations(self) -> Real:
+        """The deviations (m, k) of unit size beside the noise, in units of what each row may deviate by."""
+        return self._beside * self.root[:, None]
 
     def expanded(self, scales: Scales, further: int = 0) -> Real:
         """The scale of every deviation, zero of `further` ones."""
@@ -149,8 +164,12 @@ class LocalProblem:
 
     def deviations(self, scales: Scales) -> Real:
         """The deviations (m, k) beside the noise at their `scales`, in units of what each row may deviate by."""
-        every = np.column_stack([self.parts, self.outside, self.term]) * self.expanded(scales)
-        return every[:, every.any(axis=0)] * np.sqrt(self.information)[:, None]
+        every = self._beside * self.expanded(scales)
+        return every[:, every.any(axis=0)] * self.root[:, None]
+
+    def deviating(self, scales: Scales) -> Covariance:
+        """The covariance of the rows with the deviations beside the noise at their `scales`."""
+        return Covariance.of(self.deviations(scales))
 
     def covariance(self, scales: Scales) -> Real:
         """Covariance (p, p) of the estimate by least squares where the deviations beside the noise are so large.
@@ -160,7 +179,7 @@ class LocalProblem:
         """
         least = replace(self, parts=self.parts[:, :0], outside=self.outside[:, :0], term=self.term[:, :0])
         plain = least.best[2].covariance
-        along = plain @ (self.tangents * np.sqrt(self.information)[:, None]).T @ self.deviations(scales)
+        along = plain @ (self.tangents * self.root[:, None]).T @ self.deviations(scales)
         return np.asarray(plain + along @ along.T)
 
     def averaged(self, scales: Scales) -> Average:
@@ -181,7 +200,6 @@ class LocalProblem:
         ends = start + np.cumsum([0, *(each.shape[1] for each in blocks)])
         return averaged_over_blocks(problem, [self.expanded(each, further.shape[1]) for each in self.settings],
                                     [np.arange(low, high) for low, high in pairwise(ends.tolist())], REGION_SIZES)
-
 
     def informed(self, weighting: Weighting) -> LocalProblem:
         """A copy with other weights of the points."""
@@ -243,9 +261,7 @@ class Explanation:
     def cost(self) -> float:
         """Half the sum of squares that least squares with these weights makes least, with the rows of the priors."""
         offset = self.local.offset + (self.x - self.likeliest)[list(self.free)]
-        square = sum(float(np.sum(np.abs(log / deviation) ** 2))
-                     for log, deviation in zip(self.log_ratio, self.weighting.deviations(), strict=False))
-        return 0.5 * (square + float(np.sum((offset * self.local.precision) ** 2)))
+        return 0.5 * (self.weighting.chi_square(self.log_ratio) + float(np.sum((offset * self.local.precision) ** 2)))
 
     @property
     def rms(self) -> float:
@@ -255,8 +271,12 @@ class Explanation:
     @property
     def chi_square(self) -> float:
         """The sum of squares of what is left at x, in units of the stated noise."""
-        return float(sum(np.sum(np.abs(log / state.noise) ** 2)
-                         for log, state in zip(self.log_ratio, self.weighting.states, strict=False)))
+        return Weighting.stated(self.weighting.states).chi_square(self.log_ratio)
+
+    @property
+    def inflation(self) -> float:
+        """The largest inflation of the noise of a recording by what this explanation itself leaves."""
+        return Weighting.left(self.weighting.states, self.log_ratio).largest
 
     def error(self, index: int) -> float:
         """Standard deviation of the parameter of that index."""
@@ -300,8 +320,7 @@ class Likelihood:
     @cached_property
     def places(self) -> list[slice]:
         """The rows of each recording among the data."""
-        ends = np.cumsum([0, *(2 * each.frequency.size for each in self.measured)]).tolist()
-        return [slice(low, high) for low, high in pairwise(ends)]
+        return data_rows(self.states)
 
     def point_deviations(self, level: float = 0.0, every: Sequence[int] | None = None) -> list[Real]:
         """Deviations (n,) of every recording's points, of the stated noise and a further deviation `level`."""
@@ -412,7 +431,7 @@ class Likelihood:
         spreads = [np.sqrt(points) * each for points, each in zip(
             found.weighting.points, found.weighting.deviations(), strict=True)]
         for _ in range(WHITENED):
-            under = search.with_covariance(Covariance.of(best.local.deviations(best.scales)))
+            under = search.with_covariance(best.local.deviating(best.scales))
             x = under.minimise(best.likeliest, spreads, limit=STEPS, tolerance=ENOUGH).x
             data = self.data(found.hypothesis, x)
             local = self.linearised(found.hypothesis, search, x, data)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.state import data_rows
 from workbench.fitting.covariance import Covariance
 from workbench.model.numbers import BENCH
 from workbench.physics.softening import DRIVE_SQUARED
@@ -99,17 +100,11 @@ def _distances(every: Sequence[tuple[Real, Real]]) -> Real:
 
 def _systematic(found: Explanation) -> Covariance:
     """The deviations beside the noise under an explanation: in its region, and as its modes."""
-    return Covariance.of(found.local.outside * _root(found)[:, None] * found.scales.size)
-
-
-def _root(found: Explanation) -> Real:
-    """One over the deviations (m,) of the data, in units of the stated noise."""
-    return np.sqrt(found.local.information)
+    return found.local.deviating(found.scales._replace(inhomogeneity=0.0, term=0.0))
 
 
 def _predictions(model: Model, alive: Sequence[Explanation]) -> Iterator[tuple[str, Predicted]]:
-    ends = np.cumsum([0, *(2 * state.noise.size for state in model.campaign.fitted)]).tolist()
-    for state, rows in zip(model.campaign.fitted, itertools.starmap(slice, itertools.pairwise(ends)), strict=True):
+    for state, rows in zip(model.campaign.fitted, data_rows(model.campaign.fitted), strict=True):
         yield f"record {state.name} again", partial(_recorded, model, state.name, rows, 1.0)
         if state.drive and any(_driven(model, each, state.name) for each in alive):
             for factor in DRIVES:
@@ -125,21 +120,20 @@ def _recorded(
     model: Model, state: str, rows: slice, drive: float, found: Explanation, systematic: Covariance, times: int
 ) -> tuple[Real, Real]:
     """The prediction for recordings of a fitted state, its drive times a factor."""
-    free, root = np.array(found.free), _root(found)
+    free, root = np.array(found.free), found.local.root
     tangents = found.local.tangents[rows] * root[rows, None]
     is_new = np.array([model.parameters[i].offset and model.parameters[i].recordings == (state,) for i in free])
     own = _driven(model, found, state)
     driven = np.isin(free, own)
     # The posterior of the deviations from the recordings there are.
-    said = systematic.variances / (1.0 + systematic.variances)
-    vector, directions = found.local.residual * root, systematic.directions
-    mean = (vector - directions @ (said * (directions.T @ vector)))[rows]
+    said, vector = systematic.variances / (1.0 + systematic.variances), found.local.residual * root
+    mean = (vector - systematic.expected(vector))[rows]
     # The offsets of the recording there is are not those of the next.
     mean = mean - tangents[:, is_new] @ found.x[free[is_new]]
     mean = mean + (drive**2 - 1.0) * tangents[:, driven] @ (found.x - model.stated)[free[driven]]
     values, vectors = np.linalg.eigh(found.covariance[np.ix_(~is_new, ~is_new)])
     uncertain = tangents[:, ~is_new] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    same = math.sqrt(times) * np.column_stack([uncertain, directions[rows] * np.sqrt(said)])
+    same = math.sqrt(times) * np.column_stack([uncertain, systematic.directions[rows] * np.sqrt(said)])
     drawn = tangents[:, is_new] * np.array([model.parameters[i].prior or 0.0 for i in free[is_new]])
     return math.sqrt(times) * mean, np.column_stack([same, drawn])
 

@@ -240,15 +240,9 @@ class Posterior(Brief):
         return NormalApproximation(worth - cost, self.place + average.step, average.covariance)
 
     @cached_property
-    def _root(self) -> Real:
-        """One over the deviation (m,) of every datum, in units of the stated noise."""
-        return np.sqrt(self.explanation.local.information)
-
-    @cached_property
     def _deviations(self) -> Real:
         """B (m, k)."""
-        local = self.explanation.local
-        return np.column_stack([local.parts, local.outside, local.term]) * self._root[:, None]
+        return self.explanation.local.unit_deviations
 
     @cached_property
     def _inverse_covariances(self) -> list[_InverseCovariance]:
@@ -267,7 +261,7 @@ class Posterior(Brief):
     def _residual(self, x: Real) -> Real:
         """r (m,) at x (p,), without derivatives."""
         data = self.likelihood.objective(x, deviation=self.likelihood.point_deviations(), free=())
-        return data.vector * self._root
+        return data.vector * self.explanation.local.root
 
     def _all_parameters(self, theta: Real) -> Real:
         x = self.x.copy()

@@ -41,7 +41,7 @@ LEFT = 2
 def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
     """Directions (k,) from nothing to the bounds of each number of an effect, and to those of all together."""
     own = [model.index(name) for name in effect.names]
-    stated = np.array([model.parameters[i].start for i in own])
+    stated = model.stated[own]
     for bound in model.bounds(own):
         whole = bound - stated
         moved = np.flatnonzero(whole)
@@ -70,6 +70,7 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     thin = search.with_objective(search.objective.thinned(LOOKED_AT))
     spreads = likelihood.point_deviations(LEVELS[0], steps)
     free = np.setdiff1d(search.free, own)
+
     def tried(direction: Real, size: float) -> float:
         """The cost that a size leaves, kept with its point; infinite where nothing can be predicted."""
         place = _sized(model, effect, x, direction, size)
@@ -85,25 +86,26 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
 
     every = [(direction, size, tried(direction, size))
              for direction in search_directions(model, effect) for size in SIZES]
-    if not found and refused:
-        raise refused[0]
+    if not found:
+        if refused:
+            raise refused[0]
+        return []
     coarse = sorted(found, key=lambda each: each.cost)
-    if found:
-        direction, _, _ = min(every, key=lambda each: each[2])
-        known = {0.0: math.inf, **{at: cost for along, at, cost in every if along is direction}}
-        for _ in range(HALVED):
-            sizes = sorted(known)
-            at = sizes.index(min(known, key=lambda each: known[each]))
-            for other in (*sizes[max(at - 1, 0):at], *sizes[at + 1:at + 2]):
-                between = 0.5 * (sizes[at] + other)
-                known[between] = tried(direction, between)
-    best = min(found, key=lambda each: each.cost, default=None)
-    return [] if best is None else [best, *(each for each in coarse if each is not best)][:LEFT]
+    direction, _, _ = min(every, key=lambda each: each[2])
+    known = {0.0: math.inf, **{at: cost for along, at, cost in every if along is direction}}
+    for _ in range(HALVED):
+        sizes = sorted(known)
+        at = sizes.index(min(known, key=lambda each: known[each]))
+        for other in (*sizes[max(at - 1, 0):at], *sizes[at + 1:at + 2]):
+            between = 0.5 * (sizes[at] + other)
+            known[between] = tried(direction, between)
+    best = min(found, key=lambda each: each.cost)
+    return [best, *(each for each in coarse if each is not best)][:LEFT]
 
 
 def _sized(model: Model, effect: Effect, x: Real, direction: Real, size: float) -> Real:
     """x (p,) with an effect of that share of a search direction."""
     own = [model.index(name) for name in effect.names]
     low, high = model.bounds(own)
-    stated = np.array([model.parameters[i].start for i in own])
+    stated = model.stated[own]
     return replaced(x, own, inside(stated + size * direction, low, high))

@@ -21,7 +21,6 @@ from workbench.diagnosis.levels import inside, replaced
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.state import DeviceState
 from workbench.diagnosis.weighting import Weighting
-from workbench.fitting.covariance import Covariance
 
 Real = NDArray[np.float64]
 
@@ -73,10 +72,9 @@ def ranked_beside(model: Model, tangents: Tangents, found: Explanation, *, alone
     local = found.local
     if alone:
         local = replace(local, information=local.information * found.weighting.counts, parts=local.parts[:, :0])
-    root = np.sqrt(local.information)
-    whiten = Covariance.of(local.deviations(found.scales)).whitened
-    return _ranked(model, whiten(tangents.jacobian * root[:, None]), whiten(local.residual * root), found.likeliest,
-                   found.hypothesis.names)
+    whiten = local.deviating(found.scales).whitened
+    return _ranked(model, whiten(tangents.jacobian * local.root[:, None]), whiten(local.residual * local.root),
+                   found.likeliest, found.hypothesis.names)
 
 
 def _ranked(model: Model, tangents: Real, residual: Real, x: Real, taken: Sequence[str]) -> list[Score]:

@@ -23,7 +23,6 @@ from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.modes import Mode, columns, strongest
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES
 from workbench.diagnosis.weighting import Weighting
-from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective
 
 Real = NDArray[np.float64]
@@ -101,23 +100,23 @@ def with_held_out(held: Likelihood, found: Explanation, parts: Real) -> Explanat
     names = {recording.name for recording in held.objective.recordings}
     acting = [(int(i), model.parameters[i].recordings) for i in search.free]
     own = [i for i, recordings in acting if recordings and names >= set(recordings)]
-    x = found.likeliest
-    weighting = Weighting.left(held.states, held.data(hypothesis, x).log_ratio)
+    x, data = found.likeliest, held.data(hypothesis, found.likeliest)
+    weighting = Weighting.left(held.states, data.log_ratio)
     if own:
         others = tuple(int(i) for i in search.free if i not in own)
         x = search.minimise(x, weighting.deviations(), limit=FEW_STEPS, tolerance=1e-2, fixed=others).x
-    more = held.explanation(hypothesis, x)
+        data = held.data(hypothesis, x)
+    more = held.explanation(hypothesis, x, data)
     both = _joined(found.local, more.local, parts)
     joined = replace(found, likeliest=x, local=both.informed(found.weighting.joined(weighting)),
                      log_ratio=(*found.log_ratio, *more.log_ratio), impedances=(*found.impedances, *more.impedances),
                      error_estimate=max(found.error_estimate, more.error_estimate))
     # The remainder of the states held out where all are explained together.
     change = more.local.tangents @ joined.local.best[2].step
-    left, start = [], 0
-    for log, state in zip(more.log_ratio, held.states, strict=True):
-        real, imaginary = np.split(change[start:start + 2 * log.size], 2)
+    left = []
+    for log, state, rows in zip(more.log_ratio, held.states, held.places, strict=True):
+        real, imaginary = np.split(change[rows], 2)
         left.append(log + state.noise * (real + 1j * imaginary))
-        start += 2 * log.size
     return joined.weighted(found.weighting.joined(Weighting.left(held.states, left)))
 
 
@@ -146,9 +145,8 @@ def alternatives(every: Likelihood, found: Explanation, uneven: Inhomogeneity) -
 
 def missing_modes(every: Likelihood, found: Explanation) -> tuple[Mode, ...]:
     """The modes that the model seems to lack under an explanation, one at most for every body that was fitted."""
-    local, count = found.local, len(found.log_ratio)
-    root = np.sqrt(local.information)
-    whiten = Covariance.of(local.deviations(found.scales)).whitened
+    local, count, root = found.local, len(found.log_ratio), found.local.root
+    whiten = local.deviating(found.scales).whitened
     precision = np.diag(local.precision)
     # A parameter that nothing is known of may be anything.
     nuisances, _ = np.linalg.qr(np.vstack([whiten(local.tangents * root[:, None]), precision]))

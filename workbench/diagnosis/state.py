@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -91,6 +92,12 @@ class StateFit:
     rms: float
     correlation: float
     impedance: Complex
+
+
+def data_rows(states: Sequence[DeviceState]) -> list[slice]:
+    """The rows of each state among the data of some, real parts and then imaginary parts of one after the other."""
+    ends = np.cumsum([0, *(2 * state.noise.size for state in states)]).tolist()
+    return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:

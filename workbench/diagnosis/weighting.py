@@ -71,6 +71,11 @@ class Weighting:
         """Neighbouring data (m,) that carry the information of one."""
         return np.repeat(self.points, [2 * state.noise.size for state in self.states])
 
+    def chi_square(self, log_ratio: Sequence[Complex]) -> float:
+        """The sum of squares of a remainder ln(Z_model / Z_measured) (n,) of every recording, over these deviations."""
+        return float(sum(np.sum(np.abs(log / deviation) ** 2)
+                         for log, deviation in zip(log_ratio, self.deviations(), strict=True)))
+
     def log_likelihood(self, log_ratio: Sequence[Complex]) -> float:
         """The log likelihood of a remainder ln(Z_model / Z_measured) (n,) of every recording, of independent points as
         many as the information is worth, up to a constant."""

@@ -37,6 +37,11 @@ class Covariance:
         along = self.directions.T @ columns
         return np.asarray(columns - self.directions @ (less * along.T).T)
 
+    def expected(self, data: Real) -> Real:
+        """The deviations beyond the noise (m,) that are expected where the `data` (m,) are so."""
+        along = self.directions.T @ data
+        return np.asarray(self.directions @ (self.variances / (1.0 + self.variances) * along))
+
     @property
     def log_determinant(self) -> float:
         return float(np.log1p(self.variances).sum())
