@@ -57,7 +57,7 @@ NOWHERE = ("",)
 HYPOTHETICAL = Interpolation(1e-4, 1.25, True, 0.03)
 
 
-#: Hypotheses of one kind of model that are kept, the last ones used: a search goes from one to the next.
+#: Models of some hypotheses that are kept, the last ones made: a search goes from one to the next.
 KEPT = 4
 
 

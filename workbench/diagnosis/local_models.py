@@ -58,6 +58,11 @@ class LocalModels:
         return device_model(self.model.campaign, accuracy=SEARCHED, catalogue=(self.model.effects, self.model.others))
 
     @cached_property
+    def with_all(self) -> Model:
+        """The model of a search in which all hypotheses act: dear to make, and asked for between others."""
+        return self.rough.of(self.rough.effects)
+
+    @cached_property
     def prior(self) -> GaussianPrior:
         """The prior of the known numbers, updated by the smallest body of several."""
         prior = GaussianPrior.prior(self.rough)
@@ -155,7 +160,7 @@ class LocalModels:
 
     def tangents(self, x: Real) -> Tangents:
         """The data at x (p,) and their derivatives by all parameters of all hypotheses, on coarse meshes."""
-        every = self.rough.of(self.rough.effects)
+        every = self.with_all
         objective = every.fitted.near(x, {}, ROUGH, only=(), enriches=False).with_every(x)
         found = objective(x, deviation=Likelihood(every, objective).point_deviations())
         return Tangents(x, found.jacobian, found.vector)
