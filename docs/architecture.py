@@ -36,6 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "search": ("workbench.search",),
     "fitting, reproduction": ("workbench.fitting", "workbench.reproduction"),
     "render": ("workbench.render",),
+    "campaign, catalogue": ("workbench.campaign", "workbench.catalogue"),
     "diagnosis": ("workbench.diagnosis",),
     "design": ("workbench.design",),
     "report": ("workbench.report",),

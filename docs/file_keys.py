@@ -16,7 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 from workbench.bench.setup import read_bench
-from workbench.diagnosis.campaign import read_campaign
+from workbench.campaign.campaign import read_campaign
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 

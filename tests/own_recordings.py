@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.campaign import Campaign, read_campaign
+from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.diagnosis.device import device_model
 from workbench.results.spectrum import Spectrum, write_spectrum
 

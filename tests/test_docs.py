@@ -17,8 +17,8 @@ import pytest
 
 import workbench as wb
 from workbench.bench.setup import Acquisition, Standards
+from workbench.campaign.state import STATE_KEYS
 from workbench.commands.options import command_parser
-from workbench.diagnosis.state import STATE_KEYS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

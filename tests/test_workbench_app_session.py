@@ -26,8 +26,8 @@ from workbench.app.plot import HEIGHT, LEFT, RIGHT, PlotScale, curves, ticks
 from workbench.app.refit import known_to
 from workbench.app.session import NotReady, Session
 from workbench.app.works import Works
+from workbench.campaign.campaign import read_campaign
 from workbench.cli import main
-from workbench.diagnosis.campaign import read_campaign
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import dimension_parameter, material_parameter
 from workbench.model.problem import build, fill

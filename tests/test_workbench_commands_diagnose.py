@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.cli import main
-from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.readers import read_recording
 
 SMALL = Path(__file__).parent.parent / "examples" / "small_campaign"

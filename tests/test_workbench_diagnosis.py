@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from workbench.campaign.campaign import read_campaign
 from workbench.cli import main
-from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.known_physics import UNNEEDED
 from workbench.diagnosis.likelihood import Likelihood

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from workbench.campaign.campaign import Campaign, read_campaign
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.advice import advice
-from workbench.diagnosis.campaign import Campaign, read_campaign
-from workbench.diagnosis.hypothesis import Effect
 from workbench.fitting.parameter import Parameter
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "small_campaign"

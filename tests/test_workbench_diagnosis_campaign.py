@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workbench.diagnosis.campaign import read_campaign
+from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.device import device_model
 from workbench.files.errors import InputError
 from workbench.results.spectrum import Spectrum, scatter, write_spectrum

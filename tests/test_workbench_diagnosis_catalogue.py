@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workbench.diagnosis import catalogue
-from workbench.diagnosis.campaign import Campaign, read_campaign
-from workbench.diagnosis.catalogue import effects
-from workbench.diagnosis.hypothesis import Device, Effect
+from workbench.campaign.campaign import Campaign, read_campaign
+from workbench.catalogue import catalogue
+from workbench.catalogue.catalogue import effects
+from workbench.catalogue.effect import Device, Effect
 from workbench.files.errors import InputError
 from workbench.model.numbers import ParameterKind, ParameterName
 from workbench.model.problem import Problem, build, with_boundary_layers

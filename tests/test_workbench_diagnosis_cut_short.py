@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from made_explanations import made_explanation, made_problem
 
+from workbench.catalogue.effect import Effect
 from workbench.cli import main
 from workbench.commands import diagnose as command
 from workbench.diagnosis.conclusion import conclude
@@ -24,7 +25,6 @@ from workbench.diagnosis.conclusion import not_finished as cut_short
 from workbench.diagnosis.decision import MISSING
 from workbench.diagnosis.evidence import WrongEvidence
 from workbench.diagnosis.findings import Candidate, Found, InitialOptimum, NotTried, Refitted
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Hypothesis, LaplaceApproximation
 from workbench.diagnosis.ranking import Score

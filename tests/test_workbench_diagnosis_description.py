@@ -16,6 +16,8 @@ from made_explanations import made_explanation, made_problem
 
 from workbench.acoustics.fields import fields
 from workbench.acoustics.nodal import integrate
+from workbench.campaign.state import state_fit
+from workbench.catalogue.effect import Effect
 from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis import description
 from workbench.diagnosis.conclusion import Conclusion
@@ -35,12 +37,10 @@ from workbench.diagnosis.description import (
     states_that_show,
 )
 from workbench.diagnosis.findings import Found, Refitted
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Remainder
 from workbench.diagnosis.ranking import Score
-from workbench.diagnosis.state import state_fit
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import solve_full
 from workbench.fitting.parameter import Parameter

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, any_recordings
 
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import KEPT, Model, device_model
-from workbench.diagnosis.hypothesis import Effect
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -17,8 +17,8 @@ from own_recordings import MATERIALS, NOISE
 
 from geometry.chip import read_chip
 from materials.registry import user_registry
+from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.appraisal import diagnose_model
-from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.fem.operators import assemble

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from own_recordings import DISC, PRINTED, any_recordings, conceal
 
+from workbench.campaign.campaign import Campaign
+from workbench.catalogue.catalogue import effects
+from workbench.catalogue.effect import Device
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.catalogue import effects
-from workbench.diagnosis.hypothesis import Device
 from workbench.model.discretisation import ACCURACY
 
 pytestmark = pytest.mark.slow

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from made_explanations import made_explanation, made_problem
 
+from workbench.campaign.state import state_fit
+from workbench.catalogue.effect import Effect
 from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis.appraisal import established, suspect_places
 from workbench.diagnosis.conclusion import Conclusion, evidence, explained_share, interval
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.findings import Alternative, Found, NotTried, Refitted
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis
 from workbench.diagnosis.modes import Mode
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace
-from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Number, Stated
 from workbench.physics.term import Admissible

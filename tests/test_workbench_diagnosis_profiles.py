@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from own_recordings import DISC, PRINTED, any_recordings, conceal
 
+from workbench.catalogue.catalogue import effects_and_others
+from workbench.catalogue.effect import Device
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.catalogue import effects_and_others
-from workbench.diagnosis.hypothesis import Device
 from workbench.model.discretisation import ACCURACY
 
 pytest.importorskip("cadquery")

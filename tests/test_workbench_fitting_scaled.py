@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnosis.transducer import GAUGE
+from workbench.catalogue.transducer import GAUGE
 from workbench.fem.solve import solve_full
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, material_parameter

@@ -9,7 +9,7 @@ import pytest
 
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.diagnosis.catalogue import fluid_slopes
+from workbench.catalogue.catalogue import fluid_slopes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem

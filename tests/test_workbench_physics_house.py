@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from geometry.names import parent_place
-from workbench.diagnosis.campaign import Campaign, read_campaign
-from workbench.diagnosis.catalogue import effects
-from workbench.diagnosis.hypothesis import Device, Effect
+from workbench.campaign.campaign import Campaign, read_campaign
+from workbench.catalogue.catalogue import effects
+from workbench.catalogue.effect import Device, Effect
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import Solution, solve_full
 from workbench.model.numbers import ParameterName

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from materials.registry import Registry as Registry
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
+    from workbench.campaign.campaign import Campaign as Campaign
+    from workbench.campaign.campaign import read_campaign as read_campaign
     from workbench.design.evaluation import Evaluation as Evaluation
     from workbench.design.evaluation import Operation as Operation
     from workbench.design.goal import Goal as Goal
@@ -47,8 +49,6 @@ if TYPE_CHECKING:
     from workbench.design.tolerance import Tolerance as Tolerance
     from workbench.design.tolerance import tolerance as tolerance
     from workbench.diagnosis.appraisal import diagnose as diagnose
-    from workbench.diagnosis.campaign import Campaign as Campaign
-    from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.outcome import Diagnosis as Diagnosis
     from workbench.diagnosis.posterior import Posterior as Posterior
     from workbench.files.errors import InputError as InputError
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 
 #: The public names and the modules that define them.
 PUBLIC = {
-    "Campaign": "workbench.diagnosis.campaign",
+    "Campaign": "workbench.campaign.campaign",
     "Chip": "geometry.chip",
     "CircuitFit": "workbench.results.circuit",
     "Comparison": "workbench.results.comparison",
@@ -123,7 +123,7 @@ PUBLIC = {
     "parse_drive": "workbench.model.drive",
     "range_model": "workbench.reduced.ranges",
     "read_bench": "workbench.bench.setup",
-    "read_campaign": "workbench.diagnosis.campaign",
+    "read_campaign": "workbench.campaign.campaign",
     "read_chip": "geometry.chip",
     "read_goal": "workbench.design.goal",
     "read_recording": "workbench.readers",

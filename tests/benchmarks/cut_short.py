@@ -35,14 +35,14 @@ sys.path[:0] = [str(ROOT)]
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
+from workbench.campaign.campaign import read_campaign  # noqa: E402
+from workbench.campaign.state import StateFit  # noqa: E402
 from workbench.commands.parsed_options import accuracy_option  # noqa: E402
 from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
-from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
 from workbench.diagnosis.findings import Candidate, InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.local_models import LocalModels  # noqa: E402
-from workbench.diagnosis.state import StateFit  # noqa: E402
 from workbench.diagnosis.tasks import SearchTask  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402

@@ -25,8 +25,8 @@ from concealed.trial import make_trial  # noqa: E402
 from measurements import Measurements, measurements, with_json  # noqa: E402
 from support import with_fields  # noqa: E402
 
+from workbench.campaign.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
-from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.levels import LEVELS  # noqa: E402
 from workbench.diagnosis.local_models import LocalModels  # noqa: E402
 from workbench.diagnosis.ranking import ranked_at_level  # noqa: E402

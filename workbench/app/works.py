@@ -12,7 +12,7 @@ from geometry.chip_file import write_chip
 from workbench.app.background import Say, Stopped
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
-from workbench.diagnosis.campaign import NAMED
+from workbench.campaign.campaign import NAMED
 from workbench.files.errors import InputError
 from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
 from materials.registry import user_registry
+from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.commands.parsed_options import (
     accuracy_option,
     band_option,
@@ -19,7 +20,6 @@ from workbench.commands.parsed_options import (
 )
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.known_physics import contributions
 from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from geometry.names import TRANSDUCER, role_of
 from materials.kinds import Fluid, Piezoelectric
-from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.state import DeviceState
+from workbench.campaign.state import DeviceState
+from workbench.catalogue.effect import Effect
 from workbench.model.numbers import ParameterName, plain_words
 
 #: Parameters that advice is given on, at most.

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.assignment import check_assignment
-from workbench.diagnosis.campaign import Campaign
+from workbench.campaign.assignment import check_assignment
+from workbench.campaign.campaign import Campaign
+from workbench.campaign.state import DeviceState, StateFit, state_fit
 from workbench.diagnosis.conclusion import Conclusion, conclude, explained_share, not_finished
 from workbench.diagnosis.decision import HINT
 from workbench.diagnosis.description import remainder_description
@@ -23,7 +24,6 @@ from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace, estimates
-from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
 from workbench.fitting.measurement_model import log_ratio

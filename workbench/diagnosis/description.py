@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.names import CAVITY, TRANSDUCER, parent_place
+from workbench.campaign.state import DeviceState, data_rows, state_fit
 from workbench.diagnosis.advice import advice
 from workbench.diagnosis.conclusion import Conclusion
 from workbench.diagnosis.device import Model
@@ -22,7 +23,6 @@ from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.inhomogeneity import MASS, STIFFNESS, cell_forms
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.state import DeviceState, data_rows, state_fit
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution, solve_full
 from workbench.fitting.measurement_model import log_ratio

@@ -15,10 +15,10 @@ from geometry.dimension import SHAPES
 from geometry.names import CAVITY
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
-from workbench.diagnosis.campaign import Campaign, DeviceState
-from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
-from workbench.diagnosis.hypothesis import Device, Effect
-from workbench.diagnosis.numbers import DeviceNumbers
+from workbench.campaign.campaign import Campaign, DeviceState
+from workbench.campaign.numbers import DeviceNumbers
+from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
+from workbench.catalogue.effect import Device, Effect
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
     Parameter,

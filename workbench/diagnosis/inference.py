@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.campaign import Campaign
+from workbench.campaign.campaign import Campaign
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.conclusion import explained_share
 from workbench.diagnosis.descent import candidate_from, descend_in_stages, initial_optimum
 from workbench.diagnosis.device import Model, device_model
@@ -34,7 +35,6 @@ from workbench.diagnosis.findings import (
     leaving_least,
     of_catalogue,
 )
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.levels import LEVELS, STAGE
 from workbench.diagnosis.likelihood import Hypothesis, LaplaceApproximation
 from workbench.diagnosis.local_models import LocalModels

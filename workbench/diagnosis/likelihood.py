@@ -24,12 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.campaign.state import DeviceState, data_rows
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_over_blocks, over_scales
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.modes import Mode, columns
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES, TERM
-from workbench.diagnosis.state import DeviceState, data_rows
 from workbench.diagnosis.weighting import Weighting
 from workbench.fitting.covariance import NEGLIGIBLE, Covariance, principal
 from workbench.fitting.objective import Objective, Residual

@@ -21,9 +21,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.campaign.state import data_rows
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation
-from workbench.diagnosis.state import data_rows
 from workbench.fitting.covariance import Covariance
 from workbench.model.numbers import BENCH
 from workbench.physics.softening import DRIVE_SQUARED

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from workbench.campaign.campaign import Campaign
+from workbench.campaign.state import DeviceState, StateFit, fitted_spectrum
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.advice import advice
-from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import NOT_FINISHED, VERDICTS
 from workbench.diagnosis.description import Description
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Scales
 from workbench.diagnosis.next_measurement import Option, next_measurement_text
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.posterior import Posterior, posterior_of
 from workbench.diagnosis.ranking import Score
-from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.fitting.joint import refused_steps
 from workbench.model.numbers import ParameterName, plain_words

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import InitialOptimum
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.levels import LEVELS, inside, replaced
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.search import NO_END

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from workbench.campaign.state import DeviceState
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import occam_factor
-from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.levels import inside, replaced
 from workbench.diagnosis.likelihood import Explanation
-from workbench.diagnosis.state import DeviceState
 from workbench.diagnosis.weighting import Weighting
 
 Real = NDArray[np.float64]

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.state import DeviceState
+from workbench.campaign.state import DeviceState
 from workbench.fitting.uncertainty import correlation_length
 
 Real = NDArray[np.float64]

@@ -12,12 +12,12 @@ import numpy as np
 
 from geometry.names import parent_place
 from workbench.acoustics.fields import section_nodes
-from workbench.diagnosis.campaign import Campaign
+from workbench.campaign.campaign import Campaign
+from workbench.campaign.state import DeviceState, StateFit, fitted_spectrum
 from workbench.diagnosis.decision import NOT_FINISHED
 from workbench.diagnosis.description import Description, regions_in_words, states_that_show
 from workbench.diagnosis.known_physics import Contribution
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
-from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import write_json
 from workbench.model.numbers import plain_words

@@ -14,8 +14,8 @@ from typing import Any
 from concealed.scoring import FAILED
 from concealed.trial import make_trial
 
+from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.campaign import read_campaign
 from workbench.files.writing import write_atomic
 from workbench.report.diagnosis import diagnosis_record
 

@@ -3,7 +3,7 @@
 Standard uncertainties come from the campaign's tables, from the files of the chip and its materials (a tolerance is the
 limit of a uniform law, `workbench.design.uncertainty`), and from what any bench does between two recordings
 (:data:`BETWEEN_RECORDINGS`). Independent statements about one number add their variances. The tables are described at
-the head of `workbench.diagnosis.campaign`.
+the head of `workbench.campaign.campaign`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from workbench.campaign.numbers import SAME_NUMBER, DeviceNumbers, names, stated_number
+from workbench.campaign.state import DeviceState
 from workbench.design.input_uncertainty import uncertainty_of_files
-from workbench.diagnosis.numbers import SAME_NUMBER, DeviceNumbers, names, stated_number
-from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable

@@ -21,8 +21,8 @@ from geometry.dimension import SHAPES
 from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part_name, role_of
 from geometry.shapes import possible
 from materials.kinds import Fluid, IsotropicSolid
-from workbench.diagnosis.campaign import DeviceState
-from workbench.diagnosis.hypothesis import (
+from workbench.campaign.campaign import DeviceState
+from workbench.catalogue.effect import (
     MISTAKEN_DENSITY,
     MISTAKEN_STIFFNESS,
     Device,
@@ -35,7 +35,7 @@ from workbench.diagnosis.hypothesis import (
     other_than_stated,
     with_terms,
 )
-from workbench.diagnosis.transducer import transducer
+from workbench.catalogue.transducer import transducer
 from workbench.files.errors import InputError
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterName
 from workbench.physics import (

@@ -9,7 +9,7 @@ from functools import cached_property
 from geometry.dimension import SAME_LENGTH
 from geometry.stretch import canonical_names
 from materials.kinds import Fluid
-from workbench.diagnosis.state import DeviceState
+from workbench.campaign.state import DeviceState
 from workbench.model.device_numbers import full_names
 from workbench.model.numbers import LOSS, Number, ParameterName
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from geometry.names import ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER
 from materials.kinds import Piezoelectric
-from workbench.diagnosis.campaign import DeviceState
-from workbench.diagnosis.hypothesis import (
+from workbench.campaign.campaign import DeviceState
+from workbench.catalogue.effect import (
     MISTAKEN_DENSITY,
     MISTAKEN_STIFFNESS,
     Device,

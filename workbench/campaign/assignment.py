@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.state import DeviceState, StateFit
+from workbench.campaign.campaign import Campaign
+from workbench.campaign.state import DeviceState, StateFit
 from workbench.files.errors import InputError
 from workbench.fitting.measurement_model import log_ratio
 

@@ -29,7 +29,7 @@
     "bench.gain" = "0.2 %"
     "couplant.thickness" = "10 %"
     defaults = true                 # the bench of each state adds to gain, series_resistance and clock what benches do,
-                                    # where nothing above says so (`workbench.diagnosis.knowledge.BETWEEN_RECORDINGS`)
+                                    # where nothing above says so (`workbench.campaign.knowledge.BETWEEN_RECORDINGS`)
 
     [fixed]
     names = ["transducer.density"]  # what no hypothesis may move, and what is exact
@@ -54,9 +54,9 @@ from typing import Any
 from geometry.names import TRANSDUCER
 from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
-from workbench.diagnosis.knowledge import read_knowledge
-from workbench.diagnosis.state import DeviceState as DeviceState
-from workbench.diagnosis.state import read_state
+from workbench.campaign.knowledge import read_knowledge
+from workbench.campaign.state import DeviceState as DeviceState
+from workbench.campaign.state import read_state
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
@@ -102,7 +102,7 @@ class Campaign(Brief):
     ) -> None:
         """A campaign from values as a campaign's file has them, where numbers may stand in SI without units.
 
-        `states`, `known` and `between` are the tables of the file (:mod:`workbench.diagnosis.campaign`); the ``chip``
+        `states`, `known` and `between` are the tables of the file (:mod:`workbench.campaign.campaign`); the ``chip``
         of a state may be a chip, its ``recording`` a spectrum or a reading. `fixed` names what no hypothesis may move;
         `from_files` takes what chips and materials state too. Materials come from the user's registry unless another
         is given.

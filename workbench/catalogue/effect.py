@@ -8,8 +8,8 @@ from typing import Any
 
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
-from workbench.diagnosis.numbers import stated_number
-from workbench.diagnosis.state import DeviceState
+from workbench.campaign.numbers import stated_number
+from workbench.campaign.state import DeviceState
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics.rim import OfRim
