@@ -35,8 +35,9 @@ Complex = NDArray[np.complex128]
 #: Rows of :func:`changes`.
 STIFFNESS, MASS, LOSS = range(3)
 
-#: Points of a recording that states are made at; a spline gives the points between.
-POINTS = 121
+#: Points of a recording that states are made at; a spline gives the points between. A resonance of a free disc is a
+#: thirtieth of its band wide: with 121, splines left out a fifth of its changes.
+POINTS = 401
 
 #: Cosines whose amplitude has less than this share of the variance of the first are left out.
 LEFT_OUT = 0.05

@@ -419,9 +419,11 @@ class Likelihood:
         return Explanation(hypothesis, x, x, tuple(map(int, search.free)), self.linearised(hypothesis, search, x, data),
                            Weighting.stated(self.states), data.log_ratio, data.impedance, data.error)
 
-    def whitened(self, found: Explanation, parts: Real) -> Explanation:
-        """An explanation with its problem at the optimum with all deviations, of which `parts` (m, k) are those of the
-        inhomogeneity: far from it the linear problem overrates what hypotheses gain.
+    def whitened(self, found: Explanation, parts: Real) -> tuple[Explanation, float]:
+        """An explanation with its problem at the optimum with all deviations, and the error estimate of Z (relative)
+        there; `parts` (m, k) are the deviations of the inhomogeneity.
+
+        Far from that optimum the linear problem overrates what hypotheses gain.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near it can be predicted.
@@ -442,7 +444,7 @@ class Likelihood:
         assert data is not None
         there = replace(best, x=best.likeliest, log_ratio=data.log_ratio, impedances=data.impedance,
                         error_estimate=data.error)
-        return there if there.rms <= AS_GOOD * found.rms else best
+        return there if there.rms <= AS_GOOD * found.rms else best, data.error
 
     def _scaled(self, search: FitSearch, hypothesis: Hypothesis, x: Real) -> Weighting:
         """The weights at x (p,), by which the steps of parameters without a prior are scaled."""

@@ -19,7 +19,7 @@ from workbench.diagnosis.likelihood import (
     LocalProblem,
     compressed_columns,
 )
-from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.local_models import PLACES, LocalModels
 from workbench.diagnosis.modes import Mode, columns, strongest
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES
 from workbench.diagnosis.weighting import Weighting
@@ -56,10 +56,14 @@ def refit_candidate(models: LocalModels, candidate: Candidate, *, is_behind: boo
     every, uneven = Likelihood(likelihood.model, whole), inhomogeneity(whole, found.x)
     parts = compressed_columns(uneven.parts / every.noise[:, None], INHOMOGENEITIES[-1])
     own = parts[:found.local.residual.size]
-    found = replace(found, local=replace(found.local, parts=own)) if is_behind else likelihood.whitened(found, own)
+    found = replace(found, local=replace(found.local, parts=own)) if is_behind else _whitened(
+        models, likelihood, found, own)
     refitted = Refitted(found)
     if held is not None:
-        refitted = Refitted(found, with_held_out(held, found, parts), tuple(held.impedances(found.x)))
+        impedances, noise = tuple(held.impedances(found.x)), _least_noise(found.weighting)
+        if models.are_inaccurate(held.data(found.hypothesis, found.likeliest).error, noise):
+            held = models.near(found.hypothesis, found.likeliest, found.errors, noise=noise, held_out=True)
+        refitted = Refitted(found, with_held_out(held, found, parts), impedances)
     if found.weighting.largest > CONSPICUOUS and not is_behind:
         refitted = replace(refitted, alternatives=tuple(alternatives(every, found, uneven)))
     return refitted
@@ -79,6 +83,20 @@ def _optimum(
             break
         x, errors = found.x, found.errors
     return likelihood, found
+
+
+def _whitened(models: LocalModels, likelihood: Likelihood, least: Explanation, parts: Real) -> Explanation:
+    """An explanation by least squares with its problem at the optimum with all deviations, on models made again about
+    that where their error estimate is too large: it may be many standard deviations away."""
+    found = least
+    for again in range(PLACES):
+        noise = _least_noise(found.weighting)
+        if again:
+            likelihood = models.near(least.hypothesis, found.likeliest, found.errors, noise=noise)
+        found, error = likelihood.whitened(replace(least, likeliest=found.likeliest, local=found.local), parts)
+        if not models.are_inaccurate(error, noise):
+            break
+    return found
 
 
 def _least_noise(weighting: Weighting) -> float:
