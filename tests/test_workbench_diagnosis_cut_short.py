@@ -20,6 +20,7 @@ from made_explanations import made_explanation, made_problem
 from workbench.catalogue.effect import Effect
 from workbench.cli import main
 from workbench.commands import diagnose as command
+from workbench.diagnosis import inference
 from workbench.diagnosis.conclusion import conclude
 from workbench.diagnosis.conclusion import not_finished as cut_short
 from workbench.diagnosis.decision import MISSING
@@ -138,6 +139,19 @@ def searched(tasks: float = math.inf, *, stop: bool = False, fail: dict[tuple[st
     made = Made(MODEL)
     made.tasks, made.stops, made.fail, made.done = tasks, stop, fail or {}, []
     return made.run(), len(made.done)
+
+
+def test_no_effect_is_added_to_an_explanation_that_has_as_many_as_are_looked_for(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search that only left such explanations out would ask for the next ones for ever."""
+    monkeypatch.setattr(inference, "MOST_EFFECTS", 1)
+    made = Made(MODEL)
+    # Its time is over, so that nothing would be looked at that it wants to.
+    made.tasks, made.fail, made.done = 0, {}, []
+    found = [made.refit(candidate()), made.refit(candidate(LARGE))]
+    assert made.with_further_effects(found) == found
+    assert made.undone == []
 
 
 @pytest.mark.parametrize("stop", [False, True])

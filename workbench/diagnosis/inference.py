@@ -366,7 +366,7 @@ class DiagnosisSearch:
         done = {Hypothesis().name}
         while True:
             leading = leading_of(of_catalogue(found), ALIKE, self.log_odds)
-            if leading[0].hypothesis.name in done:
+            if leading[0].hypothesis.name in done or len(leading[0].hypothesis.effects) >= MOST_EFFECTS:
                 break
             if self.is_over:
                 self.undone.append("further effects")

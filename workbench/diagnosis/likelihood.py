@@ -419,9 +419,9 @@ class Likelihood:
         return Explanation(hypothesis, x, x, tuple(map(int, search.free)), self.linearised(hypothesis, search, x, data),
                            Weighting.stated(self.states), data.log_ratio, data.impedance, data.error)
 
-    def whitened(self, found: Explanation, parts: Real) -> tuple[Explanation, float]:
-        """An explanation with its problem at the optimum with all deviations, and the error estimate of Z (relative)
-        there; `parts` (m, k) are the deviations of the inhomogeneity.
+    def whitened(self, found: Explanation) -> tuple[Explanation, float]:
+        """An explanation with its problem at the optimum with all its deviations, and the error estimate of Z
+        (relative) there.
 
         Far from that optimum the linear problem overrates what hypotheses gain.
 
@@ -429,7 +429,7 @@ class Likelihood:
             NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near it can be predicted.
         """
         search = self.search(found.hypothesis)
-        best, data = replace(found, local=replace(found.local, parts=parts)), None
+        best, data, parts = found, None, found.local.parts
         spreads = [np.sqrt(points) * each for points, each in zip(
             found.weighting.points, found.weighting.deviations(), strict=True)]
         for _ in range(WHITENED):

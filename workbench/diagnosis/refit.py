@@ -49,20 +49,28 @@ def refit_candidate(models: LocalModels, candidate: Candidate, *, is_behind: boo
     """
     optima = [_optimum(models, candidate.hypothesis, end, is_behind=is_behind) for end in candidate.ends]
     best = max(optima, key=lambda each: each[1].weighting.log_likelihood(each[1].log_ratio))[1].weighting
-    likelihood, found = max(optima, key=lambda each: each[1].weighted(best).log_evidence)
-    held = None if models.model.held_out is None else models.near(found.hypothesis, found.x, found.errors,
-                                                                  noise=_least_noise(found.weighting), held_out=True)
-    whole = likelihood.objective if held is None else likelihood.objective.joined(held.objective)
-    every, uneven = Likelihood(likelihood.model, whole), inhomogeneity(whole, found.x)
-    parts = compressed_columns(uneven.parts / every.noise[:, None], INHOMOGENEITIES[-1])
-    own = parts[:found.local.residual.size]
-    found = replace(found, local=replace(found.local, parts=own)) if is_behind else _whitened(
-        models, likelihood, found, own)
+    likelihood, least = max(optima, key=lambda each: each[1].weighted(best).log_evidence)
+    held = _held_out(models, least, least.x)
+    impedances = () if held is None else tuple(held.impedances(least.x))
+    rows = least.local.residual.size
+    found, place, noise, error = least, least.x, _least_noise(least.weighting), 0.0
+    for again in range(1 if is_behind else PLACES):
+        if again:
+            # Far from least squares, the changes by parts are to be those of the device that the tangents are of.
+            place = found.likeliest
+            if models.are_inaccurate(error, noise):
+                likelihood = models.near(found.hypothesis, place, found.errors, noise=noise)
+            if held is not None and models.are_inaccurate(held.data(found.hypothesis, place).error, noise):
+                held = _held_out(models, found, place)
+        whole = likelihood.objective if held is None else likelihood.objective.joined(held.objective)
+        every, uneven = Likelihood(likelihood.model, whole), inhomogeneity(whole, place)
+        parts = compressed_columns(uneven.parts / every.noise[:, None], INHOMOGENEITIES[-1])
+        beside = replace(least, likeliest=found.likeliest, local=replace(found.local, parts=parts[:rows]))
+        found, error = (beside, error) if is_behind else likelihood.whitened(beside)
+        if found.x is found.likeliest:
+            break
     refitted = Refitted(found)
     if held is not None:
-        impedances, noise = tuple(held.impedances(found.x)), _least_noise(found.weighting)
-        if models.are_inaccurate(held.data(found.hypothesis, found.likeliest).error, noise):
-            held = models.near(found.hypothesis, found.likeliest, found.errors, noise=noise, held_out=True)
         refitted = Refitted(found, with_held_out(held, found, parts), impedances)
     if found.weighting.largest > CONSPICUOUS and not is_behind:
         refitted = replace(refitted, alternatives=tuple(alternatives(every, found, uneven)))
@@ -85,18 +93,11 @@ def _optimum(
     return likelihood, found
 
 
-def _whitened(models: LocalModels, likelihood: Likelihood, least: Explanation, parts: Real) -> Explanation:
-    """An explanation by least squares with its problem at the optimum with all deviations, on models made again about
-    that where their error estimate is too large: it may be many standard deviations away."""
-    found = least
-    for again in range(PLACES):
-        noise = _least_noise(found.weighting)
-        if again:
-            likelihood = models.near(least.hypothesis, found.likeliest, found.errors, noise=noise)
-        found, error = likelihood.whitened(replace(least, likeliest=found.likeliest, local=found.local), parts)
-        if not models.are_inaccurate(error, noise):
-            break
-    return found
+def _held_out(models: LocalModels, found: Explanation, place: Real) -> Likelihood | None:
+    """The likelihood of the states held out about a place (p,); None without any."""
+    if models.model.held_out is None:
+        return None
+    return models.near(found.hypothesis, place, found.errors, noise=_least_noise(found.weighting), held_out=True)
 
 
 def _least_noise(weighting: Weighting) -> float:

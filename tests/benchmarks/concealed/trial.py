@@ -14,7 +14,7 @@ from concealed.detection import COARSE, LOOSE, hidden, measured
 from concealed.device import DRIVES, FILLINGS, STATES, State, body
 from concealed.fields import random_inhomogeneity
 from concealed.folder import write
-from concealed.mechanisms import DRAWS, MECHANISMS, NONE, Effect
+from concealed.mechanisms import DRAWS, NONE, Draw, Effect
 from concealed.response import Device
 from threadpoolctl import threadpool_limits
 
@@ -45,31 +45,37 @@ class Truth:
         return found
 
 
-def states_of(rng: np.random.Generator, chosen: tuple[str, ...]) -> tuple[State, ...]:
-    """The states that are measured: at two drives by chance, and where a campaign would be blind to what is chosen."""
-    at_two_drives = bool(rng.random() < AT_TWO_DRIVES)
+def states_of(
+    rng: np.random.Generator, chosen: tuple[str, ...], at_two_drives: float = AT_TWO_DRIVES
+) -> tuple[State, ...]:
+    """The states that are measured: with the probability `at_two_drives` filled at two drives, and where a campaign
+    would be blind to what is chosen."""
+    by_drive = bool(rng.random() < at_two_drives)
     if "softening" in chosen:
         return DRIVES
     # What a polymer has taken up is told from wrong constants by the chip before it was filled.
-    return DRIVES if at_two_drives and "water_uptake" not in chosen else FILLINGS
+    return DRIVES if by_drive and "water_uptake" not in chosen else FILLINGS
 
 
-def make_trial(seed: int, mechanism: str | tuple[str, ...], folder: Path, *, points: int = 321) -> Truth:
-    """Write the campaign of a random device with `mechanism` (a name of `MECHANISMS`, or several) hidden in it.
+def make_trial(
+    seed: int, mechanism: str | tuple[str, ...], folder: Path, *, points: int = 321,
+    draws: Mapping[str, Draw] = DRAWS, at_two_drives: float = AT_TWO_DRIVES,
+) -> Truth:
+    """Write the campaign of a random device with `mechanism` (a name of `draws`, or several) hidden in it.
 
     Raises:
         ValueError: no such mechanism.
     """
     chosen = (mechanism,) if isinstance(mechanism, str) else tuple(mechanism)
     for name in chosen:
-        if name not in MECHANISMS:
-            raise ValueError(f"mechanism {name!r} is not one of {', '.join(MECHANISMS)}")
+        if name not in (NONE, *draws):
+            raise ValueError(f"mechanism {name!r} is not one of {', '.join((NONE, *draws))}")
     # A seed is one device with one noise, whatever is hidden in it.
     of_device, of_effects, of_noise, of_states, of_parts = (np.random.default_rng([seed, k]) for k in range(5))
     design = random_design(of_device, points=points)
     plain, own = draw(of_device, design), draw_own(of_states, design, {s.name: s.filling for s in STATES})
-    states = states_of(of_states, chosen)
-    effects = tuple(DRAWS[name](of_effects, design, plain) for name in chosen if name != NONE)
+    states = states_of(of_states, chosen, at_two_drives)
+    effects = tuple(draws[name](of_effects, design, plain) for name in chosen if name != NONE)
     chip = next(s for s in STATES if s.filling == "empty")
     uneven = random_inhomogeneity(of_parts, body(design.nominal, {}, chip), float(np.mean(design.frequency)))
     with threadpool_limits(limits=1):
