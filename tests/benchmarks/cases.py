@@ -6,7 +6,8 @@ In one process (`--jobs 1`) the shares of processor time are printed: factorisat
 the products and orthogonalisations between; projections on a basis; and predictions of the reduced models.
 
 Each case is a campaign of three states of 321 points and one that is held out, as of `trials.py`; a seed is one device,
-whatever is concealed in it (7: of 0.5 % noise). FOLDER keeps the campaigns of one seed; without it they are made each time.
+whatever is concealed in it (7: of 0.5 % noise). FOLDER keeps the campaigns of one seed; without it they are made each
+time.
 """
 
 from __future__ import annotations
