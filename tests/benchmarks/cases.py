@@ -47,9 +47,9 @@ GLUE, BULK, SHEAR = 8e-6, 0.4e9, 0.02e9
 
 
 def _bench(name: str, size: float, rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    """A bench element larger by `size` (SI)."""
+    """A bench element of that `size` (SI)."""
     key = f"bench.{name}"
-    return Effect(f"bench {name}", "bench", "bench", {key: truth[key] + size}, values={key: truth[key] + size})
+    return Effect(f"bench {name}", "bench", "bench", {key: size}, values={key: size})
 
 
 def _dome(height: float, rng: np.random.Generator, design: Design, truth: Values) -> Effect:
