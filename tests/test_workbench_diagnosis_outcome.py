@@ -295,6 +295,14 @@ def test_a_factor_of_what_is_stated_is_told_as_one() -> None:
     assert found.in_words == "+0.52 % (+0.46 % to +0.58 %) of what is stated"
 
 
+def test_a_number_that_the_end_of_its_range_holds_has_no_interval_in_words() -> None:
+    held = estimate("transducer.dome", -1e-5, "m")._replace(low=-1e-5, high=-1e-5)
+    assert held.in_words == "-0.01 mm, at the end of its range"
+    told = replace(TOLD, estimates=(held,))
+    assert diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)), established=(told,)).headline == (
+        "Leads: dome -0.01 mm, at the end of its range; this explains 97 % of the mismatch.")
+
+
 def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:
     """Nothing is left of Z, with a modulus one uncertainty from what is known of it, until that is released."""
     device = model()

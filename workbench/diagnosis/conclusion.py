@@ -64,10 +64,13 @@ def evidence(model: Model, refit: Refitted, base: Explanation) -> Evidence:
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:
     """Value, and low and high end of the 95 % interval, of a parameter within its range, SI.
 
+    Where the end of the range holds it, all three are its value.
     The number of a term is right to :data:`~workbench.diagnosis.odds.TERM` of itself at best, as the term is.
     """
     i = model.index(name)
     parameter, value, error = model.parameters[i], float(found.x[i]), found.error(i)
+    if error == 0.0:
+        return value, value, value
     if any(effect.terms and name in effect.names for effect in found.hypothesis.effects):
         error = float(np.hypot(error, TERM * (value - parameter.start)))
     return (value, float(max(value - DEVIATIONS * error, parameter.low)),

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 #: Steps left out that are named, at most.
 NAMED = 6
 
+#: Said of a number that the end of its range holds.
+AT_ITS_END = ", at the end of its range"
+
 
 class FoundNumber(NamedTuple):
     """A parameter, SI: its ``value``, the ends of its 95 % interval, and the ``stated`` one, or the optimum where
@@ -59,9 +62,17 @@ class FoundNumber(NamedTuple):
         return self.value * factor, self.low * factor, self.high * factor, self.stated * factor
 
     @property
+    def is_held(self) -> bool:
+        """Whether the end of its range holds it: then the recordings tell no interval."""
+        return self.low == self.high
+
+    @property
     def in_words(self) -> str:
         """Value and interval in the unit that numbers are shown in."""
         value, low, high, _ = self.shown
+        if self.is_held:
+            return (f"{100.0 * (value - 1.0):+.3g} % of what is stated" if self.relative else
+                    f"{value:.4g} {shown_unit(self.unit)}".strip()) + AT_ITS_END
         if self.relative:
             formatted = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
             return "{} ({} to {}) of what is stated".format(*formatted)
@@ -383,9 +394,10 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[F
 
 def _in_words(found: Established) -> str:
     """An effect with the values of its parameters."""
-    formatted = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
-            f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
-            + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
+    formatted = [(f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
+                  f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
+                  + (f" (stated: {each.shown[3]:.3g})" if each.stated else "")) + AT_ITS_END * each.is_held
+                 for each in found.estimates]
     return f"{plain_words(found.effect.name)}: {_listed(formatted)}"
 
 
