@@ -148,6 +148,9 @@ def test_a_further_effect_passes_the_bar_of_the_first() -> None:
         lost = math.log(worse)
         assert verdict(single, replace(pair, log_evidence=pair.log_evidence + lost, held_out=-lost)
                        ).chosen.name == chosen
+    # Numbers that are consistent with nothing are none, whatever else fits better with them.
+    assert verdict(single, replace(pair, z_scores={"resistance": 9.0, "gain": 1.9})).chosen == single
+    assert verdict(single, replace(pair, z_scores={"resistance": 9.0, "gain": 2.1})).chosen.name == "leads and gain"
     # Where no explanation without it is left, there is none to pass.
     assert verdict(short).chosen == short
 

@@ -118,11 +118,14 @@ def decide(
 
 def _adds(each: Evidence, evidences: Sequence[Evidence], log_odds: Mapping[str, float], criteria: Criteria) -> bool:
     """Whether the last effect of an explanation passes the bar of the first one: odds against the best explanation with
-    one effect fewer from which it is accepted, and no prediction of the states held out that rules it out."""
+    one effect fewer from which it is accepted, a number that is not consistent with nothing, and no prediction of the
+    states held out that rules it out."""
     fewer = [other for other in evidences if other.effects and set(other.effects) < set(each.effects)]
     if len(each.effects) < 2 or not fewer:
         return True
     best = max(fewer, key=lambda other: log_odds[other.name])
+    if _extends(each, best, criteria.redundant):
+        return False
     return (log_odds[each.name] - log_odds[best.name] > math.log(criteria.accepted)
             and each.held_out > best.held_out - math.log(criteria.rival))
 
