@@ -31,7 +31,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.design import Design  # noqa: E402
 from concealed.device import Values  # noqa: E402
-from concealed.mechanisms import Draw, Effect  # noqa: E402
+from concealed.mechanisms import Draw, Effect, conceal  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 from factorisation import seconds_of_one  # noqa: E402
 from measurements import measurements, with_json  # noqa: E402
@@ -54,11 +54,11 @@ def _bench(name: str, size: float, rng: np.random.Generator, design: Design, tru
 
 def _dome(height: float, rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """A transducer that is so much (m) thicker in the middle than at its rim."""
-    return _effect("dome of the transducer", "transducer", "geometry", {"transducer.dome": height})
+    return conceal("dome of the transducer", "transducer", "geometry", {"transducer.dome": height})
 
 
 def _bond(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _effect("imperfect bond", "bond", "stiffness", {
+    return conceal("imperfect bond", "bond", "stiffness", {
         "bond.normal_stiffness": (BULK + 4.0 / 3.0 * SHEAR) / GLUE, "bond.tangential_stiffness": SHEAR / GLUE,
         "bond.loss_factor": 0.05, "bond.below": 0.0})
 
@@ -66,12 +66,8 @@ def _bond(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
 def _gel(begins: float, rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """Gel that is missing beyond a share of its radius."""
     radius = truth["couplant.radius"]
-    return _effect("partial coverage", "couplant", "geometry",
+    return conceal("partial coverage", "couplant", "geometry",
                    {"coverage.inner": begins * radius, "coverage.outer": radius})
-
-
-def _effect(name: str, region: str, kind: str, defects: Values) -> Effect:
-    return Effect(name, region, kind, dict(defects), defects=dict(defects))
 
 
 #: What is concealed in each case.

@@ -365,14 +365,14 @@ class DiagnosisSearch:
         """Explanations with effects added to the best ones, as long as the best one changes."""
         done = {Hypothesis().name}
         while True:
-            leading = leading_of(of_catalogue(found), ALIKE, self.log_odds)
-            if leading[0].hypothesis.name in done or len(leading[0].hypothesis.effects) >= MOST_EFFECTS:
+            best, *others = leading_of(of_catalogue(found), ALIKE, self.log_odds)
+            leading = [each for each in (best, *others) if each.hypothesis.name not in done
+                       and len(each.hypothesis.effects) < MOST_EFFECTS]
+            if best not in leading:
                 break
             if self.is_over:
                 self.undone.append("further effects")
                 break
-            leading = [each for each in leading if each.hypothesis.name not in done
-                       and len(each.hypothesis.effects) < MOST_EFFECTS]
             done |= {each.hypothesis.name for each in leading}
             tangents = self.run_tasks([
                 SearchTask.of("scores of further effects", self.tangents, each.explanation.x) for each in leading])

@@ -43,8 +43,9 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice((-1.0, 1.0)))
 
 
-def _hidden(name: str, region: str, kind: str, defects: Values, *, told: Values | None = None,
+def conceal(name: str, region: str, kind: str, defects: Values, *, told: Values | None = None,
             catalogued: bool = True) -> Effect:
+    """An effect of some defects, told by them unless the truth is `told` otherwise."""
     return Effect(name, region, kind, dict(defects) if told is None else dict(told), catalogued, {}, dict(defects))
 
 
@@ -60,28 +61,28 @@ def _moved(name: str, region: str, kind: str, truth: Values, parameter: str, val
 def fluid_absorption(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     factor = _log(rng, 3e-5, 3e-2)
     viscosity = factor * 2.2e9 / (2.0 * math.pi * float(np.mean(design.frequency)))
-    return _hidden("fluid absorption", "cavity", "loss", {"cavity.bulk_viscosity": viscosity},
+    return conceal("fluid absorption", "cavity", "loss", {"cavity.bulk_viscosity": viscosity},
                    told={"cavity.bulk_viscosity": viscosity, "diffusivity_of_sound": viscosity / 997.0,
                          "loss_factor": factor})
 
 
 def cavity_bubbles(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("small bubbles in the cavity", "cavity", "stiffness",
+    return conceal("small bubbles in the cavity", "cavity", "stiffness",
                    {"cavity.void_fraction": _log(rng, 1e-8, 1e-5)})
 
 
 def resonant_bubbles(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("resonant bubbles in the cavity", "cavity", "loss",
+    return conceal("resonant bubbles in the cavity", "cavity", "loss",
                    {"cavity.void_fraction": _log(rng, 1e-9, 1e-6), "cavity.bubble_radius": _log(rng, 2e-6, 8e-6)})
 
 
 def fluid_temperature(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("fluid temperature", "cavity", "stiffness",
+    return conceal("fluid temperature", "cavity", "stiffness",
                    {"temperature.offset": _sign(rng) * _log(rng, 1.0, 10.0)})
 
 
 def port_necks(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("port necks", "cavity", "other", {
+    return conceal("port necks", "cavity", "other", {
         "port necks.share": _log(rng, 1e-3, 0.2), "port necks.length": rng.uniform(2e-4, 6e-4),
         "port necks.resistance": _log(rng, 3e4, 1e6)})
 
@@ -91,11 +92,11 @@ def port_necks(rng: np.random.Generator, design: Design, truth: Values) -> Effec
 
 
 def gel_bubbles(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("bubbles in the couplant", "couplant", "stiffness", {"gel.void_fraction": _log(rng, 1e-6, 1e-3)})
+    return conceal("bubbles in the couplant", "couplant", "stiffness", {"gel.void_fraction": _log(rng, 1e-6, 1e-3)})
 
 
 def gel_shear(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("gel viscosity", "couplant", "coupling", {"gel.viscosity": _log(rng, 3e-3, 10.0)})
+    return conceal("gel viscosity", "couplant", "coupling", {"gel.viscosity": _log(rng, 3e-3, 10.0)})
 
 
 def gel_thickness(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
@@ -105,7 +106,7 @@ def gel_thickness(rng: np.random.Generator, design: Design, truth: Values) -> Ef
 
 def partial_coverage(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     inner = truth["couplant.radius"] * (1.0 - _log(rng, 2e-3, 0.4))
-    return _hidden("partial coverage", "couplant", "geometry",
+    return conceal("partial coverage", "couplant", "geometry",
                    {"coverage.inner": inner, "coverage.outer": truth["couplant.radius"]},
                    told={"coverage.radius": inner})
 
@@ -120,7 +121,7 @@ def imperfect_bond(rng: np.random.Generator, design: Design, truth: Values) -> E
     # The layer itself, intact, has 1e14 Pa/m; tangential stiffness is a fraction of the normal one.
     hidden = {"bond.normal_stiffness": normal, "bond.tangential_stiffness": normal * rng.uniform(0.1, 0.6),
               "bond.loss_factor": rng.uniform(0.0, 0.1), "bond.below": float(below)}
-    return _hidden("imperfect bond", "bond", "stiffness", hidden)
+    return conceal("imperfect bond", "bond", "stiffness", hidden)
 
 
 def delamination(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
@@ -130,7 +131,7 @@ def delamination(rng: np.random.Generator, design: Design, truth: Values) -> Eff
     edge = outer - width * (outer - inner) if beyond else inner + width * (outer - inner)
     share = (outer**2 - edge**2 if beyond else edge**2 - inner**2) / (outer**2 - inner**2)
     opened = {"open.width": width, "open.beyond": float(beyond), "open.below": float(below)}
-    return _hidden("partial bond", "bond", "geometry", opened,
+    return conceal("partial bond", "bond", "geometry", opened,
                    told={**opened, "open.radius": edge, "open.share": share})
 
 
@@ -139,20 +140,20 @@ def fractional_loss(rng: np.random.Generator, design: Design, truth: Values) -> 
     omega = 2.0 * math.pi * float(np.mean(design.frequency))
     strength = added / math.tan(0.5 * math.pi * exponent)
     hidden = {"fractional.strength": strength, "fractional.exponent": exponent, "fractional.omega": omega}
-    return _hidden("fractional loss", "substrate", "loss", hidden, told={
+    return conceal("fractional loss", "substrate", "loss", hidden, told={
         "fractional.exponent": exponent, "loss_factor": added,
         "loss_modulus": added * truth[f"{PLA}.shear_modulus"]})
 
 
 def anisotropic_polymer(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     size = _sign(rng) * _log(rng, 2e-3, 0.2)
-    return _hidden("anisotropic polymer", "substrate", "stiffness",
+    return conceal("anisotropic polymer", "substrate", "stiffness",
                    {"anisotropy.c33": size, "anisotropy.c44": size * rng.uniform(-0.5, 1.0)})
 
 
 def water_uptake(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     fraction = _log(rng, 1e-3, 5e-2)
-    return _hidden("water uptake", "substrate", "mass",
+    return conceal("water uptake", "substrate", "mass",
                    {"uptake.fraction": fraction, "uptake.softening": fraction * rng.uniform(0.5, 2.0),
                     "uptake.loss": fraction * rng.uniform(0.2, 1.0)})
 
@@ -164,7 +165,7 @@ def water_uptake(rng: np.random.Generator, design: Design, truth: Values) -> Eff
 def dielectric_loss(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     tangent = _log(rng, 5e-4, 4e-2)
     added = tangent * truth[f"{PZT}.eps33"]
-    return _hidden("dielectric loss", "transducer", "loss", {"eps33.loss": added},
+    return conceal("dielectric loss", "transducer", "loss", {"eps33.loss": added},
                    told={f"{PZT}.eps33.loss": truth[f"{PZT}.eps33.loss"] + added, "added_tangent": tangent})
 
 
@@ -175,43 +176,43 @@ def complex_piezoelectric(rng: np.random.Generator, design: Design, truth: Value
     whole = (truth[f"{PZT}.eps33.loss"] + added) * 8.8541878128e-12
     limit = math.sqrt(max(-truth[f"{PZT}.c33.loss"], 0.0) * whole)
     value = _sign(rng) * rng.uniform(0.5, 0.95) * limit
-    return _hidden("complex piezoelectric constant", "transducer", "loss", {"e33.loss": value, "eps33.loss": added},
+    return conceal("complex piezoelectric constant", "transducer", "loss", {"e33.loss": value, "eps33.loss": added},
                    told={f"{PZT}.e33.loss": value, f"{PZT}.eps33.loss": truth[f"{PZT}.eps33.loss"] + added})
 
 
 def stiffness_loss(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     name = str(rng.choice(("c33", "c44")))
     added = _log(rng, 3e-4, 3e-2) * truth[f"{PZT}.{name}"]
-    return _hidden("stiffness loss", "transducer", "loss", {f"{name}.loss": added},
+    return conceal("stiffness loss", "transducer", "loss", {f"{name}.loss": added},
                    told={f"{PZT}.{name}.loss": truth.get(f"{PZT}.{name}.loss", 0.0) - added})
 
 
 def electrode_mass(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     thickness, density = _log(rng, 3e-8, 1e-5), rng.uniform(5000.0, 9000.0)
-    return _hidden("electrode mass", "transducer", "mass",
+    return conceal("electrode mass", "transducer", "mass",
                    {"electrode.thickness": thickness, "electrode.density": density},
                    told={"surface_density": thickness * density})
 
 
 def partial_electrode(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     radius = truth["transducer.radius"] * (1.0 - _log(rng, 5e-4, 0.1))
-    return _hidden("partial electrode", "transducer", "geometry", {"electrode.radius": radius})
+    return conceal("partial electrode", "transducer", "geometry", {"electrode.radius": radius})
 
 
 def depoled_rim(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     radius = truth["transducer.radius"] * (1.0 - _log(rng, 5e-4, 0.1))
-    return _hidden("depoled rim", "transducer", "geometry", {"depoled.radius": radius})
+    return conceal("depoled rim", "transducer", "geometry", {"depoled.radius": radius})
 
 
 def clamp_load(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     name, region = (("clamp.normal", "transducer"), ("lid.normal", "superstrate"))[int(rng.integers(2))]
-    return _hidden("surface load", region, "loss", {name: _log(rng, 3e2, 1e6)})
+    return conceal("surface load", region, "loss", {name: _log(rng, 3e2, 1e6)})
 
 
 def softening(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """c33 (1 - s (V / 8 Vpp)^2), and a loss that grows likewise."""
     size = _log(rng, 2e-4, 2e-2)
-    return _hidden("softening", "transducer", "stiffness",
+    return conceal("softening", "transducer", "stiffness",
                    {"softening.stiffness": size, "softening.loss": size * rng.uniform(0.1, 0.5)})
 
 
@@ -263,7 +264,7 @@ def _bench(element: str, low: float, high: float, *, both: bool = False) -> Draw
 
 def substrate_crack(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     inner = rng.uniform(0.2, 0.7) * truth["transducer.radius"]
-    return _hidden("substrate crack", "substrate", "other", {
+    return conceal("substrate crack", "substrate", "other", {
         "crack.inner": inner, "crack.outer": inner + _log(rng, 0.05e-3, 1.2e-3), "crack.height": rng.uniform(0.3, 0.7)},
         catalogued=False)
 
@@ -271,26 +272,26 @@ def substrate_crack(rng: np.random.Generator, design: Design, truth: Values) -> 
 def mode_splitting(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     area = math.pi * truth["transducer.radius"] ** 2 / truth["transducer.thickness"]
     low, high = float(design.frequency[0]), float(design.frequency[-1])
-    return _hidden("mode splitting", "transducer", "other", {
+    return conceal("mode splitting", "transducer", "other", {
         "parasite.strength": _log(rng, 1e-5, 3e-3) * truth[f"{PZT}.eps33"] * 8.854e-12 * area,
         "parasite.frequency": low + rng.uniform(0.2, 0.8) * (high - low), "parasite.shift": rng.uniform(0.97, 1.0),
         "parasite.q": rng.uniform(80.0, 400.0)}, catalogued=False)
 
 
 def lateral_gradient(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("lateral gradient", "substrate", "other", {"gradient.slope": _sign(rng) * _log(rng, 0.03, 0.6)},
+    return conceal("lateral gradient", "substrate", "other", {"gradient.slope": _sign(rng) * _log(rng, 0.03, 0.6)},
                    catalogued=False)
 
 
 def poling_gradient(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """Piezoelectric constants that change through the thickness; their mean does not."""
-    return _hidden("poling gradient", "transducer", "other", {"poling.slope": _sign(rng) * _log(rng, 0.02, 0.6)},
+    return conceal("poling gradient", "transducer", "other", {"poling.slope": _sign(rng) * _log(rng, 0.02, 0.6)},
                    catalogued=False)
 
 
 def wandering_temperature(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """Resonances that move to and fro while they are measured."""
-    return _hidden("wandering temperature", "transducer", "other", {
+    return conceal("wandering temperature", "transducer", "other", {
         "wander.size": _log(rng, 1e-5, 1e-3), "wander.cycles": rng.uniform(0.7, 3.0), "wander.phase": rng.random()},
         catalogued=False)
 
@@ -300,30 +301,30 @@ def wandering_temperature(rng: np.random.Generator, design: Design, truth: Value
 
 
 def wall_draft(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("draft of the sidewall", "sidewall", "geometry",
+    return conceal("draft of the sidewall", "sidewall", "geometry",
                    {"sidewall.draft": _sign(rng) * math.radians(_log(rng, 0.1, 4.5))})
 
 
 def wall_barrel(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("barrel of the sidewall", "sidewall", "geometry",
+    return conceal("barrel of the sidewall", "sidewall", "geometry",
                    {"sidewall.barrel": _sign(rng) * _log(rng, 2e-6, 9e-5)})
 
 
 def lid_bow(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """What holds it makes room for a third of itself at most."""
-    return _hidden("bow of the superstrate", "superstrate", "geometry", {
+    return conceal("bow of the superstrate", "superstrate", "geometry", {
         "superstrate.bow": _sign(rng) * min(_log(rng, 2e-7, 1.8e-5), truth["bond.thickness"] / 3.0)})
 
 
 def disc_dome(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("dome of the transducer", "transducer", "geometry", {
+    return conceal("dome of the transducer", "transducer", "geometry", {
         "transducer.dome": _sign(rng) * min(_log(rng, 1e-7, 9e-6), truth["couplant.thickness"] / 3.0)})
 
 
 def meniscus(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     """The liquid ends at a free surface before the wall."""
     radius = truth["cavity.radius"] * (1.0 - _log(rng, 1e-3, 0.25))
-    return _hidden("cavity not full", "cavity", "geometry", {"meniscus.radius": radius})
+    return conceal("cavity not full", "cavity", "geometry", {"meniscus.radius": radius})
 
 
 CATALOGUED: Mapping[str, Draw] = {
