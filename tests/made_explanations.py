@@ -28,7 +28,7 @@ def made_problem(
     empty, far = np.zeros((residual.size, 0)), np.full(precision.size, 1e9)
     below, above = (far, far) if ranges is None else ranges
     return LocalProblem(
-        residual=residual, tangents=tangents, parts=empty if parts is None else parts,
+        residual=residual, tangents=tangents, waves=empty, parts=empty if parts is None else parts,
         outside=empty if outside is None else outside, term=empty, inhomogeneities=inhomogeneities,
         information=np.ones(residual.size) if information is None else information, precision=precision,
         offset=np.zeros(precision.size) if offset is None else offset,

@@ -34,7 +34,7 @@ def verdict(
     *others: Evidence, stated: bool = False, criteria: Criteria | None = None, left: float = 1.0
 ) -> Decision:
     """The decision where the null hypothesis leaves `left` times the stated noise."""
-    nothing = replace(NOTHING, inflation=left)
+    nothing = replace(NOTHING, inflation=left, misfit=left)
     return decide((nothing, *others), COUNT, stated_explains=stated, criteria=criteria)
 
 
@@ -213,3 +213,12 @@ def test_evidences_without_the_one_that_nothing_is_wrong_are_refused() -> None:
         decide((effect("leads", 1.0),), COUNT, stated_explains=False)
     with pytest.raises(ValueError, match="2 of single hypotheses; expected one, and at most 1"):
         decide((NOTHING, effect("leads", 1.0), effect("gain", 1.0)), 1, stated_explains=False)
+
+
+def test_deviations_that_explain_all_leave_nothing_unexplained() -> None:
+    """A device within the inhomogeneity of its parts, whose numbers alone leave four times the noise."""
+    nothing = replace(NOTHING, inflation=1.0, misfit=4.0)
+    outside = Evidence("something in the bond", NOTHING.log_evidence + 40.0, outside=True)
+    assert decide((nothing,), COUNT, stated_explains=False).verdict == EXPLAINED
+    assert decide((nothing, outside), COUNT, stated_explains=False).verdict == UNEXPLAINED
+    assert decide((replace(nothing, misfit=1.0), outside), COUNT, stated_explains=False).verdict == HINT

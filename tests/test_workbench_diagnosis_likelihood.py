@@ -132,3 +132,18 @@ def test_weights_are_the_information_of_each_row() -> None:
     found = made_explanation(local, np.zeros(local.offset.size), states=(state,)).weighted(weighting)
     assert found.local.information == pytest.approx(np.full(DATA, 0.05))
     assert found.weighting is weighting
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_remainder_is_what_joint_least_squares_leaves(seed: int) -> None:
+    """Parameters and amplitudes of the deviations as unknowns together, each with its prior as a row."""
+    local = replace(random_problem(seed), inhomogeneities=(0.3,))
+    local = replace(local, waves=np.random.default_rng(seed).standard_normal((DATA, 2)))
+    _, scales, average = local.best
+    root, deviations = np.sqrt(local.information), local.deviations(scales)
+    there = root * (local.residual + local.tangents @ average.step)
+    amplitudes = np.linalg.solve(deviations.T @ deviations + np.eye(deviations.shape[1]), deviations.T @ there)
+    expected = (there - deviations @ amplitudes) / root
+    # Directions that deviate by less than 3 % of the noise are left out: a thousandth of what is left.
+    assert np.abs(local.remainder - expected).max() < 2e-3 * np.abs(expected).max()
+    assert np.abs(local.remainder - there / root).max() > 0.01 * np.abs(expected).max()

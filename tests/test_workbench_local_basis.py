@@ -199,6 +199,20 @@ def test_a_enriched_objective_holds_what_newly_moves(objective: Objective, x: Re
     assert error(enriched) < min(0.01, 0.1 * error(place))
 
 
+def test_an_objective_is_enriched_where_it_did_not_predict(objective: Objective, x: Real) -> None:
+    place = objective.near(x, {}, TOLERANCE, only=[0], enriches=False)
+    there = x.copy()
+    there[0] *= 1.05
+    before = float(place.predict(there, 0)[2].error.max())
+    enriched = place.enriched(there, 1e-3)
+    assert before > 1e-2
+    assert float(enriched.predict(there, 0)[2].error.max()) < 1e-3
+    # Where nothing has to be made, nothing is.
+    assert enriched.enriched(there, 1e-3).predictors[0].model is enriched.predictors[0].model
+    # It predicts on as it did: without further solves.
+    assert enriched.predictors[0].tolerance == place.predictors[0].tolerance
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Inhomogeneity of the parts
 

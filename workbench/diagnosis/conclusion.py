@@ -58,7 +58,7 @@ def evidence(model: Model, refit: Refitted, base: Explanation) -> Evidence:
             z_scores[name] = moved / error if error > 0.0 else math.inf if moved > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence, tuple(effect.name for effect in hypothesis.effects),
                     hypothesis.is_outside, z_scores, refit.held_out, found.inflation,
-                    explained_share(model, base, found))
+                    found.misfit, explained_share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:

@@ -33,7 +33,8 @@ class Evidence:
     catalogue; ``log_evidence`` natural, of the fitted recordings, and ``held_out`` the log of the density predicted for
     the others, both up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of the parameters that
     it moves from the null hypothesis, in standard deviations; ``inflation`` is how many times the stated noise it
-    leaves in a recording; ``share`` the part of the mismatch that it takes away.
+    leaves in a recording with all its deviations, ``misfit`` how many times its numbers alone leave; ``share`` is the
+    part of the mismatch that it takes away.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Evidence:
     z_scores: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     held_out: float = 0.0
     inflation: float = 1.0
+    misfit: float = 1.0
     share: float = 0.0
 
     @property
@@ -107,7 +109,7 @@ def decide(
     rivals = tuple(each for each in close if each is not best and not _extends(each, best, criteria.redundant))
     if best.outside:
         # Whatever follows the recordings gains something: it says nothing where no more than noise is left.
-        if nothing[0].inflation > criteria.inflated:
+        if nothing[0].misfit > criteria.inflated:
             return Decision(UNEXPLAINED, best, rivals, log_odds)
         return Decision(HINT, nothing[0], (), log_odds)
     if best.inflation > criteria.inflated and best.share < criteria.most:

@@ -141,7 +141,7 @@ def remainder_description(model: Model, found: Found, conclusion: Conclusion, cr
     """
     refit = found.base if conclusion.chosen.hypothesis.is_outside else conclusion.chosen
     best, fitted = refit.explanation, model.campaign.fitted
-    if found.undone or best.inflation <= criteria.inflated:
+    if found.undone or best.misfit <= criteria.inflated:
         return None
     squares = [float(np.sum(np.abs(log / state.noise) ** 2)) for log, state in zip(best.log_ratio, fitted, strict=True)]
     whole = sum(squares)

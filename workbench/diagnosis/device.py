@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
-from geometry.names import CAVITY
+from geometry.names import CAVITY, TRANSDUCER
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.campaign.campaign import Campaign, DeviceState
 from workbench.campaign.numbers import DeviceNumbers
 from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.catalogue.effect import Device, Effect
+from workbench.diagnosis.inhomogeneity import waves
+from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
     Parameter,
@@ -35,6 +37,7 @@ from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term
+from workbench.physics.uneven import UnevenSolid
 
 Real = NDArray[np.float64]
 
@@ -71,7 +74,8 @@ class Model:
     ones, and ``acting`` those that the problems have terms, lengths and meshes for: parameters of others do nothing.
     Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
     given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
-    layer; ``refusals`` holds the reason of every step of a search that could not be taken.
+    layer; ``uneven`` are waves in the transducer by the index of their amplitude, the last parameters; ``refusals``
+    holds the reason of every step of a search that could not be taken.
     """
 
     campaign: Campaign
@@ -85,6 +89,7 @@ class Model:
     accuracy: float | Discretisation
     widths: Mapping[str, float]
     others: tuple[str, ...] = ()
+    uneven: Mapping[int, UnevenSolid] = field(default_factory=dict)
     refusals: list[str] = field(default_factory=list)
     _made: list[Model] = field(default_factory=list)
 
@@ -169,14 +174,40 @@ def device_model(
         for parameter in effect.parameters:
             more.setdefault(parameter.name, parameter)
     moving = {p.name for effect in own.values() for p in effect.parameters}
+    uneven = _waves(campaign, problems)
     parameters = (*known, *(p if p.name in moving else replace(p, recordings=NOWHERE) for p in more.values()))
-    recordings = _recordings(campaign, problems, parameters, tuple(own.values()))
+    recordings = [_with_waves(each, list(uneven)) for each in _recordings(
+        campaign, problems, parameters, tuple(own.values()))]
+    first = len(parameters)
+    parameters = (*parameters, *uneven.values())
 
     # Models grow where they are told to (`Objective.near`), not on the way.
     whole = Objective.of(recordings, parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), tuple(found), tuple(own.values()), whole, whole.among(fitted),
-                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), tuple(others))
+                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), tuple(others),
+                 dict(enumerate(uneven, first)))
+
+
+def _waves(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
+    """The waves in the transducer, each with its amplitude, of the largest inhomogeneity that is averaged over."""
+    if campaign.inhomogeneity == 0.0:
+        return {}
+    size = campaign.inhomogeneity or float(INHOMOGENEITIES[-1])
+    highest = max(campaign.states, key=lambda state: float(np.mean(state.measured.frequency[[0, -1]])))
+    found = {}
+    for wave, deviation in waves(problems[highest.name], float(np.mean(highest.measured.frequency[[0, -1]]))):
+        own = size * deviation
+        found[wave] = Parameter(wave.amplitude, 0.0, -REACH * own, REACH * own, Stated(own), "1", nuisance=True)
+    return found
+
+
+def _with_waves(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> FitRecording:
+    """A recording with the waves in its transducer, if it has one; forms follow no lengths."""
+    if not uneven or TRANSDUCER not in recording.problem.materials:
+        return recording
+    problem = recording.problem.with_terms(tuple(uneven), dict.fromkeys((each.amplitude for each in uneven), 0j))
+    return replace(recording, problem=problem)
 
 
 def _problems(

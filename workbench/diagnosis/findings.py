@@ -186,7 +186,7 @@ def of_catalogue(found: Sequence[Refitted]) -> list[Refitted]:
 def leaving_least(found: Sequence[Refitted]) -> Refitted:
     """The explanation of the catalogue that leaves least, by its own weights."""
     return max((each for each in found if not each.hypothesis.is_outside),
-               key=lambda each: each.explanation.weighting.log_likelihood(each.explanation.log_ratio))
+               key=lambda each: each.explanation.weighting.log_likelihood(each.explanation.remainder))
 
 
 def leading_of(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

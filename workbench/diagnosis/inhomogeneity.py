@@ -15,18 +15,21 @@ the states (:func:`changes`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from geometry.names import parent_place
+from geometry.names import TRANSDUCER, parent_place
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from workbench.fem.operators import FullOperators
 from workbench.fitting.objective import Objective
+from workbench.model.problem import Problem
+from workbench.physics.piezoelectric import PiezoelectricSolid
 from workbench.physics.term import OPERATORS, Integral
+from workbench.physics.uneven import UnevenProperty, UnevenSolid
 from workbench.reduced.predictor import Prediction
 
 Real = NDArray[np.float64]
@@ -83,8 +86,33 @@ class Inhomogeneity:
     regions: Mapping[str, Real]
 
 
-def inhomogeneity(objective: Objective, x: Real) -> Inhomogeneity:
-    """The inhomogeneity of the device at x (p,)."""
+def waves(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, float]]:
+    """The waves along the radius of a problem's transducer, each with the deviation of its amplitude in a field of unit
+    size.
+
+    Its resonances are so sharp that the inhomogeneity of a disc moves them by their width: ln Z is not linear in these.
+    The correlation length is that at the `frequency` (Hz).
+    """
+    material, mesh = problem.materials.get(TRANSDUCER), problem.mesh.mesh
+    if not isinstance(material, Piezoelectric):
+        return
+    corners = mesh.p[:, mesh.t[:, mesh.subdomains[TRANSDUCER]]]
+    integrals = PiezoelectricSolid(TRANSDUCER, material.name).integrals()
+    radius, thickness = float(corners[0].max()), float(np.ptp(corners[1]))
+    for (i, k), deviation in cosines(np.array([radius, thickness]), 0.25 * _slowest(material) / frequency):
+        if k == 0:
+            for uneven in UnevenProperty:
+                yield UnevenSolid.of(integrals, uneven, i, radius, problem.values), deviation
+
+
+def wave_keys(acting: Iterable[UnevenSolid]) -> set[Key]:
+    """The changes by waves that are parameters."""
+    rows = {UnevenProperty.STIFFNESS: STIFFNESS, UnevenProperty.DENSITY: MASS}
+    return {(each.region, rows[each.uneven], each.half_waves, 0) for each in acting}
+
+
+def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -> Inhomogeneity:
+    """The inhomogeneity of the device at x (p,), the parts without those that are `acting` as parameters."""
     every = predicted_recordings(objective.thinned(POINTS), x)
     sizes = [recording.measured.frequency.size for recording in objective.recordings]
     columns: dict[Key, Complex] = {}
@@ -100,14 +128,15 @@ def inhomogeneity(objective: Objective, x: Real) -> Inhomogeneity:
 
     def as_data(taken: Iterable[Complex]) -> Real:
         """Columns (m, k) of real and then imaginary parts, recording after recording."""
-        whole = np.stack(list(taken), axis=1)
+        whole = np.reshape(list(taken), (-1, ends[-1])).T
         return np.concatenate([part for each in np.split(whole, ends[1:-1]) for part in (each.real, each.imag)])
 
     regions: dict[str, list[Complex]] = {}
     for (region, row, *_), column in columns.items():
         if row != LOSS:
             regions.setdefault(region, []).extend([column, 1j * column] if row == STIFFNESS else [column])
-    return Inhomogeneity(as_data(columns.values()), {region: as_data(each) for region, each in regions.items()})
+    beside = [column for key, column in columns.items() if key not in acting]
+    return Inhomogeneity(as_data(beside), {region: as_data(each) for region, each in regions.items()})
 
 
 def _of_recording(
@@ -145,8 +174,7 @@ def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
     # The mean of the square of a cosine is a half, of a constant one.
     mean = np.outer(np.where(np.arange(counts[0]) > 0, 0.5, 1.0), np.where(np.arange(counts[1]) > 0, 0.5, 1.0))
     amplitude = np.sqrt(variance / mean / variance.sum())
-    kept = variance > LEFT_OUT
-    return [((i, j), float(amplitude[i, j])) for i, j in zip(*np.nonzero(kept), strict=True)]
+    return [((i, j), float(amplitude[i, j])) for i, j in np.argwhere(variance > LEFT_OUT).tolist()]
 
 
 def _slowest(material: Material) -> float:
@@ -196,7 +224,7 @@ def _kind(integral: Integral) -> int | None:
     """The kind, stiffness or mass, of an integral over cells; None for all others."""
     if integral.on_boundary:
         return None
-    taken = {(component[0], kind == "value") for product in integral.products
+    taken = {(component.partition("_")[0], kind == "value") for product in integral.products
              for name in (product.row, product.column) for component, kind, _ in OPERATORS[name]}
     components = {component for component, _ in taken}
     if components == {"u"}:

@@ -4,11 +4,13 @@ With r = ln(Z_model / Z_measured) of all recordings stacked, real parts and imag
 
     r ~ Normal(0, V + R),    theta ~ the prior of the known numbers,    phi ~ anywhere within its range,
 
-V is diagonal (`weighting`): noise, as much larger as the best explanation leaves. R holds correlated deviations: the
-inhomogeneity of all parts, and those of a hypothesis: changes of any size within one region, modes that the model does
-not have, and the error of its own term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one
-frequency. An optimum is that of least squares with V alone, so that nothing is fitted by R: it makes evidences smaller
-and intervals wider.
+V is diagonal (`weighting`): noise, as much larger as the best explanation leaves with its deviations. R holds
+correlated deviations: the inhomogeneity of all parts, and those of a hypothesis: changes of any size within one region,
+modes that the model does not have, and the error of its own term, whose parameter is right to
+:data:`~workbench.diagnosis.odds.TERM` at any one frequency. Waves in the transducer, whose resonances are too sharp for
+deviations that are linear, are amplitudes a ~ Normal(0, s^2) beside theta, about whose likeliest values the problem is
+linearised; in evidences they are deviations of R. A search ends at the optimum of least squares with V alone, so that
+nothing is fitted by R; evidences and intervals are about the optimum with all deviations (:meth:`Likelihood.whitened`).
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_ov
 from workbench.diagnosis.modes import Mode, columns
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES, TERM
 from workbench.diagnosis.weighting import Weighting
-from workbench.fitting.covariance import NEGLIGIBLE, Covariance, principal
+from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import FitSearch, Optimum
 from workbench.results.spectrum import Spectrum
@@ -51,9 +53,6 @@ ENOUGH, STEPS, REWEIGHTED = 1e-3, 25, 4
 
 #: Times, at most, that the optimum with all deviations is looked for with sizes of these found anew.
 WHITENED = 3
-
-#: Share of what least squares leaves that an explanation leaves at most.
-AS_GOOD = 1.05
 
 #: Step of a parameter without a prior at first, in its standard deviations, and the least share of its range: what is
 #: admissible may be a million times what the data determine.
@@ -101,13 +100,15 @@ class LocalProblem:
     """A problem linearised at x: rows in units of the stated noise, which weights may be given to afterwards.
 
     ``tangents`` (m, p) by the free parameters and the ``residual`` (m,) there; ``parts`` (m, k), ``outside`` (m, l) and
-    ``term`` (m, q) deviations of unit size; ``inhomogeneities`` the sizes of the first that are averaged over;
+    ``term`` (m, q) deviations of unit size, ``waves`` (m, w) those of waves in the transducer, without which the
+    residual is; ``inhomogeneities`` the sizes of both that are averaged over;
     ``information`` (m,) of each row, one over its variance and the rows that carry what one does; the rest as of
     `evidence.LinearisedProblem`.
     """
 
     tangents: Real
     residual: Real
+    waves: Real
     parts: Real
     outside: Real
     term: Real
@@ -122,10 +123,20 @@ class LocalProblem:
     @cached_property
     def settings(self) -> tuple[Scales, ...]:
         """The scales that are averaged over."""
-        every = itertools.product(self.inhomogeneities if self.parts.size else (0.0,),
+        every = itertools.product(self.inhomogeneities if self.parts.size or self.waves.size else (0.0,),
                                   REGION_SIZES.tolist() if self.outside.size else (0.0,),
                                   (0.0, 1.0) if self.term.size else (0.0,))
         return tuple(itertools.starmap(Scales, every))
+
+    @property
+    def without_waves(self) -> LocalProblem:
+        """A copy without waves in the transducer."""
+        return replace(self, waves=self.waves[:, :0])
+
+    @property
+    def without_inhomogeneity(self) -> LocalProblem:
+        """A copy whose parts are homogeneous."""
+        return replace(self.without_waves, parts=self.parts[:, :0])
 
     @cached_property
     def problem(self) -> LinearisedProblem:
@@ -147,7 +158,7 @@ class LocalProblem:
     @cached_property
     def _beside(self) -> Real:
         """The deviations (m, k) of unit size beside the noise."""
-        return np.column_stack([self.parts, self.outside, self.term])
+        return np.column_stack([self.waves, self.parts, self.outside, self.term])
 
     @property
     def unit_deviations(self) -> Real:
@@ -160,7 +171,7 @@ class LocalProblem:
 
     @property
     def _counts(self) -> tuple[int, int, int]:
-        return self.parts.shape[1], self.outside.shape[1], self.term.shape[1]
+        return self.waves.shape[1] + self.parts.shape[1], self.outside.shape[1], self.term.shape[1]
 
     def deviations(self, scales: Scales) -> Real:
         """The deviations (m, k) beside the noise at their `scales`, in units of what each row may deviate by."""
@@ -177,10 +188,18 @@ class LocalProblem:
         H^-1 (H + J^T R J) H^-1, H the information of the data and the prior. A parameter without a prior that is at an
         end of its range does not move.
         """
-        least = replace(self, parts=self.parts[:, :0], outside=self.outside[:, :0], term=self.term[:, :0])
+        least = replace(self.without_inhomogeneity, outside=self.outside[:, :0], term=self.term[:, :0])
         plain = least.best[2].covariance
         along = plain @ (self.tangents * self.root[:, None]).T @ self.deviations(scales)
         return np.asarray(plain + along @ along.T)
+
+    @property
+    def remainder(self) -> Real:
+        """The part of the residual (m,), in units of the noise, that neither parameters nor deviations take where these
+        are likeliest, at the scales of the largest evidence."""
+        _, scales, average = self.best
+        whole = self.residual + self.tangents @ average.step
+        return whole - self.deviating(scales).expected(whole * self.root) / self.root
 
     def averaged(self, scales: Scales) -> Average:
         """Over the parameters."""
@@ -225,7 +244,7 @@ class Explanation:
     ``x`` (p,) all parameters, and what is left there; ``free`` the indices of those that move; ``local`` the problem
     linearised at ``likeliest`` (p,), the optimum with the correlated deviations, and with the ``weighting`` that its
     evidence is by: its own at first, and then that of the best explanation. The two are one point where that optimum
-    leaves hardly more than least squares (:data:`AS_GOOD`); where it leaves more, x is that of least squares.
+    leaves hardly more than least squares; where it leaves more, x is that of least squares.
     """
 
     hypothesis: Hypothesis
@@ -264,6 +283,15 @@ class Explanation:
         return 0.5 * (self.weighting.chi_square(self.log_ratio) + float(np.sum((offset * self.local.precision) ** 2)))
 
     @property
+    def remainder(self) -> list[Complex]:
+        """The part of every recording (n,) that neither parameters nor deviations take, as :attr:`log_ratio`."""
+        found, whole = [], self.local.remainder
+        for state, rows in zip(self.weighting.states, data_rows(self.weighting.states), strict=True):
+            real, imaginary = np.split(whole[rows], 2)
+            found.append(np.asarray(state.noise * (real + 1j * imaginary), dtype=np.complex128))
+        return found
+
+    @property
     def rms(self) -> float:
         """The rms of ln(Z_model / Z_measured) over all points."""
         return float(np.sqrt(np.mean(np.abs(np.concatenate(self.log_ratio)) ** 2)))
@@ -275,7 +303,12 @@ class Explanation:
 
     @property
     def inflation(self) -> float:
-        """The largest inflation of the noise of a recording by what this explanation itself leaves."""
+        """The largest inflation of the noise of a recording by what this explanation leaves with its deviations."""
+        return Weighting.left(self.weighting.states, self.remainder).largest
+
+    @property
+    def misfit(self) -> float:
+        """The largest inflation of the noise of a recording by what its numbers alone leave."""
         return Weighting.left(self.weighting.states, self.log_ratio).largest
 
     def error(self, index: int) -> float:
@@ -328,9 +361,10 @@ class Likelihood:
         return [np.sqrt(state.noise[::step] ** 2 + level**2)
                 for state, step in zip(self.states, steps, strict=True)]
 
-    def search(self, hypothesis: Hypothesis) -> FitSearch:
-        """The least-squares problem under a hypothesis."""
+    def search(self, hypothesis: Hypothesis, *, with_waves: bool = False) -> FitSearch:
+        """The least-squares problem under a hypothesis, with the amplitudes of waves in the transducer if wanted."""
         free, released = self.model.free(hypothesis.effects)
+        free += [*self.model.uneven] if with_waves else []
         return FitSearch(self.objective, free=free, released=released, refusals=self.model.refusals)
 
     def solve(self, search: FitSearch, stage: ContinuationStage, x: Real) -> Optimum:
@@ -342,7 +376,7 @@ class Likelihood:
     def data(self, hypothesis: Hypothesis, x: Real) -> Residual:
         """The data at x (p,), in units of the stated noise, with their derivatives by the parameters of a hypothesis.
         """
-        free = frozenset(self.model.free(hypothesis.effects)[0])
+        free = frozenset([*self.model.free(hypothesis.effects)[0], *self.model.uneven])
         return self.objective(x, deviation=self.point_deviations(), free=free)
 
     def impedances(self, x: Real) -> list[Complex]:
@@ -353,14 +387,22 @@ class Likelihood:
         """The problem linearised at x (p,), where the `data` are, with the weights of the stated noise."""
         free = search.free
         parameters, stated = [self.model.parameters[i] for i in free], self.model.campaign.inhomogeneity
+        waves = list(self.model.uneven)
         return LocalProblem(
-            data.jacobian[:, free], data.vector, np.zeros((self.noise.size, 0)), self._outside(hypothesis),
+            data.jacobian[:, free], data.vector - data.jacobian[:, waves] @ x[waves],
+            data.jacobian[:, waves] * self._unit_waves, np.zeros((self.noise.size, 0)), self._outside(hypothesis),
             self._term_errors(hypothesis, data, x), tuple(INHOMOGENEITIES) if stated is None else (stated,),
             np.ones(self.noise.size), search.precision[free], (x - search.centre)[free],
             np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
                       for i, p in zip(free, parameters, strict=True)]),
             np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
             np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
+
+    @cached_property
+    def _unit_waves(self) -> Real:
+        """Deviations (w,) of the amplitudes of the waves in an inhomogeneity of a relative size of one."""
+        largest = self.model.campaign.inhomogeneity or float(INHOMOGENEITIES[-1])
+        return np.array([self.model.parameters[i].scale / largest for i in self.model.uneven])
 
     def _outside(self, hypothesis: Hypothesis) -> Real:
         """The change of the data (m, k), in units of the noise, by modes that the model does not have."""
@@ -419,32 +461,31 @@ class Likelihood:
         return Explanation(hypothesis, x, x, tuple(map(int, search.free)), self.linearised(hypothesis, search, x, data),
                            Weighting.stated(self.states), data.log_ratio, data.impedance, data.error)
 
-    def whitened(self, found: Explanation) -> tuple[Explanation, float]:
-        """An explanation with its problem at the optimum with all its deviations, and the error estimate of Z
-        (relative) there.
+    def whitened(self, found: Explanation) -> tuple[Explanation, Residual]:
+        """An explanation with its problem at the optimum with all its deviations, and the data there.
 
-        Far from that optimum the linear problem overrates what hypotheses gain.
+        Waves in the transducer act there as parameters, with the prior of an inhomogeneity of the likeliest size. The
+        weights are those of what parameters and deviations leave together.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing near it can be predicted.
         """
-        search = self.search(found.hypothesis)
-        best, data, parts = found, None, found.local.parts
-        spreads = [np.sqrt(points) * each for points, each in zip(
-            found.weighting.points, found.weighting.deviations(), strict=True)]
+        plain, search = (self.search(found.hypothesis, with_waves=acting) for acting in (False, True))
+        waves, parts = list(self.model.uneven), found.local.parts
         for _ in range(WHITENED):
-            under = search.with_covariance(best.local.deviating(best.scales))
-            x = under.minimise(best.likeliest, spreads, limit=STEPS, tolerance=ENOUGH).x
+            search.scale[waves] = found.scales.inhomogeneity * self._unit_waves
+            search.precision[waves] = 1.0 / search.scale[waves]
+            spreads = [np.sqrt(points) * each for points, each in zip(
+                found.weighting.points, found.weighting.deviations(), strict=True)]
+            under = search.with_covariance(found.local.without_waves.deviating(found.scales))
+            x = under.minimise(found.likeliest, spreads, limit=STEPS, tolerance=ENOUGH).x
             data = self.data(found.hypothesis, x)
-            local = self.linearised(found.hypothesis, search, x, data)
-            there = replace(best, likeliest=x, local=replace(local, parts=parts, information=best.local.information))
-            before, best = best, there
-            if there.scales == before.scales:
+            local = self.linearised(found.hypothesis, plain, x, data)
+            there = replace(found, likeliest=x, local=replace(local, parts=parts, information=found.local.information))
+            before, found = found, there.weighted(Weighting.left(self.states, there.remainder))
+            if found.scales == before.scales and found.weighting.is_near(before.weighting):
                 break
-        assert data is not None
-        there = replace(best, x=best.likeliest, log_ratio=data.log_ratio, impedances=data.impedance,
-                        error_estimate=data.error)
-        return there if there.rms <= AS_GOOD * found.rms else best, data.error
+        return found, data
 
     def _scaled(self, search: FitSearch, hypothesis: Hypothesis, x: Real) -> Weighting:
         """The weights at x (p,), by which the steps of parameters without a prior are scaled."""
@@ -457,9 +498,3 @@ class Likelihood:
                 width = search.high[i] - search.low[i]
                 search.scale[i] = float(np.clip(FIRST_STEP * error, SMALLEST_STEP * width, width))
         return weighting
-
-
-def compressed_columns(columns: Real, size: float) -> Real:
-    """Fewer columns (m, k) of equal covariance, up to negligible parts at that size."""
-    directions, lengths = principal(columns * size, NEGLIGIBLE)
-    return np.asarray(directions * lengths / size)

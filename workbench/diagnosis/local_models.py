@@ -135,8 +135,9 @@ class LocalModels:
         assert recordings is not None
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(own.parameters, errors, strict=True) if error > 0.0}
-        return Likelihood(own, recordings.near(x, reach, FINE * max(self.noise, noise), only=self.moving(hypothesis),
-                                               enriches=False))
+        reach.update({own.parameters[i].name: own.parameters[i].scale for i in own.uneven})
+        return Likelihood(own, recordings.near(x, reach, FINE * max(self.noise, noise),
+                                               only=[*self.moving(hypothesis), *own.uneven], enriches=False))
 
     @cached_property
     def stated(self) -> tuple[list[Complex], float]:

@@ -71,7 +71,7 @@ def ranked_beside(model: Model, tangents: Tangents, found: Explanation, *, alone
     """
     local = found.local
     if alone:
-        local = replace(local, information=local.information * found.weighting.counts, parts=local.parts[:, :0])
+        local = replace(local.without_inhomogeneity, information=local.information * found.weighting.counts)
     whiten = local.deviating(found.scales).whitened
     return _ranked(model, whiten(tangents.jacobian * local.root[:, None]), whiten(local.residual * local.root),
                    found.likeliest, found.hypothesis.names)

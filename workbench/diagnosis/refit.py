@@ -9,7 +9,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from workbench.diagnosis.findings import Alternative, Candidate, Refitted
-from workbench.diagnosis.inhomogeneity import Inhomogeneity, inhomogeneity
+from workbench.diagnosis.inhomogeneity import Inhomogeneity, inhomogeneity, wave_keys
 from workbench.diagnosis.likelihood import (
     STEPS,
     Explanation,
@@ -17,13 +17,14 @@ from workbench.diagnosis.likelihood import (
     LaplaceApproximation,
     Likelihood,
     LocalProblem,
-    compressed_columns,
 )
-from workbench.diagnosis.local_models import PLACES, LocalModels
+from workbench.diagnosis.local_models import FINE, LocalModels
 from workbench.diagnosis.modes import Mode, columns, strongest
 from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES
 from workbench.diagnosis.weighting import Weighting
+from workbench.fitting.covariance import NEGLIGIBLE, principal
 from workbench.fitting.objective import Objective
+from workbench.reduced.estimate import SLACK
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -33,6 +34,9 @@ FEW_STEPS = 8
 
 #: Times, at most, that models are made again about an optimum at full weight.
 REMADE = 4
+
+#: Share of what least squares leaves that an explanation leaves at most.
+AS_GOOD = 1.05
 
 #: Inflation of the noise from which on something outside the catalogue is looked for beside an explanation.
 CONSPICUOUS = 1.2
@@ -50,31 +54,58 @@ def refit_candidate(models: LocalModels, candidate: Candidate, *, is_behind: boo
     optima = [_optimum(models, candidate.hypothesis, end, is_behind=is_behind) for end in candidate.ends]
     best = max(optima, key=lambda each: each[1].weighting.log_likelihood(each[1].log_ratio))[1].weighting
     likelihood, least = max(optima, key=lambda each: each[1].weighted(best).log_evidence)
-    held = _held_out(models, least, least.x)
-    impedances = () if held is None else tuple(held.impedances(least.x))
-    rows = least.local.residual.size
-    found, place, noise, error = least, least.x, _least_noise(least.weighting), 0.0
-    for again in range(1 if is_behind else PLACES):
-        if again:
-            # Far from least squares, the changes by parts are to be those of the device that the tangents are of.
-            place = found.likeliest
-            if models.are_inaccurate(error, noise):
-                likelihood = models.near(found.hypothesis, place, found.errors, noise=noise)
-            if held is not None and models.are_inaccurate(held.data(found.hypothesis, place).error, noise):
-                held = _held_out(models, found, place)
-        whole = likelihood.objective if held is None else likelihood.objective.joined(held.objective)
-        every, uneven = Likelihood(likelihood.model, whole), inhomogeneity(whole, place)
-        parts = compressed_columns(uneven.parts / every.noise[:, None], INHOMOGENEITIES[-1])
-        beside = replace(least, likeliest=found.likeliest, local=replace(found.local, parts=parts[:rows]))
-        found, error = (beside, error) if is_behind else likelihood.whitened(beside)
-        if found.x is found.likeliest:
+    if not is_behind:
+        likelihood, least = _with_deviations(models, likelihood, least)
+    return _with_states_held_out(models, likelihood, least, is_behind=is_behind)
+
+
+def _with_deviations(
+    models: LocalModels, likelihood: Likelihood, least: Explanation
+) -> tuple[Likelihood, Explanation]:
+    """The explanation at its optimum with all deviations, and the likelihood of that place.
+
+    Changes by parts are those of the device there, which may be far from the optimum of least squares. Where it leaves
+    little more than that optimum, the explanation is told as it is there.
+    """
+    found, is_accurate, tolerance = least, True, 0.0
+    for _ in range(REMADE):
+        place = found.likeliest
+        if not is_accurate:
+            likelihood = likelihood.with_objective(likelihood.objective.enriched(place, tolerance))
+        parts = _changes(models, likelihood.objective, likelihood.noise, place)[0]
+        found, data = likelihood.whitened(replace(found, local=replace(found.local, parts=parts)))
+        tolerance = SLACK * FINE * _least_noise(found.weighting)
+        is_accurate = data.error <= tolerance
+        has_moved = bool((np.abs(found.likeliest - place) > found.errors)[list(found.free)].any())
+        if is_accurate and not has_moved:
             break
+    there = replace(found, x=found.likeliest, log_ratio=data.log_ratio, impedances=data.impedance,
+                    error_estimate=data.error)
+    return likelihood, there if there.rms <= AS_GOOD * least.rms else found
+
+
+def _with_states_held_out(
+    models: LocalModels, likelihood: Likelihood, found: Explanation, *, is_behind: bool
+) -> Refitted:
+    """The explanation with its prediction of the states held out, and what is outside the catalogue beside it."""
+    held = _held_out(models, found, found.likeliest)
+    whole = likelihood.objective if held is None else likelihood.objective.joined(held.objective)
+    every = Likelihood(likelihood.model, whole)
+    parts, uneven = _changes(models, whole, every.noise, found.likeliest)
+    found = replace(found, local=replace(found.local, parts=parts[:found.local.residual.size]))
     refitted = Refitted(found)
     if held is not None:
-        refitted = Refitted(found, with_held_out(held, found, parts), impedances)
+        there = held if found.x is found.likeliest else _held_out(models, found, found.x) or held
+        refitted = Refitted(found, with_held_out(held, found, parts), tuple(there.impedances(found.x)))
     if found.weighting.largest > CONSPICUOUS and not is_behind:
         refitted = replace(refitted, alternatives=tuple(alternatives(every, found, uneven)))
     return refitted
+
+
+def _changes(models: LocalModels, objective: Objective, noise: Real, place: Real) -> tuple[Real, Inhomogeneity]:
+    """The changes of the data by inhomogeneity at a place (p,): of all parts, in units of the `noise` (m,), and all."""
+    found = inhomogeneity(objective, place, wave_keys(models.model.uneven.values()))
+    return _compressed(found.parts / noise[:, None], INHOMOGENEITIES[-1]), found
 
 
 def _optimum(
@@ -127,15 +158,12 @@ def with_held_out(held: Likelihood, found: Explanation, parts: Real) -> Explanat
         data = held.data(hypothesis, x)
     more = held.explanation(hypothesis, x, data)
     both = _joined(found.local, more.local, parts)
-    joined = replace(found, likeliest=x, local=both.informed(found.weighting.joined(weighting)),
+    weights = found.weighting.joined(weighting)
+    joined = replace(found, likeliest=x, local=both.informed(weights), weighting=weights,
                      log_ratio=(*found.log_ratio, *more.log_ratio), impedances=(*found.impedances, *more.impedances),
                      error_estimate=max(found.error_estimate, more.error_estimate))
     # The remainder of the states held out where all are explained together.
-    change = more.local.tangents @ joined.local.best[2].step
-    left = []
-    for log, state, rows in zip(more.log_ratio, held.states, held.places, strict=True):
-        real, imaginary = np.split(change[rows], 2)
-        left.append(log + state.noise * (real + 1j * imaginary))
+    left = joined.remainder[-len(held.states):]
     return joined.weighted(found.weighting.joined(Weighting.left(held.states, left)))
 
 
@@ -143,16 +171,23 @@ def _joined(one: LocalProblem, other: LocalProblem, parts: Real) -> LocalProblem
     """The problem of the data of two, at the point of the second."""
     return replace(other, tangents=np.vstack([one.tangents, other.tangents]),
                    residual=np.concatenate([one.residual, other.residual]),
+                   waves=np.vstack([one.waves, other.waves]),
                    parts=parts, outside=np.zeros((one.residual.size + other.residual.size, 0)),
                    term=scipy.linalg.block_diag(one.term, other.term),
                    information=np.concatenate([one.information, other.information]))
+
+
+def _compressed(columns: Real, size: float) -> Real:
+    """Fewer columns (m, k) of equal covariance, up to negligible parts at that size."""
+    directions, lengths = principal(columns * size, NEGLIGIBLE)
+    return np.asarray(directions * lengths / size)
 
 
 def alternatives(every: Likelihood, found: Explanation, uneven: Inhomogeneity) -> list[Alternative]:
     """Hypotheses outside the catalogue beside an explanation, best first: a change in each region, and the modes that
     the model seems to lack."""
     size = found.local.residual.size
-    made = {replace(found.hypothesis, region=region): compressed_columns(each / every.noise[:, None], REGION_SIZES[-1])
+    made = {replace(found.hypothesis, region=region): _compressed(each / every.noise[:, None], REGION_SIZES[-1])
             for region, each in uneven.regions.items()}
     if modes := missing_modes(every, found):
         made[replace(found.hypothesis, modes=modes)] = columns(

@@ -1,7 +1,9 @@
 """The weights of the points of a campaign: how far a residual scatters where nothing is left to explain.
 
 A device is never its model. The scale of what is left is therefore taken from what the best explanation leaves, and it
-is diagonal: it can make points worth less, but it cannot take the shape of a spectrum. Of each recording, points
+is diagonal: it can make points worth less, but it cannot take the shape of a spectrum. A search takes all that least
+squares leaves, and an evidence what is left by correlated deviations too: counted before, the inhomogeneity of parts
+would count twice, in the deviations and as points that carry the information of one. Of each recording, points
 deviate by s times the stated noise, s >= 1, and n neighbouring points carry the information of one (Sokal 1997). Where
 that leaves few points, s is that of all recordings rather than of one.
 Estimates are those of least squares with these deviations; evidences and intervals count the points as n times fewer.

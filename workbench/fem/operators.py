@@ -32,10 +32,10 @@ from workbench.physics.term import (
     OPPOSITE,
     Condition,
     Integral,
+    MeasureFactor,
     ModelError,
     Part,
     Product,
-    Radial,
     Term,
 )
 from workbench.results.brief import Brief
@@ -163,7 +163,7 @@ class FullOperators(Brief):
     @cached_property
     def forms(self) -> NDArray[np.int64]:
         """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
-        known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], Radial | None], int] = {}
+        known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None], int] = {}
         return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
                                           len(known)) for i in self.integrals], dtype=int)
 

@@ -15,7 +15,7 @@ from skfem.refdom import RefLine, RefQuad
 from geometry.mesh import SectionMesh
 from geometry.names import parent_part
 from workbench.fem.elements import Lagrange
-from workbench.physics.term import OPPOSITE, Integral, ModelError, Radial
+from workbench.physics.term import OPPOSITE, Integral, MeasureFactor, ModelError
 
 Real = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Place:
         return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
                      {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
 
-    def measure(self, radial: Radial | None) -> Real:
+    def measure(self, radial: MeasureFactor | None) -> Real:
         """The weights (ne, nq) times a further factor of the measure."""
         return self.weights if radial is None else self.weights * radial(self.radius)
 

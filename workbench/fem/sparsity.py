@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from workbench.fem.factorisation import Factorisation
-from workbench.physics.term import Part, Radial
+from workbench.physics.term import MeasureFactor, Part
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Two parts of operators in order, and the further factor of the measure.
-Kind = tuple[Part, Part, Radial | None]
+Kind = tuple[Part, Part, MeasureFactor | None]
 
 
 @dataclass(frozen=True, eq=False)

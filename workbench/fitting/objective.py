@@ -189,6 +189,19 @@ class Objective:
         return own._on_bases(local, [(predictor, alike) for predictor, indices in own._sharing().items()
                                      for alike in own._alike(x, indices)])
 
+    def enriched(self, x: Real, tolerance: float) -> Objective:
+        """A copy whose models predict at x (p,) within a `tolerance` of Z, by full solves there where they did not.
+
+        Raises:
+            NotEnriched: a model did not reach the tolerance.
+        """
+        made = {predictor: replace(predictor, tolerance=tolerance) for predictor in set(self.predictors)}
+        for index, view in enumerate(self.views):
+            strict = made[view.predictor]
+            made[view.predictor] = strict.holding(strict(self._values(x, index)).model)
+        made = {own: replace(each, tolerance=own.tolerance) for own, each in made.items()}
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
+
     def on_bases_of(self, other: Objective) -> Objective | None:
         """A copy on the local bases of an objective, of :meth:`near`, over the same recordings; None if their meshes
         differ."""

@@ -33,6 +33,7 @@ from workbench.physics.term import (
     Constant,
     Integral,
     Kind,
+    MeasureFactor,
     Monomial,
     Product,
     Radial,
@@ -235,7 +236,7 @@ class Stretched(Term):
 
 def _stretched(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> list[Integral]:
     """The integrals that replace one integral on a part of its place."""
-    found: dict[tuple[Radial | None, tuple[Constant, ...]], list[Product]] = {}
+    found: dict[tuple[MeasureFactor | None, tuple[Constant, ...]], list[Product]] = {}
     for radial, factors, product in (_moved_facets if part.moves and integral.on_boundary else _scaled)(
             integral, part, nominal):
         found.setdefault((radial, factors), []).append(product)
@@ -251,7 +252,7 @@ def _stretched(integral: Integral, part: StretchedPart, nominal: Mapping[str, fl
 
 
 #: Products of operators with a further factor of the measure and the coefficients of both.
-Measured = Iterator[tuple[Radial | None, tuple[Constant, ...], Product]]
+Measured = Iterator[tuple[MeasureFactor | None, tuple[Constant, ...], Product]]
 
 
 def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:

@@ -339,6 +339,21 @@ class Radial:
 
 
 @dataclass(frozen=True)
+class RadialCosine:
+    """The factor cos(pi n r / radius) of the measure: n ``half_waves`` between the axis and that `radius` (m)."""
+
+    half_waves: int
+    radius: float
+
+    def __call__(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.cos(np.pi * self.half_waves * radius / self.radius))
+
+
+#: A further factor of the measure 2 pi r dr dz.
+MeasureFactor = Radial | RadialCosine
+
+
+@dataclass(frozen=True)
 class Integral:
     """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
 
@@ -361,7 +376,7 @@ class Integral:
     opposite_solid: str = ""
     radius_fraction: float = 0.0
     skin: float = 0.0
-    radial: Radial | None = None
+    radial: MeasureFactor | None = None
     variant: str = ""
 
     @property
