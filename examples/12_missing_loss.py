@@ -39,7 +39,7 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import Solution
 from workbench.files.errors import InputError
-from workbench.model.problem import Problem, build, fill, with_boundary_layers
+from workbench.model.problem import Problem, build, fill
 from workbench.physics.boundary_layer import ADMISSIBLE
 from workbench.reduced.at_point import reduce
 from workbench.reduced.model import ReducedModel
@@ -145,7 +145,6 @@ def model_of(chip: Chip, state: str, *, accuracy: float, changed: Mapping[str, c
     problem = build(fill(chip, state, Registry()), band=(float(FREQUENCIES[0]), float(FREQUENCIES[-1])),
                     accuracy=accuracy)
     name = problem.materials[CAVITY].name
-    problem = with_boundary_layers(problem)
     return reduced(problem.with_values({f"{name}.{key}": value for key, value in (changed or {}).items()}))
 
 

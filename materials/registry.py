@@ -63,11 +63,13 @@ class Registry:
     """The materials of the package and of any further `folders`, paths or the texts of them.
 
     A chip that is filled from a registry with ``assumed_losses`` gets its lossless ceramics with the loss of
-    :mod:`materials.assumed`. The registry itself loads every material as its entry states it.
+    :mod:`materials.assumed`, and one that is filled from a registry that is ``inviscid`` no boundary layers of what its
+    cavity holds. The registry itself loads every material as its entry states it.
     """
 
     folders: Sequence[Path | str] | Path | str = ()
     assumed_losses: bool = False
+    inviscid: bool = False
 
     def __post_init__(self) -> None:
         # A text is a sequence too, of letters.
@@ -167,12 +169,13 @@ class Registry:
         return declared[0]
 
 
-def user_registry(further: Iterable[Path | str] = ()) -> Registry:
-    """The materials of the package, of the user's own folder if there is one, and of any `further` folders."""
+def user_registry(further: Iterable[Path | str] = (), *, inviscid: bool = False) -> Registry:
+    """The materials of the package, of the user's own folder if there is one, and of any `further` folders; a chip
+    filled with them is `inviscid` or not."""
     own = user_folder()
     given = [Path(folder) for folder in ((further,) if isinstance(further, str | Path) else further)]
     rest = [folder for folder in given if folder.resolve() != own.resolve()]
-    return Registry((*([own] if own.is_dir() else []), *rest))
+    return Registry((*([own] if own.is_dir() else []), *rest), inviscid=inviscid)
 
 
 def _unversioned(names: Iterable[str]) -> list[str]:

@@ -57,7 +57,7 @@ def model(example: ModuleType, paper_chip: Chip) -> Any:
     pea = paper_chip.with_dimensions({"transducer.radius": 3e-3, "couplant.radius": 3e-3, "cavity.radius": 1.5e-3,
                                       **radii})
     problem = build(fill(pea, "filled", Registry()), band=(FREQUENCIES[0], FREQUENCIES[-1]), accuracy=quadratic(8.0))
-    return example.reduced(example.with_boundary_layers(problem), FREQUENCIES)
+    return example.reduced(problem, FREQUENCIES)
 
 
 def test_the_gaps_are_those_of_table_5(example: ModuleType, paper_chip: Chip) -> None:

@@ -15,7 +15,7 @@ from workbench.catalogue.catalogue import effects
 from workbench.catalogue.effect import Device, Effect
 from workbench.files.errors import InputError
 from workbench.model.numbers import ParameterKind, ParameterName
-from workbench.model.problem import Problem, build, with_boundary_layers
+from workbench.model.problem import Problem, build
 from workbench.physics.open_bond import OpenBond
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import FreeParameter
@@ -114,7 +114,7 @@ def problems(trial: Campaign, found: Mapping[str, Effect]) -> Mapping[str, Probl
     for state in (s for s in trial.states if s.name in ("disc", "filled")):
         terms = [term for effect in found.values() for term in effect.terms.get(state.name, ())]
         skins = {i.place: abs(i.skin) for term in terms for i in term.integrals() if i.skin}
-        made[state.name] = with_boundary_layers(build(state.device, accuracy=5e-2, skins=skins))
+        made[state.name] = build(state.device, accuracy=5e-2, skins=skins)
     return made
 
 

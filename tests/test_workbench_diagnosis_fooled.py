@@ -24,7 +24,7 @@ from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.measurement_model import through_bench
-from workbench.model.problem import build, fill, with_boundary_layers
+from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduce
 from workbench.results.spectrum import Spectrum, write_spectrum
 
@@ -59,7 +59,7 @@ class Bench:
         """A state whose parameters are the stated ones times `factors`; `colour` correlates neighbouring points."""
         there = read_chip(self.folder / f"{chip}.toml")
         registry = user_registry([MATERIALS])
-        problem = with_boundary_layers(build(fill(there, there.states[0].name, registry), accuracy=ACCURACY))
+        problem = build(fill(there, there.states[0].name, registry), accuracy=ACCURACY)
         values = {**problem.values, **{key: problem.values[key] * factor for key, factor in (factors or {}).items()}}
         solved = reduce(assemble(problem.mesh, problem.terms), FREQUENCIES, values).solve(FREQUENCIES, values)
         clean, _, _ = through_bench(np.conj(solved.impedance), 2.0 * np.pi * FREQUENCIES, dict(bench or {}))

@@ -21,7 +21,7 @@ from workbench.catalogue.effect import Device, Effect
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import Solution, solve_full
 from workbench.model.numbers import ParameterName
-from workbench.model.problem import Problem, build, with_boundary_layers
+from workbench.model.problem import Problem, build
 from workbench.physics.surface_load import SurfaceLoad
 
 TRIAL = Path(__file__).resolve().parent / "data" / "trials" / "0000" / "campaign.toml"
@@ -49,7 +49,7 @@ def base(state: str) -> Problem:
     terms = [term for effect in catalogue().values() for term in effect.terms.get(state, ())]
     skins = {i.place: abs(i.skin) for term in terms for i in term.integrals() if i.skin}
     (found,) = (each for each in campaign().states if each.name == state)
-    return with_boundary_layers(build(found.device, accuracy=5e-2, skins=skins))
+    return build(found.device, accuracy=5e-2, skins=skins)
 
 
 def model_of(effect: Effect) -> Problem:

@@ -46,7 +46,7 @@ from workbench.diagnosis.local_models import LocalModels  # noqa: E402
 from workbench.diagnosis.tasks import SearchTask  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402
-from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
+from workbench.model.problem import build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.report.diagnosis import diagnosis_record  # noqa: E402
@@ -210,7 +210,7 @@ def record_states(chip: Chip, factors: Mapping[str, float], folder: Path) -> Non
     random = np.random.default_rng(1)
     for state in ("empty", "filled"):
         frequency = read_recording(EXAMPLE / f"{state}.csv").spectrum.frequency
-        problem = with_boundary_layers(build(fill(chip, state, Registry())))
+        problem = build(fill(chip, state, Registry()))
         values = {**problem.values, **{key: complex(problem.values[key].real, factor * problem.values[key].imag)
                                        for key, factor in factors.items()}}
         solved = reduce(assemble(problem.mesh, problem.terms), frequency, values).solve(frequency, values)

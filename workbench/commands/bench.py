@@ -31,7 +31,7 @@ from workbench.instruments.instrument import InstrumentError
 from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
-from workbench.model.problem import build, fill, with_boundary_layers
+from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduce
 from workbench.report.page import TextTable
 from workbench.results.spectrum import Spectrum
@@ -197,7 +197,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     device = fill(chip, state, replace(requested.registry, assumed_losses=True))
     for text in device.findings:
         say_finding(text, console)
-    problem = with_boundary_layers(build(device, accuracy=requested.accuracy, band=requested.band))
+    problem = build(device, accuracy=requested.accuracy, band=requested.band)
     model = reduce(
         assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=requested.relative_error)
     solved = model.solve(frequencies, problem.values)

@@ -36,7 +36,8 @@ SO_FAR = "best_so_far.toml"
 def run_design(options: argparse.Namespace, console: Console) -> int:
     """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
     jobs = jobs_option(options)
-    registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), accuracy_option(options)
+    registry = replace(user_registry(options.materials, inviscid=options.inviscid), assumed_losses=True)
+    accuracy = accuracy_option(options)
     goal = read_goal(options.goal, registry=registry)
     for text in fill(goal.chip, goal.state, registry).findings:
         say_finding(text, console)

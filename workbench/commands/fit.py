@@ -39,7 +39,7 @@ def run_fit(options: argparse.Namespace, console: Console) -> int:
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of descents, 0 for none")
     settings = Settings(
-        materials=tuple(options.materials), accuracy=accuracy_option(options),
+        materials=tuple(options.materials), inviscid=options.inviscid, accuracy=accuracy_option(options),
         algorithm=options.algorithm, starts=tuple(options.start), tries=options.tries, force=options.force)
     if options.kind == "batch":
         return _batch(options, console, settings)

@@ -51,7 +51,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         InputError: a mistake in a file, or a recording that cannot be of its device.
         RuntimeError: no spectrum could be predicted, or no mesh made.
     """
-    registry = user_registry(settings.materials)
+    registry = user_registry(settings.materials, inviscid=settings.inviscid)
     progress("reading", 0.0)
     prepared, sources = _prepared(job, settings, registry)
     # Mistakes are reported before the search, not after.
@@ -95,7 +95,8 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
 
 def job_key(job: Job, settings: Settings) -> str:
     """A digest of all that decides the result of a job (see `batch.content_key`)."""
-    return content_key(job, settings, [_filling(member, user_registry(settings.materials)) for member in job.members])
+    registry = user_registry(settings.materials, inviscid=settings.inviscid)
+    return content_key(job, settings, [_filling(member, registry) for member in job.members])
 
 
 def known(job: Job, settings: Settings, folder: Path) -> dict[str, Any] | None:

@@ -42,6 +42,12 @@ def _with_materials(sub: argparse.ArgumentParser) -> None:
                           "be repeated; default none)")
 
 
+def _with_filling(sub: argparse.ArgumentParser) -> None:
+    _with_materials(sub)
+    sub.add_argument("--inviscid", action="store_true",
+                     help="leave out the boundary layers of what the cavity holds (default: part of the model)")
+
+
 def _with_state(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
 
@@ -55,7 +61,7 @@ def _with_band(sub: argparse.ArgumentParser) -> None:
 def _with_model(sub: argparse.ArgumentParser) -> None:
     _with_band(sub)
     _with_accuracy(sub)
-    _with_materials(sub)
+    _with_filling(sub)
     # For the commands without these options.
     sub.set_defaults(points=481, at=None, full=False, relative_error=1e-4, drive="10 Vpp")
 
@@ -121,7 +127,7 @@ def _study(sub: argparse.ArgumentParser) -> None:
                      "processes of this machine)")
     sub.add_argument("--overwrite", action="store_true",
                      help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
-    _with_materials(sub)
+    _with_filling(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -306,7 +312,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
     _with_jobs(batch, "fits")
     _with_accuracy(batch)
-    _with_materials(batch)
+    _with_filling(batch)
     batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -423,7 +429,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
     _with_jobs(sub, "starts")
     sub.add_argument("--no-cad", action="store_true", help="leave the solid model out")
     _with_accuracy(sub)
-    _with_materials(sub)
+    _with_filling(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 

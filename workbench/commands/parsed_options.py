@@ -56,8 +56,8 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
     return ModelOptions(
-        registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
-        relative_error=options.relative_error, drive=parse_drive(options.drive),
+        registry=user_registry(options.materials, inviscid=options.inviscid), band=band, points=options.points, at=at,
+        full=options.full, relative_error=options.relative_error, drive=parse_drive(options.drive),
         accuracy=accuracy_option(options),
     )
 

@@ -46,4 +46,4 @@ def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, fl
               number in numbers.items() if not ParameterName.parse(name).is_dimension}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
     registry = registry or Registry()
-    return moved, CentredRegistry(registry.folders, registry.assumed_losses, others)
+    return moved, CentredRegistry(registry.folders, registry.assumed_losses, registry.inviscid, others)

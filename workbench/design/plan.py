@@ -167,8 +167,9 @@ class Study:
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 
 
-def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Study:
-    """Read and check a study's file and the chip it names; `materials` are further folders of materials.
+def read_study(path: Path | str, *, materials: Sequence[Path | str] = (), inviscid: bool = False) -> Study:
+    """Read and check a study's file and the chip it names; `materials` are further folders of materials. One that is
+    `inviscid` leaves out the boundary layers in cavities.
 
     Raises:
         InputError: a mistake in one of the files.
@@ -182,8 +183,9 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
     table.required("vary", "a table [vary] of what varies")
     said = {key: value for key, value in head.content.items() if key not in ("chip", "name")}
     tables: dict[str, Any] = {key: table.content.get(key) for key in ("thermal", "sample")}
-    return Study(chip, table.content["vary"], name=head.text("name", path.stem), **said, **tables,
-                 registry=replace(user_registry(materials), assumed_losses=True), source=table.source)
+    registry = replace(user_registry(materials, inviscid=inviscid), assumed_losses=True)
+    return Study(chip, table.content["vary"], name=head.text("name", path.stem), **said, **tables, registry=registry,
+                 source=table.source)
 
 
 def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:

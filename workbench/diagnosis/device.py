@@ -34,7 +34,7 @@ from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
-from workbench.model.problem import Problem, build, with_boundary_layers
+from workbench.model.problem import Problem, build
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term
 from workbench.physics.uneven import UnevenSolid
@@ -225,7 +225,6 @@ def _problems(
         radii = {radius for _, own in alike for radius in own}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
-        problem = with_boundary_layers(problem)
         for effect in acting:
             values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
                       if name not in problem.values}

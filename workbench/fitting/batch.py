@@ -94,9 +94,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of every job: folders of materials, mesh, algorithm, further starts, and whether to insist."""
+    """Settings of every job: folders of materials, whether chips are inviscid, mesh, algorithm, further starts, and
+    whether to insist."""
 
     materials: tuple[Path, ...] = ()
+    inviscid: bool = False
     accuracy: float | Discretisation = ACCURACY
     algorithm: str = "joint"
     starts: tuple[str, ...] = ()

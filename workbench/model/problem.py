@@ -105,7 +105,8 @@ def with_boundary_layers(problem: Problem) -> Problem:
 class FilledChip(Brief):
     """A chip in one of its states: ``materials`` holds the material of each region (a vacuum is absent).
 
-    ``particle`` is the particle that the state names, if any; ``findings`` the assumptions made about the materials.
+    ``particle`` is the particle that the state names, if any; ``findings`` the assumptions made about the materials;
+    ``inviscid`` whether the model leaves out the boundary layers in the cavity.
     """
 
     chip: Chip
@@ -113,6 +114,7 @@ class FilledChip(Brief):
     materials: Mapping[str, Material]
     particle: Particle | None = None
     findings: tuple[str, ...] = ()
+    inviscid: bool = False
 
     @property
     def name(self) -> str:
@@ -159,9 +161,21 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
                                  f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
         found[region] = material
     particle = _particle(chip, chosen, found.get(CAVITY), registry, findings)
-    device = FilledChip(chip, chosen, found, particle, tuple(dict.fromkeys(filter(None, findings))))
+    findings.append(_without_layers(found.get(CAVITY), registry))
+    device = FilledChip(chip, chosen, found, particle, tuple(dict.fromkeys(filter(None, findings))), registry.inviscid)
     _check_passive_layers(device)
     return device
+
+
+def _without_layers(held: Material | None, registry: Registry) -> str:
+    """The finding that a fluid in the cavity has no boundary layers, if it has none."""
+    if not isinstance(held, Fluid):
+        return ""
+    if registry.inviscid:
+        return f"the boundary layers of {held.name} in the cavity are left out, as was asked for"
+    if held.shear_viscosity is None:
+        return f"the boundary layers of {held.name} in the cavity are left out: its shear_viscosity is not stated"
+    return ""
 
 
 def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
@@ -302,8 +316,9 @@ def build(
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
-    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` and
-    `radii` as in `geometry.mesh_size.MeshSize`.
+    Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. The mesh is made for that
+    relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` and `radii` as in
+    `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see `workbench.model.discretisation.discretisation`; or a model this machine has no memory for
@@ -319,8 +334,8 @@ def build(
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)
-    made = problem(mesh, device.materials, (low, high), name=device.name)
-    return replace(made, discretisation=fineness)
+    made = replace(problem(mesh, device.materials, (low, high), name=device.name), discretisation=fineness)
+    return made if device.inviscid else with_boundary_layers(made)
 
 
 def problem(

@@ -208,6 +208,7 @@ def simulate(
     on_spectrum: Callable[[Spectrum], object] = lambda _spectrum: None,
     progress: Progress = no_progress,
     assumed_losses: bool = True,
+    inviscid: bool = False,
 ) -> Simulation:
     """Simulate a chip in one of its states. Frequencies at which no solve converges are left out; a finding names them.
 
@@ -221,6 +222,7 @@ def simulate(
         drive: drive of the device; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation.
         assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
+        inviscid: leave out the boundary layers of what the cavity holds; a finding says so.
         on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
 
     Raises:
@@ -230,16 +232,15 @@ def simulate(
     """
     expect(chip, Chip, reader="read_chip", source="simulate", field="chip")
     lap = Laps()
-    device = fill(chip, state, _assuming(registry, assumed_losses))
+    device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(device, band=span, accuracy=accuracy)
+    problem, error, of_mesh = build(device, band=span, accuracy=accuracy), 0.0, None
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
-    error, of_mesh = 0.0, None
     if full:
         solved, impedance, solves, residual = _full_spectrum(
             operators, frequencies, problem, known or {}, on_point, progress)
@@ -258,7 +259,6 @@ def simulate(
     on_spectrum(spectrum)
     merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
-    check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
     lap("fields")
@@ -273,10 +273,11 @@ def simulate(
     )
 
 
-def _assuming(registry: Registry | None, assumed_losses: bool) -> Registry:
+def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:
     """The registry that a chip is filled from for its simulation."""
     registry = registry or Registry()
-    return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses)
+    return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses,
+                   inviscid=inviscid or registry.inviscid)
 
 
 def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
@@ -352,6 +353,7 @@ def snapshot(
     accuracy: float | Discretisation = ACCURACY,
     progress: Progress = no_progress,
     assumed_losses: bool = True,
+    inviscid: bool = False,
 ) -> Snapshot:
     """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
 
@@ -360,10 +362,9 @@ def snapshot(
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
     expect(chip, Chip, reader="read_chip", source="snapshot", field="chip")
-    device = fill(chip, state, _assuming(registry, assumed_losses))
+    device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     progress("mesh", 0.0)
     problem = build(device, band=band_of(chip, band), accuracy=accuracy)
-    check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)
     found = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
@@ -374,6 +375,7 @@ def snapshot(
 def _snapshot(
     device: FilledChip, problem: Problem, operators: FullOperators, frequency: float, drive: Drive
 ) -> Snapshot:
+    check_mesh(problem, frequency)
     solution = _solved_near(operators, frequency, problem)
     found = fields(problem, operators, solution, drive)
     losses, closure = loss_budget(solution, abs(found.voltage))
