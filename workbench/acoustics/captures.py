@@ -104,8 +104,8 @@ def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureSt
         return np.flatnonzero(found.fate == fate)
 
     rows = [of("came to levitate", np.flatnonzero(np.isfinite(found.levitated_at)), found.levitated_at)]
-    rows += [of(f"in trap {number + 1}", np.flatnonzero(found.trap == number), found.trapped_at)
-             for number in range(len(found.rest)) if np.isfinite(found.rest[number]).all()]
+    rows += [of(f"in trap {number}, r {1e3 * r:.2f} mm, z {1e3 * z:.2f} mm", np.flatnonzero(found.trap == number - 1),
+                found.trapped_at) for number, (r, z) in enumerate(found.rest, start=1) if np.isfinite(r)]
     no_time = np.full(found.count, np.nan)
     rows += [of("levitated, in no trap", ending(Fate.LEVITATED), no_time),
              of("at a wall", ending(Fate.AT_WALL), found.stopped_at),

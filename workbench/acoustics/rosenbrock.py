@@ -3,7 +3,8 @@
 RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd edition 1996, section IV.10): a Rosenbrock
 method of order 4 with an embedded one of order 3, L-stable, six values of the right side and one exact Jacobian a step.
 Fast motion that has died down does not limit the step, so that seconds of levitation and minutes of gathering cost
-alike. Integrators of scipy give all particles of one call a common step.
+alike. The stiff integrators of scipy take about as long on particles that nothing stops (`tests/benchmarks/beads.py`),
+but give all of them one step and one history, which end whenever one particle comes to a wall.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> P
     """Draw the particles in the r-z half plane on the Gor'kov potential, a panel for each of the times `at` (s). Writes
     `path`."""
     tall = _heights_enlarged(found)
-    height = 0.55 + (_SIDE - 1.2) * _flatness(found) * tall
+    height = 0.35 + (_SIDE - 1.2) * _flatness(found) * tall
     figure = new_figure(_SIDE, height * len(at) + 1.4)
     figure.set_layout_engine("constrained")
     panels = figure.subplots(len(at), 1, squeeze=False, sharex=True)[:, 0]
@@ -66,12 +66,12 @@ def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> P
         _move_side(dots, stamp, found, _index(found, time))
     panels[-1].set_xlabel("r (mm)", fontsize=9)
     unit = _potential(found)[1]
-    figure.colorbar(shown, ax=list(panels), location="bottom", shrink=0.4, aspect=40).set_label(
+    figure.colorbar(shown, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02).set_label(
         f"Gor'kov potential $U$ ({unit})", fontsize=9)
     title = f"{found.report.forces.particle.name}, {2e6 * found.report.forces.particle.radius:.3g} µm"
     if tall > 1.0:
         title += f"; heights are drawn {tall:.0f} times as large as radii"
-    figure.suptitle(f"{title}\n{typeset(found.report.excitation)}", fontsize=9)
+    figure.suptitle(f"{title}\n{_field_words(found)}", fontsize=9)
     return save_figure(figure, path)
 
 
@@ -93,7 +93,7 @@ def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]]
     axes.set_ylabel("share of the particles (%)")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9)
-    axes.set_title(typeset(found.report.excitation), fontsize=9)
+    axes.set_title(_field_words(found), fontsize=9)
     figure.tight_layout()
     return save_figure(figure, path)
 
@@ -138,6 +138,12 @@ def scale_bar_length(width: float) -> float:
     return power * max(each for each in (1.0, 2.0, 5.0) if each * power <= SCALE_BAR * width * (1.0 + 1e-9))
 
 
+def _field_words(found: Trajectories) -> str:
+    """The line that describes the field, and the factor by which the voltage differs from it."""
+    factor = "" if found.voltage_factor == 1.0 else f"{found.voltage_factor:.4g} times the voltage of: "
+    return factor + typeset(found.report.excitation)
+
+
 def _index(found: Trajectories, at: float) -> int:
     return int(np.abs(found.times - at).argmin())
 
@@ -152,8 +158,8 @@ def _flatness(found: Trajectories) -> float:
 
 
 def _heights_enlarged(found: Trajectories) -> float:
-    """Factor by which heights are drawn larger than radii: a panel is at least a fifth as high as wide."""
-    return float(max(1, math.ceil(0.2 / _flatness(found))))
+    """Factor by which heights are drawn larger than radii: a panel is about a sixth as high as wide, or higher."""
+    return float(max(1, math.ceil(0.15 / _flatness(found))))
 
 
 def _above(axes: Axes, found: Trajectories) -> tuple[EllipseCollection, Text]:
