@@ -73,12 +73,14 @@ def test_from_the_side_and_over_time(found: Trajectories, tmp_path: Path) -> Non
 
 
 def test_the_animation_has_its_frames(found: Trajectories, tmp_path: Path) -> None:
-    from PIL import Image
+    from PIL import Image, ImageSequence
 
     path = beads.animate_beads(found, tmp_path / "new" / "beads.gif", frames=4)
     assert [each.name for each in path.parent.iterdir()] == ["beads.gif"]
     with Image.open(path) as animation:
-        assert animation.n_frames == 4
+        assert ImageSequence.Iterator(animation)[3] is not None
+        with pytest.raises(IndexError):
+            ImageSequence.Iterator(animation)[4]
         frames = []
         for number in range(4):
             animation.seek(number)

@@ -53,9 +53,10 @@ class Interpolant(Brief):
             return values, both / self._size[at][:, None], found
         return values, both @ np.linalg.inv(self._stretch(at, local)[1]), found
 
-    def cells_at(self, points: FloatArray) -> IntArray:
-        """The cell (K,) of each of `points` (K, 2), -1 outside the mesh."""
-        return self._located(points, np.zeros(len(points), dtype=np.int64))[0]
+    def cells_at(self, points: FloatArray, cell: IntArray | None = None) -> IntArray:
+        """The cell (K,) of each of `points` (K, 2), -1 outside the mesh; `cell` (K,) is where each is looked for first.
+        """
+        return self._located(points, np.zeros(len(points), dtype=np.int64) if cell is None else cell)[0]
 
     @cached_property
     def _own(self) -> FloatArray:

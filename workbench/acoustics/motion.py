@@ -81,7 +81,7 @@ class Motion:
         close = np.flatnonzero(there)
         if close.size:
             plane = np.stack([self.place[which[close], 0], height[close]], axis=1)
-            there[close] = self._clearance(plane) > 0.0
+            there[close] = self._clearance(plane, self._cell[which[close]]) > 0.0
         return there, height
 
     def _attempt(self, moving: IntArray) -> None:
@@ -120,20 +120,21 @@ class Motion:
         # Only a particle that may have come to a wall since its distance was measured is measured again.
         near = which[(self._room[which] <= 0.0) | ~inside]
         if near.size:
-            self._room[near] = self._clearance(self.place[near])
+            self._room[near] = self._clearance(self.place[near], self._cell[near])
         return np.asarray(self._room[which] < 0.0)
 
-    def _clearance(self, place: FloatArray) -> FloatArray:
-        """The gap (K,) in m between a wall and the surface of a particle at `place` (K, 2), negative beyond."""
+    def _clearance(self, place: FloatArray, cell: IntArray) -> FloatArray:
+        """The gap (K,) in m between a wall and the surface of a particle at `place` (K, 2) in or near `cell` (K,),
+        negative beyond."""
         points = self._mirrored(place)
         distance = self.walls.nearest(points)[0]
-        inside = self.velocity.cells_at(points) >= 0
+        inside = self.velocity.cells_at(points, cell) >= 0
         return np.asarray(np.where(inside, distance, -distance) - self.radius)
 
     def _stop(self, which: IntArray, path: _Path, start: FloatArray) -> None:
         """Stop the particles `which` where they touch a wall, on the `path` of a step that began at the time `start`.
         """
-        share = _crossing(lambda at: self._clearance(path.at(at)), len(which))
+        share = _crossing(lambda at: self._clearance(path.at(at), self._cell[which]), len(which))
         self.place[which] = self._mirrored(path.at(share))
         self.stopped_at[which] = self.time[which] = start + share * path.step
         self.away[which] = self.walls.nearest(self.place[which])[1]
@@ -143,11 +144,12 @@ class Motion:
 
     def _arrive(self, which: IntArray, path: _Path, start: FloatArray) -> None:
         """Note first arrivals of the particles `which` on the `path` of a step that began at the time `start`."""
-        there, height = self.levitated(which)
-        new = there & np.isnan(self.levitated_at[which])
-        if new.any():
-            some, goal = path.of(new), height[new]
-            share = _crossing(lambda at: np.abs(some.at(at)[:, 1] - goal) - self.within, int(new.sum()))
+        waiting = np.flatnonzero(np.isnan(self.levitated_at[which]))
+        there, height = self.levitated(which[waiting])
+        if there.any():
+            new = waiting[there]
+            some, goal = path.of(new), height[there]
+            share = _crossing(lambda at: np.abs(some.at(at)[:, 1] - goal) - self.within, len(new))
             self.levitated_at[which[new]] = start[new] + share * some.step
         for number, rest in enumerate(self.rest):
             apart = np.linalg.norm(self._mirrored(path.end) - rest, axis=1)
@@ -185,7 +187,7 @@ class _Path:
         return ((1.0 + 2.0 * s) * (1.0 - s) ** 2 * self.begin + s**2 * (3.0 - 2.0 * s) * self.end
                 + s * (1.0 - s) * step * ((1.0 - s) * self.first - s * self.last))
 
-    def of(self, which: NDArray[np.bool_]) -> _Path:
+    def of(self, which: NDArray[np.bool_] | IntArray) -> _Path:
         """The ways of some particles."""
         return _Path(self.begin[which], self.end[which], self.first[which], self.last[which], self.step[which])
 
