@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from geometry.chip import read_chip as read_chip
     from geometry.chip_file import write_chip as write_chip
     from materials.registry import Registry as Registry
+    from workbench.acoustics.captures import Window as Window
+    from workbench.acoustics.captures import capture_statistics as capture_statistics
+    from workbench.acoustics.captures import light_curve as light_curve
+    from workbench.acoustics.trajectories import Trajectories as Trajectories
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
     from workbench.campaign.campaign import Campaign as Campaign
@@ -74,6 +78,7 @@ if TYPE_CHECKING:
     from workbench.results.resonances import fit_resonances as fit_resonances
     from workbench.results.spectrum import Spectrum as Spectrum
     from workbench.results.spectrum import write_spectrum as write_spectrum
+    from workbench.simulation.beads import trajectories as trajectories
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
@@ -104,6 +109,10 @@ PUBLIC = {
     "Snapshot": "workbench.simulation.run",
     "Spectrum": "workbench.results.spectrum",
     "Tolerance": "workbench.design.tolerance",
+    "Trajectories": "workbench.acoustics.trajectories",
+    "Window": "workbench.acoustics.captures",
+    "capture_statistics": "workbench.acoustics.captures",
+    "light_curve": "workbench.acoustics.captures",
     "Study": "workbench.design.plan",
     "StudyResult": "workbench.design.study_result",
     "bvd_impedance": "workbench.results.circuit",
@@ -133,6 +142,7 @@ PUBLIC = {
     "stated_uncertainty": "workbench.design.input_uncertainty",
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",
+    "trajectories": "workbench.simulation.beads",
     "write_chip": "geometry.chip_file",
     "write_spectrum": "workbench.results.spectrum",
 }

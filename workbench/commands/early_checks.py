@@ -18,7 +18,8 @@ FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "
 #: Options that hold a quantity, as the command line spells them, and its dimension.
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "low": ("--from", "frequency"), "high": ("--to", "frequency"), "at": ("--at", "frequency"),
-    "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"),
+    "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"), "window": ("--window", "length"),
+    "particle_radius": ("--particle-radius", "length"),
 }
 
 #: Options of `diagnose` about its one recording, as the command line spells them; a campaign file has keys for them.
@@ -61,10 +62,30 @@ def check_early(options: argparse.Namespace) -> None:
         check_order(recording, chip)
     if hasattr(options, "diagnosed"):
         check_diagnosed(options)
+    if options.command == "particles":
+        check_motion(options)
     if isinstance(chip, Path):
         from geometry.chip import read_chip
 
         read_chip(chip)
+
+
+def check_motion(options: argparse.Namespace) -> None:
+    """See that `particles` is given a drive, a time and a number of particles, and sizes above zero.
+
+    Raises:
+        InputError: anything else.
+    """
+    if options.drive is None:
+        raise InputError("command line", "--drive", "nothing", 'the drive, such as "10 Vpp", "10 Vpp @ 50 ohm" or '
+                         '"0.1 W": how far particles come in a time depends on it')
+    if not 0.0 < options.minutes < float("inf"):
+        raise InputError("command line", "--minutes", options.minutes, "a time above zero, such as 30")
+    if options.count < 1:
+        raise InputError("command line", "--count", options.count, "at least one particle, such as 200")
+    for field, text in (("--window", options.window), ("--particle-radius", options.particle_radius)):
+        if text is not None and not parse_quantity(text, "length", source="command line", field=field) > 0.0:
+            raise InputError("command line", field, text, "a length above zero")
 
 
 def check_diagnosed(options: argparse.Namespace) -> None:

@@ -167,6 +167,25 @@ def _render(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _particles(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--drive", default=None,
+                     help=f"{DRIVE_HELP.replace(' (default)', '')} (no default: the times depend on it)")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the field (default f0)")
+    sub.add_argument("--minutes", type=float, default=30.0, metavar="M", help="time to follow them for (default 30)")
+    sub.add_argument("--count", type=int, default=200, metavar="N", help="number of particles (default 200)")
+    sub.add_argument("--seed", type=int, default=0, metavar="N", help="of their start points (default 0)")
+    sub.add_argument("--particle", metavar="NAME", help="its material (default: of the state)")
+    sub.add_argument("--particle-radius", metavar="LENGTH", help='such as "5 um" (default: of the state)')
+    sub.add_argument("--window", metavar="RADIUS",
+                     help="radius about the axis within which the light curve counts them (default: half the cavity's)")
+    sub.add_argument("--no-pictures", action="store_true", help="leave pictures and animation out (default: drawn)")
+    sub.add_argument("--no-animation", action="store_true", help="leave the animation out (default: a GIF)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _materials(sub: argparse.ArgumentParser) -> None:
     actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
 
@@ -441,6 +460,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
     "render": ("draw the fields of a chip at one frequency", _render),
+    "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
     "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
     "tolerance": ("what tolerances leave of a chip: what matters, yield, what to make more exactly", _tolerance),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),

@@ -224,12 +224,15 @@ def _particle(
     """The particle that a state names, if any, checked against the fluid that carries it.
 
     Raises:
-        InputError: a material that no such particle is made of, a fluid without viscosity, or a particle that
-            resonates in the band.
+        InputError: a material that no such particle is made of, a cavity without fluid, a fluid without viscosity, or a
+            particle that resonates in the band.
     """
-    if state.particle is None or state.particle_radius is None or not isinstance(fluid, Fluid):
+    if state.particle is None or state.particle_radius is None:
         return None
     where = f"states.{state.name}.particle"
+    if not isinstance(fluid, Fluid):
+        raise InputError(chip.file, where, state.particle, "no particle without a fluid to carry it; the cavity holds "
+                         f"{'nothing' if fluid is None else _kind(fluid)}")
     try:
         material = registry.load(state.particle, notes=findings)
         if material.temperature is not None and state.temperature is not None:

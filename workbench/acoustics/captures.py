@@ -1,0 +1,123 @@
+"""Statistics of trajectories: capture fractions, focusing times, and the light curve of a window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.acoustics.nodal import FloatArray, IntArray
+from workbench.acoustics.trajectories import Fate, Trajectories
+
+#: Samples of start points (bootstrap) for the spread of a time. Doubled, the spread is known to 5 % and not to 7.
+RESAMPLES = 100
+#: Shares of those that arrive between which a focusing time is counted: 10 to 90 %.
+FROM, UNTIL = 0.1, 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureStatistics:
+    """Particles that end in one way, and the times (s) of their arrival.
+
+    ``share`` of all particles, with the standard deviation ``share_spread`` over draws of as many start points. By
+    ``ten``, ``half`` and ``ninety`` 10, 50 and 90 % of those that arrive have arrived; ``focusing_time`` is from 10 to
+    90 %, with its standard deviation ``focusing_spread`` over draws of start points (bootstrap). None with fewer than
+    two arrivals.
+    """
+
+    name: str
+    count: int
+    share: float
+    share_spread: float
+    ten: float | None = None
+    half: float | None = None
+    ninety: float | None = None
+    focusing_time: float | None = None
+    focusing_spread: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """The part of a cavity that is looked at: radii from ``inner`` to ``outer`` and heights from ``bottom`` to ``top``,
+    in m; all of it unless stated.
+
+    Raises:
+        ValueError: a radius or height below the other one.
+    """
+
+    inner: float = 0.0
+    outer: float = math.inf
+    bottom: float = -math.inf
+    top: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.inner < self.outer and self.bottom < self.top):
+            raise ValueError(f"a window from {self.inner:g} to {self.outer:g} m along r and {self.bottom:g} to "
+                             f"{self.top:g} m along z; expected radii from 0 up and heights that rise")
+
+
+def light_curve(found: Trajectories, window: Window) -> FloatArray:
+    """Share (n,) of the particles that are in the `window` at each of the times of the record."""
+    r, z = np.moveaxis(found.positions, 2, 0)
+    inside = (r >= window.inner) & (r <= window.outer) & (z >= window.bottom) & (z <= window.top)
+    return np.asarray(inside.mean(axis=0))
+
+
+def rise_time(times: FloatArray, curve: FloatArray) -> float | None:
+    """Time (s) from 10 to 90 % of the change of a `curve` (n,) between the ends of `times` (n,), each crossed for the
+    first time; None for a curve that ends where it begins."""
+    change = curve[-1] - curve[0]
+    if change == 0.0:
+        return None
+    level = (curve - curve[0]) / change
+    begin, end = (_first_crossing(times, level, share) for share in (FROM, UNTIL))
+    return end - begin
+
+
+def arrived_share(found: Trajectories, at: FloatArray) -> FloatArray:
+    """Share (n,) of all particles with an arrival (P,) in s, NaN for none, at or before each time of the record."""
+    arrived = np.sort(at[np.isfinite(at)])
+    return np.asarray(np.searchsorted(arrived, found.times, side="right") / found.count)
+
+
+def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureStatistics, ...]:
+    """Statistics of the levitation, of every trap that holds particles, and of those that walls stop or nothing does.
+
+    Levitation counts every particle that comes to the height where it neither rises nor falls, wherever it ends.
+    """
+    random = np.random.default_rng(seed)
+
+    def of(name: str, which: IntArray, at: FloatArray) -> CaptureStatistics:
+        share = which.size / found.count
+        spread = math.sqrt(share * (1.0 - share) / found.count)
+        times = at[which]
+        if which.size < 2 or not np.isfinite(times).all():
+            return CaptureStatistics(name=name, count=which.size, share=share, share_spread=spread)
+        ten, half, ninety = (float(each) for each in np.quantile(times, (FROM, 0.5, UNTIL)))
+        drawn = np.quantile(random.choice(times, (RESAMPLES, times.size)), (FROM, UNTIL), axis=1)
+        return CaptureStatistics(name=name, count=which.size, share=share, share_spread=spread, ten=ten, half=half,
+                                 ninety=ninety, focusing_time=ninety - ten,
+                                 focusing_spread=float((drawn[1] - drawn[0]).std(ddof=1)))
+
+    def ending(fate: Fate) -> IntArray:
+        return np.flatnonzero(found.fate == fate)
+
+    rows = [of("came to levitate", np.flatnonzero(np.isfinite(found.levitated_at)), found.levitated_at)]
+    rows += [of(f"in trap {number}, r {1e3 * r:.2f} mm, z {1e3 * z:.2f} mm", np.flatnonzero(found.trap == number - 1),
+                found.trapped_at) for number, (r, z) in enumerate(found.rest, start=1) if np.isfinite(r)]
+    no_time = np.full(found.count, np.nan)
+    rows += [of("levitated, in no trap", ending(Fate.LEVITATED), no_time),
+             of("at a wall", ending(Fate.AT_WALL), found.stopped_at),
+             of("sedimented", ending(Fate.SEDIMENTED), found.stopped_at),
+             of("still moving", ending(Fate.MOVING), no_time)]
+    return tuple(rows)
+
+
+def _first_crossing(times: FloatArray, level: FloatArray, share: float) -> float:
+    """The time (s) at which a level (n,), linear between `times`, first comes to a share."""
+    after = int(np.argmax(level >= share))
+    if after == 0:
+        return float(times[0])
+    part = (share - level[after - 1]) / (level[after] - level[after - 1])
+    return float(times[after - 1] + part * (times[after] - times[after - 1]))

@@ -1,0 +1,215 @@
+"""Particles moved through a velocity field, each by steps of its own, until a time is over or they touch a wall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.acoustics.interpolant import Interpolant
+from workbench.acoustics.nodal import FloatArray, IntArray
+from workbench.acoustics.rosenbrock import next_step, rosenbrock_step
+from workbench.acoustics.walls import Walls
+from workbench.jobs.progress import Progress
+
+#: Share of the fastest time scale at the start that the first step takes. Doubled, more first steps fail.
+FIRST_STEP = 0.1
+#: Steps of one particle, accepted or not, above which its motion counts as failed. The stiffest chips need a tenth.
+MOST_ATTEMPTS = 100_000
+#: Steps of the search for the moment of an arrival, which needs four or five.
+CROSSING_STEPS = 12
+
+
+class Motion:
+    """The motion of particles of one `radius` (m) in a `velocity` field, from `starts` (P, 2), over `times` (n,).
+
+    ``positions`` (P, n, 2) at `times`, of which the first is the start. ``levitated_at`` (P,) and ``trapped_at`` (P, T)
+    are the times (s) of the first arrival `within` a distance (m) of the height where the particle neither rises nor
+    falls, and of each of the places `rest` (T, 2); ``stopped_at`` (P,) that at which its surface touched a wall. They
+    are NaN if that did not happen. ``away`` (P, 2) is the unit vector from that wall. `tolerance` (m) bounds the
+    estimated error of every step.
+    """
+
+    def __init__(
+        self, velocity: Interpolant, walls: Walls, starts: FloatArray, times: FloatArray, *, radius: float,
+        rest: FloatArray, within: float, tolerance: float,
+    ) -> None:
+        self.velocity, self.walls, self.times = velocity, walls, times
+        self.radius, self.rest, self.within, self.tolerance = radius, rest, within, tolerance
+        count = len(starts)
+        self.positions = np.repeat(starts[:, None], len(times), axis=1)
+        self.levitated_at, self.stopped_at = np.full(count, np.nan), np.full(count, np.nan)
+        self.trapped_at = np.full((count, len(rest)), np.nan)
+        self.away = np.zeros((count, 2))
+        self.attempts = 0
+        # Behind the axis r is negative: rounding may take a particle there and back.
+        self.place, self.time = starts.copy(), np.zeros(count)
+        self._cell = np.maximum(velocity.cells_at(starts), 0)
+        self.speed, self.slope, _ = velocity(starts, self._cell, slopes=True)
+        rate = np.abs(self.slope).max(axis=(1, 2))
+        self._step = FIRST_STEP / np.maximum(rate, 1.0 / times[-1])
+        self._room = walls.nearest(starts)[0] - radius
+        self._next = np.ones(count, dtype=np.int64)
+        still = _Path(starts, starts, np.zeros_like(starts), np.zeros_like(starts), np.zeros(count))
+        self._arrive(np.arange(count), still, self.time)
+
+    def run(self, progress: Progress) -> None:
+        """Move all particles to the end.
+
+        Raises:
+            ArithmeticError: a particle needs more than :data:`MOST_ATTEMPTS` steps.
+        """
+        while (moving := np.flatnonzero(self._next < len(self.times))).size:
+            if self.attempts >= MOST_ATTEMPTS:
+                one = moving[0]
+                raise ArithmeticError(
+                    f"a particle at r = {1e3 * self.place[one, 0]:.4g} mm, z = {1e3 * self.place[one, 1]:.4g} mm needs "
+                    f"more than {MOST_ATTEMPTS} steps: at {self.time[one]:.4g} s its step is {self._step[one]:.2g} s")
+            self.attempts += 1
+            self._attempt(moving)
+            progress("trajectories", float((self._next / len(self.times)).mean()))
+
+    def levitated(self, which: IntArray) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Whether each of the particles `which` (K,) is at the height where it neither rises nor falls, and that height
+        (K,) in m; one that cannot be there, because a wall is too near, does not count."""
+        sink, rise = self.slope[which, 1, 1], self.speed[which, 1]
+        stable = sink < 0.0
+        height = self.place[which, 1] - np.where(stable, rise / np.where(stable, sink, 1.0), np.inf)
+        there = stable & (np.abs(height - self.place[which, 1]) <= self.within)
+        close = np.flatnonzero(there)
+        if close.size:
+            plane = np.stack([self.place[which[close], 0], height[close]], axis=1)
+            there[close] = self._clearance(plane, self._cell[which[close]]) > 0.0
+        return there, height
+
+    def _attempt(self, moving: IntArray) -> None:
+        """Try one step of the particles `moving`, and keep those that are accurate enough."""
+        target = self.times[self._next[moving]]
+        left = target - self.time[moving]
+        step, cell = np.minimum(self._step[moving], left), self._cell[moving]
+        place, error = rosenbrock_step(lambda at: self.velocity(at, cell)[0], self.place[moving], self.speed[moving],
+                                       self.slope[moving], step)
+        size = np.nan_to_num(np.abs(error).max(axis=1) / self.tolerance, nan=np.inf)
+        good, proposed = size <= 1.0, next_step(step, size)
+        # A step that was cut short at a time of the record says little about how long the next may be.
+        short = good & (step < self._step[moving])
+        self._step[moving] = np.where(short, np.maximum(self._step[moving], proposed), proposed)
+        which, place, step = moving[good], place[good], step[good]
+        if not which.size:
+            return
+        start, speed = self.time[which], self.speed[which]
+        path = _Path(self.place[which], place, speed, np.empty_like(speed), step)
+        path.last, self.slope[which], found = self.velocity(place, cell[good], slopes=True)
+        self.place[which], self.speed[which] = place, path.last
+        self._cell[which] = np.where(found >= 0, found, cell[good])
+        self.time[which] = np.where(step < left[good], start + step, target[good])
+        touching = self._touching(which, found >= 0, path)
+        if touching.any():
+            self._stop(which[touching], path.of(touching), start[touching])
+        free = ~touching
+        self._arrive(which[free], path.of(free), start[free])
+        reached = which[free & (step >= left[good])]
+        self.positions[reached, self._next[reached]] = self._mirrored(self.place[reached])
+        self._next[reached] += 1
+
+    def _touching(self, which: IntArray, inside: NDArray[np.bool_], path: _Path) -> NDArray[np.bool_]:
+        """Whether the surface of each of the particles `which` has come to a wall on its `path`."""
+        self._room[which] -= np.linalg.norm(path.end - path.begin, axis=1)
+        # Only a particle that may have come to a wall since its distance was measured is measured again.
+        near = which[(self._room[which] <= 0.0) | ~inside]
+        if near.size:
+            self._room[near] = self._clearance(self.place[near], self._cell[near])
+        return np.asarray(self._room[which] < 0.0)
+
+    def _clearance(self, place: FloatArray, cell: IntArray) -> FloatArray:
+        """The gap (K,) in m between a wall and the surface of a particle at `place` (K, 2) in or near `cell` (K,),
+        negative beyond."""
+        points = self._mirrored(place)
+        distance = self.walls.nearest(points)[0]
+        inside = self.velocity.cells_at(points, cell) >= 0
+        return np.asarray(np.where(inside, distance, -distance) - self.radius)
+
+    def _stop(self, which: IntArray, path: _Path, start: FloatArray) -> None:
+        """Stop the particles `which` where they touch a wall, on the `path` of a step that began at the time `start`.
+        """
+        share = _crossing(lambda at: self._clearance(path.at(at), self._cell[which]), len(which))
+        self.place[which] = self._mirrored(path.at(share))
+        self.stopped_at[which] = self.time[which] = start + share * path.step
+        self.away[which] = self.walls.nearest(self.place[which])[1]
+        for one in which:
+            self.positions[one, self._next[one]:] = self.place[one]
+        self._next[which] = len(self.times)
+
+    def _arrive(self, which: IntArray, path: _Path, start: FloatArray) -> None:
+        """Note first arrivals of the particles `which` on the `path` of a step that began at the time `start`."""
+        waiting = np.flatnonzero(np.isnan(self.levitated_at[which]))
+        there, height = self.levitated(which[waiting])
+        if there.any():
+            new = waiting[there]
+            some, goal = path.of(new), height[there]
+            share = _crossing(lambda at: np.abs(some.at(at)[:, 1] - goal) - self.within, len(new))
+            self.levitated_at[which[new]] = start[new] + share * some.step
+        for number, rest in enumerate(self.rest):
+            apart = np.linalg.norm(self._mirrored(path.end) - rest, axis=1)
+            new = (apart <= self.within) & np.isnan(self.trapped_at[which, number])
+            if new.any():
+                share = self._trapped(path.of(new), rest)
+                self.trapped_at[which[new], number] = start[new] + share * path.step[new]
+
+    def _trapped(self, path: _Path, rest: FloatArray) -> FloatArray:
+        """Shares (K,) of the step after which particles are within reach of a place `rest` (2,)."""
+        def gap(share: FloatArray) -> FloatArray:
+            return np.asarray(np.linalg.norm(self._mirrored(path.at(share)) - rest, axis=1) - self.within)
+
+        return _crossing(gap, len(path.step))
+
+    @staticmethod
+    def _mirrored(place: FloatArray) -> FloatArray:
+        """Places (K, 2) in the half plane that is kept."""
+        return np.stack([np.abs(place[:, 0]), place[:, 1]], axis=1)
+
+
+@dataclass(eq=False)
+class _Path:
+    """Ways of particles during a `step` (K,) in s, cubic from `begin` to `end` (K, 2) with the speeds there."""
+
+    begin: FloatArray
+    end: FloatArray
+    first: FloatArray
+    last: FloatArray
+    step: FloatArray
+
+    def at(self, share: FloatArray) -> FloatArray:
+        """Places (K, 2) after a `share` (K,) of the step."""
+        s, step = share[:, None], self.step[:, None]
+        return ((1.0 + 2.0 * s) * (1.0 - s) ** 2 * self.begin + s**2 * (3.0 - 2.0 * s) * self.end
+                + s * (1.0 - s) * step * ((1.0 - s) * self.first - s * self.last))
+
+    def of(self, which: NDArray[np.bool_] | IntArray) -> _Path:
+        """The ways of some particles."""
+        return _Path(self.begin[which], self.end[which], self.first[which], self.last[which], self.step[which])
+
+
+def _crossing(gap: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
+    """Shares (count,) of a step at which `gap` falls to zero, by the Illinois method; 0 where it begins there, 1 where
+    it does not get there."""
+    low, high = np.zeros(count), np.ones(count)
+    above, below = gap(low), gap(high)
+    found = np.where(above <= 0.0, 0.0, 1.0)
+    crossed = (above > 0.0) & (below < 0.0)
+    side = np.zeros(count)
+    for _ in range(CROSSING_STEPS):
+        if not crossed.any():
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(crossed, low + (high - low) * above / (above - below), found)
+        value = gap(share)
+        positive = value > 0.0
+        below = np.where(positive, np.where(side > 0.0, 0.5 * below, below), value)
+        above = np.where(positive, value, np.where(side < 0.0, 0.5 * above, above))
+        low, high = np.where(positive, share, low), np.where(positive, high, share)
+        side = np.where(positive, 1.0, -1.0)
+        found = np.where(crossed, share, found)
+    return found

@@ -1,0 +1,226 @@
+"""Trajectories of particles in a computed field: where they are, where they end, and when they arrive there.
+
+Particles do not see each other. Each follows the velocity of `particle_velocity` until the time is over or its surface
+touches a wall, where it stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from workbench.acoustics.motion import Motion
+from workbench.acoustics.nodal import FloatArray, IntArray
+from workbench.acoustics.particle_velocity import ParticleVelocity, particle_velocity
+from workbench.acoustics.starts import draw_starts
+from workbench.acoustics.traps import TrapReport
+from workbench.acoustics.walls import Walls, walls_of
+from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
+from workbench.model.particles import net_weight
+from workbench.results.brief import Brief
+
+#: Distance, as a share of a quarter of the wavelength of sound, within which a particle has arrived; that of
+#: `traps.focus_time`. Doubled, arrivals are sooner by ln 2 of the e-folding time.
+ARRIVED = 0.1
+#: Estimated error of one step, as a share of the wavelength of sound: 15 nm at 1 MHz. Halved, no capture fraction of
+#: the shipped chips changes by 0.1 %.
+TOLERANCE = 1e-5
+#: Times of the record unless given. They lie closer at the beginning, with the square of their number: the first of 30
+#: minutes after 0.06 s, the last but one 20 s before the end. Doubled, steps are taken that accuracy does not need.
+RECORDED = 181
+#: Least vertical part of the unit vector from a wall for the wall to carry a weight: it slopes by up to 45 degrees.
+CARRIES = 0.7071
+#: Steps of the search for a place of rest next to a trap, and largest step as a share of the wavelength of sound: half
+#: of the way to the next antinode takes four.
+REST_STEPS, LARGEST_REST_STEP = 60, 1.0 / 32.0
+
+
+class Fate(IntEnum):
+    """The end of a particle within the time. A wall that carries its net weight sediments it, any other stops it."""
+
+    MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED = range(5)
+
+    @property
+    def words(self) -> str:
+        """The fate in words."""
+        return ("still moving", "levitated", "in a trap", "at a wall", "sedimented")[self]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Trajectories(Brief):
+    """The way of every particle in the field of ``report``, at ``voltage_factor`` times its voltage.
+
+    ``positions`` (particles, n, 2) r, z in m at ``times`` (n,) in s; ``azimuths`` (particles,) in radians, which do not
+    change. ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap of one that is
+    trapped, -1 otherwise. ``rest`` (traps, 2) are the places where weight and flow let a particle rest next to the
+    traps of the report, NaN for a trap that holds none. ``levitated_at``, ``trapped_at`` (particles,) s: the first
+    arrival at the height where the particle neither rises nor falls, and at the trap that it is in at the end;
+    ``stopped_at`` that at a wall; NaN without. ``within`` m is the distance that counts as arrival.
+    """
+
+    report: TrapReport
+    velocity: ParticleVelocity
+    voltage_factor: float
+    times: FloatArray
+    positions: FloatArray
+    azimuths: FloatArray
+    fate: IntArray
+    trap: IntArray
+    rest: FloatArray
+    levitated_at: FloatArray
+    trapped_at: FloatArray
+    stopped_at: FloatArray
+    within: float
+
+    @property
+    def count(self) -> int:
+        """The number of particles."""
+        return len(self.positions)
+
+    @property
+    def spatial(self) -> FloatArray:
+        """Positions (particles, n, 3) x, y, z in m."""
+        r, z = np.moveaxis(self.positions, 2, 0)
+        turn = self.azimuths[:, None]
+        return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=2)
+
+    def __str__(self) -> str:
+        ends = ", ".join(f"{int((self.fate == fate).sum())} {fate.words}" for fate in Fate
+                         if (self.fate == fate).any())
+        return f"{self.count} particles over {self.times[-1]:.4g} s: {ends}\n{self.report.forces}"
+
+
+def record_times(duration: float) -> FloatArray:
+    """:data:`RECORDED` times from 0 to `duration` (s), closer at the beginning."""
+    return np.asarray(duration * np.linspace(0.0, 1.0, RECORDED) ** 2)
+
+
+def follow(
+    report: TrapReport, times: FloatArray, *, particles: int | FloatArray = 200, seed: int = 0,
+    flow: FloatArray | None = None, voltage_factor: float = 1.0, tolerance: float | None = None,
+    progress: Progress = no_progress,
+) -> Trajectories:
+    """Follow particles in the field of `report` and record them at `times` (n,), ascending from 0 s.
+
+    Args:
+        particles: number of start points, drawn evenly over the volume by `seed`; or start points (P, 2) r, z in m.
+        flow: velocity (N, 2) in m/s with which the liquid carries a particle, at the nodes of ``report.forces.mesh``.
+        voltage_factor: of the voltage that the field was computed for; forces grow with its square.
+        tolerance: estimated error of a step in m; :data:`TOLERANCE` of the wavelength unless given.
+
+    Raises:
+        InputError: times that do not ascend from 0, a start outside the cavity or nearer to a wall than the particle's
+            radius, a particle that does not fit, a number, factor or tolerance that is not positive.
+        ValueError: a flow of another shape.
+    """
+    forces = report.forces
+    radius, wavelength = forces.particle.radius, forces.fluid.sound_speed / forces.excitation.frequency
+    times = np.asarray(times, dtype=float)
+    tolerance = TOLERANCE * wavelength if tolerance is None else tolerance
+    _check(times, voltage_factor, tolerance)
+    random, walls = np.random.default_rng(seed), walls_of(forces.mesh)
+    velocity = particle_velocity(forces, flow=flow, voltage_factor=voltage_factor)
+    if isinstance(particles, int):
+        if particles < 1:
+            raise InputError("trajectories", "particles", particles, "at least one particle")
+        starts = draw_starts(forces.mesh, walls, particles, radius=radius, random=random)
+    else:
+        starts = np.array(particles, dtype=float)
+        _check_starts(starts, velocity, walls, radius)
+    rest = rest_places(report, velocity, walls)
+    motion = Motion(velocity, walls, starts, times, radius=radius, rest=rest,
+                    within=ARRIVED * 0.25 * wavelength, tolerance=tolerance)
+    motion.run(progress)
+    fate, trap = _fates(motion, net_weight(forces.particle, forces.fluid))
+    trapped = fate == Fate.TRAPPED
+    return Trajectories(
+        report=report, velocity=velocity, voltage_factor=voltage_factor, times=times, positions=motion.positions,
+        azimuths=random.uniform(0.0, 2.0 * np.pi, len(starts)), fate=fate, trap=trap, rest=rest,
+        levitated_at=motion.levitated_at, stopped_at=motion.stopped_at, within=motion.within,
+        trapped_at=np.where(trapped, motion.trapped_at[np.arange(len(starts)), trap] if rest.size else np.nan, np.nan),
+    )
+
+
+def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) -> FloatArray:
+    """Places (traps, 2) where a particle rests next to each trap of `report`: zeros of its `velocity` that draw it in.
+
+    NaN for a trap on a wall, one without such a place, and one that shares its place with a deeper trap. Newton's
+    method from the trap.
+    """
+    forces = report.forces
+    wavelength = forces.fluid.sound_speed / forces.excitation.frequency
+    found = np.full((len(report.traps), 2), np.nan)
+    for number, trap in enumerate(report.traps):
+        place = np.array([[trap.radius, trap.height]])
+        if trap.on_wall:
+            continue
+        cell = np.maximum(velocity.cells_at(place), 0)
+        for _ in range(REST_STEPS):
+            speed, slope, inside = velocity(place, cell, slopes=True)
+            step = -np.linalg.lstsq(slope[0], speed[0], rcond=None)[0]
+            size = float(np.linalg.norm(step))
+            place = place + step * min(1.0, LARGEST_REST_STEP * wavelength / size) if size else place
+            place[:, 0] = np.abs(place[:, 0])
+            cell = np.where(inside >= 0, inside, cell)
+            if size < 1e-3 * TOLERANCE * wavelength:
+                break
+        else:
+            continue
+        draws_in = np.trace(slope[0]) < 0.0 < np.linalg.det(slope[0])
+        fits = inside[0] >= 0 and walls.nearest(place)[0][0] >= forces.particle.radius
+        taken = np.linalg.norm(found - place, axis=1) < ARRIVED * 0.25 * wavelength
+        if draws_in and fits and not taken.any():
+            found[number] = place[0]
+    return found
+
+
+def _fates(motion: Motion, weight: float) -> tuple[IntArray, IntArray]:
+    """The fate (P,) of every particle of a finished motion and the trap (P,) that it is in; `weight` in N."""
+    count = len(motion.place)
+    fate, trap = np.full(count, int(Fate.MOVING)), np.full(count, -1)
+    fate[motion.levitated(np.arange(count))[0]] = Fate.LEVITATED
+    if motion.rest.size:
+        apart = np.linalg.norm(motion.positions[:, -1, None] - motion.rest, axis=2)
+        apart = np.where(np.isnan(apart), np.inf, apart)
+        trapped = apart.min(axis=1) <= motion.within
+        fate[trapped], trap[trapped] = Fate.TRAPPED, apart.argmin(axis=1)[trapped]
+    stopped = ~np.isnan(motion.stopped_at)
+    carried = motion.away[:, 1] * np.sign(weight) >= CARRIES
+    fate[stopped] = np.where(carried, Fate.SEDIMENTED, Fate.AT_WALL)[stopped]
+    trap[stopped] = -1
+    return fate, trap
+
+
+def _check(times: FloatArray, voltage_factor: float, tolerance: float) -> None:
+    if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or not (np.diff(times) > 0.0).all() \
+            or not np.isfinite(times).all():
+        raise InputError("trajectories", "times", _listed(times), "two or more times in s, ascending from 0")
+    for name, value in (("voltage_factor", voltage_factor), ("tolerance", tolerance)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError("trajectories", name, value, "a positive number")
+
+
+def _check_starts(starts: FloatArray, velocity: ParticleVelocity, walls: Walls, radius: float) -> None:
+    if starts.ndim != 2 or starts.shape[1] != 2 or not len(starts):
+        raise InputError("trajectories", "particles", f"an array of shape {starts.shape}",
+                         "a number of particles, or start points (P, 2) r, z in m")
+    outside = (velocity.cells_at(starts) < 0) | ~np.isfinite(starts).all(axis=1)
+    distance = np.where(outside, -1.0, walls.nearest(np.nan_to_num(starts))[0])
+    wrong = np.flatnonzero(distance < radius)
+    if wrong.size:
+        r, z = 1e3 * starts[wrong[0]]
+        nodes = 1e3 * velocity.mesh.points
+        (low_r, low_z), (high_r, high_z) = nodes.min(axis=0), nodes.max(axis=0)
+        raise InputError("trajectories", f"particles[{wrong[0]}]", f"r = {r:.6g} mm, z = {z:.6g} mm",
+                         f"a place in the cavity ({low_r:.4g} to {high_r:.4g} mm by {low_z:.4g} to {high_z:.4g} mm), a "
+                         f"radius of the particle ({1e6 * radius:.4g} um) or more from its walls")
+
+
+def _listed(values: Sequence[float] | FloatArray) -> str:
+    """The first few of some numbers."""
+    shown = np.asarray(values, dtype=float).ravel()
+    return ", ".join(f"{each:g}" for each in shown[:5]) + (", ..." if shown.size > 5 else "")

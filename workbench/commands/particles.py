@@ -1,0 +1,103 @@
+"""``workbench particles``."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geometry.chip import Chip, read_chip
+from workbench.acoustics.captures import Window, capture_statistics
+from workbench.acoustics.trajectories import Trajectories
+from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
+from workbench.commands.states import run_state, simulated
+from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
+from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
+from workbench.report.page import Picture
+from workbench.report.particles import (
+    captures_table,
+    motion_answer,
+    motion_record,
+    write_light_curve,
+    write_particles_report,
+    write_trajectories,
+)
+from workbench.simulation.beads import carrier_of, trajectories, with_particle
+from workbench.simulation.run import Snapshot, snapshot
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Radius of the window of the light curve unless stated, as a share of the cavity's. A quarter of evenly spread
+#: particles is in it; doubled, all are.
+WINDOW = 0.5
+
+
+def run_particles(options: argparse.Namespace, console: Console) -> int:
+    """``workbench particles``: the trajectories of the particles of a state, their pictures, and the report."""
+    radius = _length(options.particle_radius, "--particle-radius")
+    chip = with_particle(read_chip(options.chip), options.state, particle=options.particle, radius=radius)
+    model = model_options(options, chip)
+    device = carrier_of(chip, options.state, model.registry)
+    outer = _length(options.window, "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
+    window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
+    with progress_bars(console) as show:
+        shot = _field(chip, name, model, show)
+        found = trajectories(shot, 60.0 * options.minutes, particles=options.count, seed=options.seed,
+                             progress=partial(simulated, show, name))
+        pictures, files = _drawn(found, window, folder, animated=not options.no_animation) \
+            if not options.no_pictures else ([], {})
+        show(name, "done", 1.0)
+    files = {**files, "all positions, times and fates": write_trajectories(found, folder / "trajectories.npz"),
+             "the light curve": write_light_curve(found, window, folder / "light_curve.csv")}
+    write_json(folder / "particles.json", {"chip": chip.name, "chip_file": str(options.chip), "state": name,
+                                           **motion_record(found, window), "findings": list(shot.findings)})
+    write_particles_report(shot, found, pictures, files, folder)
+    print_table(chip.name, captures_table(capture_statistics(found)))
+    print_paragraph(motion_answer(found))
+    for text in shot.findings:
+        say_finding(text, console)
+    return 0
+
+
+def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
+    """The field at the requested frequency, or at f0 of the spectrum."""
+    if model.at is None:
+        return run_state(chip, name, model, show)
+    return snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
+                    accuracy=model.accuracy, progress=partial(simulated, show, name))
+
+
+def _length(text: str | None, field: str) -> float | None:
+    """A length (m) that an option states; None without the option."""
+    return None if text is None else parse_quantity(text, "length", source="command line", field=field)
+
+
+def _drawn(
+    found: Trajectories, window: Window, folder: Path, *, animated: bool
+) -> tuple[list[Picture], dict[str, Path]]:
+    """The pictures of the report, and further files by what they hold."""
+    from workbench.render import beads
+
+    end = float(found.times[-1])
+    # A moment of each stage: levitation in seconds, gathering in minutes.
+    stages = (0.0, *(float(found.times[i]) for i in (len(found.times) // 12, len(found.times) // 3)), end)
+    words = f"window: r below {1e3 * window.outer:.3g} mm"
+    pictures = [
+        Picture(beads.draw_from_above(found, folder / "above_start.png", at=0.0), "from above, at the start"),
+        Picture(beads.draw_from_above(found, folder / "above_end.png", at=end),
+                f"from above, after {beads.time_text(end)}; a dot smaller than {beads.LEAST_DOT:.1%} of the picture is "
+                "drawn as large as that"),
+        Picture(beads.draw_from_side(found, folder / "side.png", at=stages),
+                "from the side, every particle turned into one half plane, on the Gor'kov potential (without weight)"),
+        Picture(beads.draw_light_curves(found, [(f"r below {1e3 * window.outer:.3g} mm", window)],
+                                        folder / "light_curve.png"), f"shares over time; {words}"),
+    ]
+    overlay = beads.draw_from_above(found, folder / "overlay_end.png", at=end, transparent=True)
+    files = {"the picture from above without background, to lay over a micrograph of the cavity's width": overlay}
+    if animated:
+        files["the animation"] = beads.animate_beads(found, folder / "particles.gif")
+    return pictures, files
+

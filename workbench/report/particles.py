@@ -1,0 +1,138 @@
+"""Trajectories of particles as tables, a page, a record, and files to go on with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.acoustics.captures import (
+    CaptureStatistics,
+    Window,
+    arrived_share,
+    capture_statistics,
+    light_curve,
+    rise_time,
+)
+from workbench.acoustics.trajectories import Fate, Trajectories
+from workbench.files.quantities import finite
+from workbench.files.writing import replacing, write_atomic
+from workbench.model.particles import drag_coefficient, net_weight
+from workbench.render.beads import time_text
+from workbench.report.page import Answer, Block, Note, Picture, TextTable, write_report
+from workbench.report.simulation import field_table
+from workbench.simulation.gathering import particle_words, percent
+from workbench.simulation.run import Snapshot
+
+#: Sentences on the limits of the computation, as the documentation has them.
+LEFT_OUT = ("Left out: forces between particles and their shadow in the sound, the larger drag within a few radii of a "
+            "wall, crowding, thermal motion, and what a particle does after it has touched a wall.")
+
+
+def captures_table(statistics: Sequence[CaptureStatistics]) -> TextTable:
+    """Particles by the way they end, with the times of arrival and their spread over start points."""
+    return TextTable(
+        ("particles", "number", "of all (%)", "10 % by (s)", "50 % by (s)", "90 % by (s)", "10 to 90 % (s)"),
+        tuple((row.name, str(row.count), _spread(100.0 * row.share, 100.0 * row.share_spread),
+               *("" if each is None else f"{float(f'{each:.3g}'):g}" for each in (row.ten, row.half, row.ninety)),
+               _spread(row.focusing_time, row.focusing_spread))
+              for number, row in enumerate(statistics) if row.count or not number))
+
+
+def _spread(value: float | None, spread: float | None) -> str:
+    """A number and its standard deviation, to two digits of that."""
+    if value is None or spread is None:
+        return ""
+    digits = 1 if not spread > 0.0 else max(0, 1 - math.floor(math.log10(spread)))
+    return f"{value:.{digits}f} ± {spread:.{digits}f}"
+
+
+def rest_table(found: Trajectories) -> TextTable:
+    """Traps of the sound alone, and the places next to them where the particle rests with its weight and the flow."""
+    rows = []
+    for number, (trap, rest) in enumerate(zip(found.report.traps, found.rest, strict=True), start=1):
+        holds = np.isfinite(rest).all()
+        rows.append((str(number), f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}",
+                     f"r {1e3 * rest[0]:.3f}, z {1e3 * rest[1]:.3f}" if holds else "on a wall" if trap.on_wall else
+                     "none", str(int((found.trap == number - 1).sum()))))
+    return TextTable(("trap", "of the sound alone (mm)", "place of rest (mm)", "particles there"), tuple(rows))
+
+
+def motion_answer(found: Trajectories) -> str:
+    """Sentences on the fate of the particles."""
+    excitation, count = found.report.excitation, found.count
+    voltage = 2.0 * excitation.voltage * found.voltage_factor
+    ends = [f"{percent(float((found.fate == fate).mean()))} {fate.words}" for fate in
+            (Fate.TRAPPED, Fate.LEVITATED, Fate.MOVING, Fate.SEDIMENTED, Fate.AT_WALL) if (found.fate == fate).any()]
+    text = (f"After {time_text(float(found.times[-1]))} at {excitation.frequency / 1e6:.4f} MHz and {voltage:.3g} Vpp, "
+            f"of {count} evenly spread {particle_words(found.report.forces)}: {', '.join(ends)}.")
+    levitation = capture_statistics(found)[0]
+    if levitation.ninety is not None:
+        text += (f" {percent(levitation.share)} come to levitate, nine tenths of these within "
+                 f"{time_text(levitation.ninety)}.")
+    return text
+
+
+def motion_record(found: Trajectories, window: Window) -> dict[str, Any]:
+    """Everything about the motion that particles.json holds."""
+    forces, excitation = found.report.forces, found.report.excitation
+    curve = light_curve(found, window)
+    return {
+        "particle": forces.particle.name, "radius_m": forces.particle.radius, "particles": found.count,
+        "seconds": float(found.times[-1]), "frequency_hz": excitation.frequency, "drive": excitation.description,
+        "voltage_factor": found.voltage_factor, "energy_density_j_m3": excitation.energy_density,
+        "contrast_factor": forces.scattering.contrast_factor,
+        "settling_speed_m_s": net_weight(forces.particle, forces.fluid) / drag_coefficient(
+            forces.particle, forces.fluid),
+        "fate": {fate.words: int((found.fate == fate).sum()) for fate in Fate},
+        "captures": [{"name": row.name, "count": row.count, "share": row.share, "share_spread": row.share_spread,
+                      "ten_percent_s": row.ten, "half_s": row.half, "ninety_percent_s": row.ninety,
+                      "focusing_time_s": row.focusing_time, "focusing_spread_s": row.focusing_spread}
+                     for row in capture_statistics(found)],
+        "rest_m": [[finite(r), finite(z)] for r, z in found.rest],
+        "window_m": {"inner": window.inner, "outer": finite(window.outer), "bottom": finite(window.bottom),
+                     "top": finite(window.top)},
+        "window_share": {"begin": float(curve[0]), "end": float(curve[-1]),
+                         "ten_to_ninety_percent_s": rise_time(found.times, curve)},
+    }
+
+
+def write_trajectories(found: Trajectories, path: Path) -> Path:
+    """Write times, positions and fates as an npz archive (numpy), SI units in the names of its arrays."""
+    with replacing(path) as whole:
+        np.savez_compressed(
+            whole, times_s=found.times, positions_m=found.positions, azimuths_rad=found.azimuths, fate=found.fate,
+            fate_words=np.array([fate.words for fate in Fate]), trap=found.trap, rest_m=found.rest,
+            levitated_at_s=found.levitated_at, trapped_at_s=found.trapped_at, stopped_at_s=found.stopped_at)
+    return path
+
+
+def write_light_curve(found: Trajectories, window: Window, path: Path) -> Path:
+    """Write the shares of the light curve at every time as CSV."""
+    columns = np.stack([found.times, light_curve(found, window), *(arrived_share(found, at) for at in (
+        found.levitated_at, found.trapped_at, found.stopped_at))], axis=1)
+    rows = ["time_s,in_window,came_to_levitate,came_to_their_trap,stopped_by_a_wall",
+            *(",".join(f"{value:.9g}" for value in row) for row in columns)]
+    write_atomic(path, "\n".join(rows) + "\n")
+    return path
+
+
+def write_particles_report(
+    shot: Snapshot, found: Trajectories, pictures: Sequence[Picture], files: Mapping[str, Path], folder: Path
+) -> Path:
+    """``report.html``: the fate of the particles first, then how many, when and where, the pictures, what is left out.
+    `files` are further files by what they hold."""
+    sections: list[tuple[str, list[Block]]] = [
+        ("Where are the particles?", [Answer(motion_answer(found)), *map(Note, shot.findings)]),
+        ("How many, and when", [captures_table(capture_statistics(found)), rest_table(found)]),
+        ("Pictures", list(pictures)),
+        (f"The field of state {shot.state} at {shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}",
+         [field_table(found.report)]),
+        ("What is computed", [
+            "Every particle follows dx/dt = v2 + (F - W e_z) / (6 pi eta a): radiation force and net weight against "
+            "drag, and the flow v2 of the liquid if one is given (here none).", LEFT_OUT,
+            "Files: " + "; ".join(f"{path.name}, {words}" for words, path in files.items()) + "."])]
+    return write_report(folder / "report.html", f"{shot.chip.name}: particles", sections)

@@ -1,0 +1,128 @@
+"""Particles of a simulated state followed through its cavity, and where they are when the time is over.
+
+    run = simulate(read_chip("chip.toml"), "filled")
+    found = trajectories(run, 1800.0)
+    found.positions, found.fate, capture_statistics(found)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.names import CAVITY
+from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.nodal import FloatArray, transfer
+from workbench.acoustics.trajectories import Trajectories, follow, record_times
+from workbench.acoustics.traps import find_traps
+from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
+from workbench.model.problem import FilledChip, fill
+from workbench.simulation.run import Snapshot
+
+#: Depth of a trap, as a share of the span of the potential, below which particles at rest count as levitated and not as
+#: trapped. Rings of traps in the plane of levitation have hundredths of it; at a hundredth, two thirds of the particles
+#: of the paper's chip rest in rings that are none of its traps.
+LEAST_DEPTH = 1e-4
+#: Largest radius of a particle over the wavelength: the force is off by about (k a)^2, here by 40 %. Doubled, it may
+#: have the wrong sign.
+LARGEST = 0.1
+
+
+def trajectories(
+    shot: Snapshot, duration: float, *, particles: int | FloatArray = 200, seed: int = 0,
+    flow: FloatArray | None = None, voltage_factor: float = 1.0, times: FloatArray | None = None,
+    tolerance: float | None = None, progress: Progress = no_progress,
+) -> Trajectories:
+    """Follow the particles of a simulated state for a `duration` (s).
+
+    Args:
+        shot: a state at one frequency and drive, with a particle: of `snapshot` or `simulate`.
+        particles: number of start points, drawn evenly over the cavity's volume by `seed`; or start points (P, 2) r, z
+            in m.
+        flow: velocity (N, 2) in m/s with which the liquid carries a particle (streaming and Stokes drift), at the nodes
+            of the mesh of the fields or of that of the forces (``shot.traps.forces.mesh``); none unless given.
+        voltage_factor: of the voltage of `shot`; the radiation force grows with its square, the flow is as given.
+        times: times (n,) in s of the record, ascending from 0 to `duration`; closer at the beginning unless given.
+        tolerance: estimated error of a step in m.
+
+    Raises:
+        InputError: a state without particle, a duration that is not positive, a flow that is at no nodes of the cavity,
+            or see `workbench.acoustics.trajectories.follow`.
+    """
+    if shot.traps is None:
+        raise InputError("trajectories", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a particle "
+                         'in a liquid: lines such as particle = "polystyrene" and particle_radius = "5 um" in '
+                         f"[states.{shot.state}] of the chip file")
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise InputError("trajectories", "duration", duration, "a positive time in s")
+    forces = shot.traps.forces
+    _check_small(shot.chip, shot.state, forces.particle.radius, forces.fluid.sound_speed / shot.fields.frequency)
+    record = record_times(duration) if times is None else np.asarray(times, dtype=float)
+    if record.size and record[-1] != duration:
+        raise InputError("trajectories", "times", f"times up to {record[-1]:g} s", f"times that end at {duration:g} s")
+    report = find_traps(forces, least_depth=LEAST_DEPTH)
+    return follow(report, record, particles=particles, seed=seed, flow=_on_forces(shot, flow),
+                  voltage_factor=voltage_factor, tolerance=tolerance, progress=progress)
+
+
+def with_particle(chip: Chip, state: str | None, *, particle: str | None, radius: float | None) -> Chip:
+    """The chip with another particle, or another radius (m), in one of its states; those of the file unless given.
+
+    Raises:
+        InputError: no such state, one of the two is missing, or the particle does not fit the cavity.
+    """
+    chosen = chip.state(state)
+    changed = replace(chosen, particle=particle or chosen.particle,
+                      particle_radius=chosen.particle_radius if radius is None else radius)
+    return replace(chip, states=tuple(changed if each is chosen else each for each in chip.states))
+
+
+def carrier_of(chip: Chip, state: str | None, registry: Registry | None = None) -> FilledChip:
+    """The chip in a state that has a particle in a liquid, its materials read and checked: nothing is solved.
+
+    Raises:
+        InputError: a state without particle, a particle too large for the formulas of the force even at the lower end
+            of the band, or see `workbench.model.problem.fill`.
+    """
+    device = fill(chip, state, registry)
+    if device.particle is None:
+        raise InputError(chip.file, f"states.{device.state.name}.particle", None, "a particle to follow, such as "
+                         'particle = "polystyrene" with particle_radius = "5 um"')
+    fluid = device.materials[CAVITY]
+    assert isinstance(fluid, Fluid)
+    _check_small(chip, device.state.name, device.particle.radius, fluid.sound_speed / chip.band[0])
+    return device
+
+
+def _check_small(chip: Chip, state: str, radius: float, wavelength: float) -> None:
+    """Raise if the formulas of the force do not hold for a particle of that `radius` (m)."""
+    if radius > LARGEST * wavelength:
+        raise InputError(chip.file, f"states.{state}.particle_radius", f"{1e6 * radius:.4g} um",
+                         f"at most {1e6 * LARGEST * wavelength:.3g} um: Gor'kov's formula holds for spheres much "
+                         f"smaller than the wavelength of {1e3 * wavelength:.3g} mm")
+
+
+def _on_forces(shot: Snapshot, flow: FloatArray | None) -> FloatArray | None:
+    """A flow at the nodes of the mesh of the forces."""
+    assert shot.traps is not None
+    own = shot.traps.forces.mesh
+    if flow is None:
+        return None
+    if flow.shape == (len(own.points), 2):
+        moved = flow
+    elif flow.shape == (len(shot.fields.mesh.points), 2):
+        moved = transfer(shot.fields.mesh, flow, own)
+    else:
+        raise InputError("trajectories", "flow", f"an array of shape {flow.shape}", f"velocities of shape "
+                         f"({len(own.points)}, 2) at the nodes of the forces, or ({len(shot.fields.mesh.points)}, 2) "
+                         "at those of the fields")
+    wrong = int((~np.isfinite(moved)).sum())
+    if wrong:
+        raise InputError("trajectories", "flow", f"{wrong} values that are not finite",
+                         f"a velocity at every node of the {CAVITY}")
+    return moved
