@@ -45,9 +45,8 @@ NEEDED: Mapping[str, str] = {"thermal_conductivity": "W/(m K)", "heat_capacity":
 class PartTemperature:
     """One part of a chip in the steady state.
 
-    ``mean`` and ``peak`` K above ambient; ``loss`` W released in it; ``capacity`` J/K; ``resistance`` K/W, what the
-    chip's power adds to its mean, by watt of the whole chip; ``initial_rate`` K/s of its mean at switch-on, the loss
-    over the capacity.
+    ``mean`` and ``peak`` K above ambient; ``loss`` W released in it; ``capacity`` J/K; ``resistance`` K/W, the rise of
+    its mean for each watt that the whole chip loses.
     """
 
     mean: float
@@ -58,6 +57,7 @@ class PartTemperature:
 
     @property
     def initial_rate(self) -> float:
+        """Rate (K/s) of its mean temperature at switch-on, before heat is conducted: the loss over the capacity."""
         return self.loss / self.capacity
 
 
