@@ -34,7 +34,7 @@ class Heat:
     """Thermal constants of a solid; one that a source does not give is None.
 
     Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. No term of the acoustic
-    model reads them, so they are not among the parameters of a solid.
+    model reads them, so they are not among the parameters of a solid; conduction of heat needs the first two.
     """
 
     THERMAL: ClassVar[tuple[str, ...]] = ("thermal_conductivity", "heat_capacity", "thermal_expansion")

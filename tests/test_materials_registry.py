@@ -279,12 +279,27 @@ def test_particles_of_the_literature_have_its_compressibility() -> None:
     assert _fluid("olive_oil").sound_speed == pytest.approx(1440 - 2.8 * 3, abs=2)  # Kaye and Laby: 1440 at 22 degC
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_solid_conducts_heat_by_numbers_with_a_source(name: str) -> None:
+    material = _load(name)
+    if isinstance(material, Fluid):
+        return
+    for constant in ("thermal_conductivity", "heat_capacity"):
+        assert getattr(material, constant) is not None
+        assert material.values[constant].source in REFERENCES
+    # From rubber to aluminium, 1 to 4 MJ/(m^3 K): heat capacities by volume differ little.
+    assert material.heat_capacity is not None
+    assert 1.0e6 < material.density * material.heat_capacity < 4.1e6
+
+
 def test_thermal_constants_keep_their_source_and_are_no_parameters() -> None:
     glass = _load("borosilicate_glass")
     assert isinstance(glass, IsotropicSolid)
     assert glass.thermal_conductivity == 1.2
     assert glass.thermal_expansion == pytest.approx(3.3e-6)
-    assert glass.heat_capacity is None
+    resin = _load("photopolymer")
+    assert isinstance(resin, IsotropicSolid)
+    assert resin.thermal_expansion is None
     assert set(glass.parameters()) == {"density", "bulk_modulus", "shear_modulus"}
     assert glass.values["thermal_conductivity"].conditions == "20 degC"
     assert "thermal_conductivity   1.2" in materials.describe(glass)

@@ -9,9 +9,9 @@ import pytest
 
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.catalogue.catalogue import fluid_slopes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
+from workbench.model.fluid_slopes import fluid_slopes
 from workbench.model.problem import Problem
 from workbench.physics.fluid_temperature import ADMISSIBLE, FluidTemperature
 

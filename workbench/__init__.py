@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from workbench.acoustics.captures import capture_statistics as capture_statistics
     from workbench.acoustics.captures import light_curve as light_curve
     from workbench.acoustics.trajectories import Trajectories as Trajectories
+    from workbench.acoustics.heat import Heating as Heating
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
     from workbench.campaign.campaign import Campaign as Campaign
@@ -79,6 +80,10 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import Spectrum as Spectrum
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
+    from workbench.simulation.heating import LiquidWarming as LiquidWarming
+    from workbench.simulation.heating import heating as heating
+    from workbench.simulation.heating import liquid_warming as liquid_warming
+    from workbench.simulation.heating import thermal_resistances as thermal_resistances
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
@@ -97,7 +102,9 @@ PUBLIC = {
     "Figures": "workbench.results.merit",
     "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",
+    "Heating": "workbench.acoustics.heat",
     "InputError": "workbench.files.errors",
+    "LiquidWarming": "workbench.simulation.heating",
     "MaterialFit": "workbench.fitting.recordings",
     "Operation": "workbench.design.evaluation",
     "Posterior": "workbench.diagnosis.posterior",
@@ -127,6 +134,8 @@ PUBLIC = {
     "fit_circuit": "workbench.results.circuit",
     "fit_resonances": "workbench.results.resonances",
     "full_evaluation": "workbench.design.model",
+    "heating": "workbench.simulation.heating",
+    "liquid_warming": "workbench.simulation.heating",
     "measure": "workbench.bench.sweep",
     "optimise": "workbench.design.optimisation",
     "parse_drive": "workbench.model.drive",
@@ -141,6 +150,7 @@ PUBLIC = {
     "snapshot": "workbench.simulation.run",
     "stated_uncertainty": "workbench.design.input_uncertainty",
     "study": "workbench.design.study",
+    "thermal_resistances": "workbench.simulation.heating",
     "tolerance": "workbench.design.tolerance",
     "trajectories": "workbench.simulation.beads",
     "write_chip": "geometry.chip_file",

@@ -36,7 +36,7 @@ from workbench.catalogue.effect import (
     with_terms,
 )
 from workbench.catalogue.transducer import transducer
-from workbench.files.errors import InputError
+from workbench.model.fluid_slopes import fluid_slopes
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterName
 from workbench.physics import (
     absorption,
@@ -92,9 +92,6 @@ NOT_FULL = (0.04, 0.1, 0.18, 0.28)
 
 #: Largest share of a joint that is open.
 HELD = 0.9
-
-#: Distance (K) to either side at which the parabola meets a fluid's law.
-STEP = 5.0
 
 
 def effects(device: Device) -> tuple[Effect, ...]:
@@ -166,25 +163,6 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
     yield other_than_stated(device, "fluid sound speed", CAVITY, "stiffness", "the liquid is another than stated", {
         f"{fluid.name}.sound_speed": Admissible(0.9, 1.1, "1", "of the stated speed: a tenth of another liquid in it")},
         relative=True)
-
-
-def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
-    """The parameters of `fluid_temperature.FluidTemperature` but the offset, from a `law` of the temperature (K).
-
-    None where it has no law so far to both sides.
-    """
-    if fluid.temperature is None:
-        return None
-    try:
-        colder, warmer = law(fluid.temperature - STEP), law(fluid.temperature + STEP)
-    except InputError:
-        return None
-    found: dict[str, float] = {}
-    for kind, here, below, above in (("density", fluid.density, colder.density, warmer.density),
-                                     ("speed", fluid.sound_speed, colder.sound_speed, warmer.sound_speed)):
-        found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
-        found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
-    return found
 
 
 def meniscus(device: Device) -> Iterator[Effect]:

@@ -165,10 +165,12 @@ class Goal:
         bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
                        for bound in parse_bounds(text, chip.dimensions(), chip.regions, driven, source=source,
                                                  field=f"goal.constraints[{index}]"))
+        within = _band(head, chip)
+        thermal_resistance = read_thermal(root, chip, (), states=(chosen,), band=within, registry=registry)
         self.__dict__.update(
             source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
-            operation=Operation(driven, thermal_resistance=read_thermal(root, chip.regions, ())),
-            objectives=_objectives(head, chip), band=_band(head, chip),
+            operation=Operation(driven, thermal_resistance=thermal_resistance),
+            objectives=_objectives(head, chip), band=within,
             robust=_robust(root.table("robust")) if "robust" in root else None)
         _check(self)
 

@@ -12,7 +12,7 @@
     confirm = 5                     # points that are solved in full at the end
 
     [thermal]                       # K/W, for the figure "heating"; "all" stands for regions not named
-    transducer = "4 K/W"
+    transducer = "4 K/W"            # or computed, see `workbench.design.thermal`
     all = "10 K/W"
 
     [sample]
@@ -131,7 +131,8 @@ class Study:
         if not wanted:
             raise head.error("figures", "one figure at least")
         within = _band(head, chip)
-        operation = Operation(read_drive(head), _frequency(head, within), read_thermal(table, chip.regions, wanted))
+        thermal_resistance = read_thermal(table, chip, wanted, states=chosen, band=within, registry=registry)
+        operation = Operation(read_drive(head), _frequency(head, within), thermal_resistance)
         sampling = read_sampling(table.table("sample", expected="a table [sample]"))
         axes = read_axes(table.table("vary", expected="a table [vary]"), chip, chosen, registry, method=sampling.method)
         self.__dict__.update(

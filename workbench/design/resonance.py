@@ -19,7 +19,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fem.linearised import LinearisedState
+from workbench.fem.linearised import (
+    LinearisedState,
+    curvature,
+    frequency_slope,
+    log_impedance,
+    log_slopes,
+    mixed_slopes,
+)
 from workbench.results.merit import NoResonance
 
 Real = NDArray[np.float64]
@@ -83,33 +90,6 @@ class Resonance:
         f0 = -mixed_slopes(self.at, turns) / curvature(self.at)
         f1, f2 = ((slope_0 - log_slopes(each, turns)) / frequency_slope(each) for each in (self.below, self.above))
         return f0, self.z_min * slope_0, self.q * (f0 / self.f0 - (f2 - f1) / self.width)
-
-
-def log_impedance(state: LinearisedState) -> float:
-    """L = ln |Z|, Z = i / (w Q)."""
-    return -math.log(2.0 * math.pi * state.frequency * abs(state.charge))
-
-
-def frequency_slope(state: LinearisedState) -> float:
-    """dL / df, 1/Hz."""
-    return -1.0 / state.frequency - (state.charge_by_frequency / state.charge).real
-
-
-def curvature(state: LinearisedState) -> float:
-    """d2L / df2, 1/Hz^2."""
-    ratio = state.charge_by_frequency / state.charge
-    return 1.0 / state.frequency**2 - (state.charge_twice_by_frequency / state.charge - ratio**2).real
-
-
-def log_slopes(state: LinearisedState, turns: Complex) -> Real:
-    """dL / d number (k,) at constant frequency."""
-    return -np.asarray(turns * state.charge_by_parameter / state.charge).real
-
-
-def mixed_slopes(state: LinearisedState, turns: Complex) -> Real:
-    """d2L / df d number (k,)."""
-    by_both = state.charge_by_both - state.charge_by_frequency * state.charge_by_parameter / state.charge
-    return -np.asarray(turns * by_both / state.charge).real
 
 
 def find_resonance(

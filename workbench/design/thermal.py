@@ -1,31 +1,73 @@
-"""Thermal resistances, as a study's or a goal's file states them for the figure "heating".
+"""Thermal resistances for the figure "heating", as a study's or a goal's file states them, or computed.
 
     [thermal]                       # kelvin for each watt lost in a region
     transducer = "4 K/W"
     all = "10 K/W"                  # regions that are not named
+
+    [thermal]                       # computed by conduction in the chip as it is at first
+    computed = "cavity"             # the part whose mean temperature "heating" is
+    convection = "10 W/(m^2 K)"     # to the surroundings; this is the default
+    holder = "substrate|outside"    # a boundary at ambient temperature; none by default
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from geometry.chip import Chip
+from geometry.chip_section import chip_section
+from materials.registry import Registry
+from workbench.acoustics.heat import STILL_AIR
 from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
+from workbench.simulation.heating import thermal_resistances
+from workbench.simulation.run import simulate
+
+#: Keys of a table whose resistances are computed.
+OF_MODEL = ("computed", "convection", "holder")
+
+#: Relative accuracy of the mesh and of the reduced model, and points of the band, that f0 is looked for with: only the
+#: distribution of the losses depends on it. Doubled, resistances change by less than the material constants are known.
+MESH_ACCURACY, MODEL_ACCURACY, POINTS = 5e-3, 1e-2, 161
 
 
-def read_thermal(root: FileTable, regions: Sequence[str], figures: Collection[str]) -> dict[str, float]:
-    """The thermal resistances (K/W) in a file, by region, "" for all that are not named.
+def read_thermal(
+    root: FileTable, chip: Chip, figures: Collection[str], *, states: Sequence[str], band: tuple[float, float] | None,
+    registry: Registry | None,
+) -> dict[str, float]:
+    """The thermal resistances (K/W) of a file, by region or interface, "" for all that are not named.
+
+    With the key ``computed`` they are those of conduction in `chip` at its f0 in `band` (Hz; the chip's own if None),
+    and of its dimensions and materials at first, whatever varies.
 
     Raises:
-        InputError: an unknown region, a resistance below zero, or none at all where `figures` need one.
+        InputError: an unknown region, a resistance below zero, numbers beside ``computed``, that for several `states`,
+            or none at all where `figures` need one.
     """
     table = root.table("thermal", expected="a table [thermal] of thermal resistances by region")
-    table.only((*regions, "all"))
+    if "computed" in table:
+        return _computed(table, chip, states, band, registry)
+    table.only((*chip.regions, "all", "computed"))
     found = {"" if key == "all" else key: table.quantity(key, "thermal resistance") for key in table}
     for key, value in zip(table, found.values(), strict=True):
         if not value >= 0.0:
             raise table.error(key, "a thermal resistance of zero or more")
     if "heating" in figures and not found:
         raise InputError(root.source, "thermal", "nothing", 'thermal resistances for the figure "heating", such as '
-                         'all = "10 K/W"')
+                         'all = "10 K/W", or computed = "cavity"')
     return found
+
+
+def _computed(
+    table: FileTable, chip: Chip, states: Sequence[str], band: tuple[float, float] | None, registry: Registry | None
+) -> dict[str, float]:
+    table.only(OF_MODEL)
+    part = table.choice("computed", chip.regions)
+    if len(states) != 1:
+        raise table.error("computed", f"one state of the chip, not {len(states)}: each has resistances of its own; "
+                          "state them by region")
+    holder = table.choice("holder", chip_section(chip).boundary_names()) if "holder" in table else None
+    convection = table.quantity("convection", "heat transfer coefficient", STILL_AIR)
+    run = simulate(chip, states[0], registry=registry, band=band, accuracy=MESH_ACCURACY, points=POINTS,
+                   relative_error=MODEL_ACCURACY)
+    return thermal_resistances(run, part=part, convection=convection, holder=holder)

@@ -9,6 +9,7 @@ differentiated by central differences of sixth order, whose error is below round
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -198,3 +199,30 @@ class FullSystem:
         charge = np.array([-complex(state @ (whole @ state))])
         solution = Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
         return _linearised(solution, names, forces, moved)
+
+
+def log_impedance(state: LinearisedState) -> float:
+    """L = ln |Z|, Z = i / (w Q)."""
+    return -math.log(2.0 * math.pi * state.frequency * abs(state.charge))
+
+
+def frequency_slope(state: LinearisedState) -> float:
+    """dL / df, 1/Hz."""
+    return -1.0 / state.frequency - (state.charge_by_frequency / state.charge).real
+
+
+def curvature(state: LinearisedState) -> float:
+    """d2L / df2, 1/Hz^2."""
+    ratio = state.charge_by_frequency / state.charge
+    return 1.0 / state.frequency**2 - (state.charge_twice_by_frequency / state.charge - ratio**2).real
+
+
+def log_slopes(state: LinearisedState, turns: Complex) -> Real:
+    """dL / d number (k,) at constant frequency."""
+    return -np.asarray(turns * state.charge_by_parameter / state.charge).real
+
+
+def mixed_slopes(state: LinearisedState, turns: Complex) -> Real:
+    """d2L / df d number (k,)."""
+    by_both = state.charge_by_both - state.charge_by_frequency * state.charge_by_parameter / state.charge
+    return -np.asarray(turns * by_both / state.charge).real

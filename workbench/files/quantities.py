@@ -45,6 +45,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "temperature difference": {"K": 1.0},
     "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},
     "thermal resistance": {"K/W": 1.0},
+    "heat transfer coefficient": {"W/(m^2 K)": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
     # A part of a whole (noise, accuracy, tolerance). Without the per cent sign it could be a fraction or a percentage.
     "share": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},

@@ -1,0 +1,270 @@
+"""Temperatures of a driven chip: the losses of its fields, conducted through all of its parts to the outside.
+
+The losses are released where they arise (`heat_source`), conducted (`conduction`), and given to the surroundings by
+natural convection and radiation, or to a holder. Flow in the liquid carries no heat here, which :func:`check_peclet`
+asks about; material numbers do not change with the temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from materials.kinds import Fluid, Material
+from materials.registry import Registry
+from workbench.acoustics.conduction import Conduction, ThermalConstants, conduction, is_outer, mean_over
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.heat_source import heat_source
+from workbench.acoustics.nodal import NodalMesh
+from workbench.fem.solve import Solution
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.model.problem import Problem
+from workbench.results.brief import Brief
+
+Real = NDArray[np.float64]
+
+#: Heat transfer coefficient (W/(m^2 K)) of a surface in still air: natural convection and radiation. Free convection in
+#: gases gives 2 to 25 (Incropera and DeWitt, Fundamentals of Heat and Mass Transfer, table 1.1). A plate of 25 mm
+#: that is 10 K warmer has 1.32 (dT / L)^(1/4) = 6, radiation adds at most 6. Doubled, a chip is nearly half as warm.
+STILL_AIR = 10.0
+
+#: The material that an empty region conducts as.
+EMPTY = "air"
+
+#: Peclet number above which conduction alone is refused: flow then carries as much heat as conduction does.
+HIGHEST_PECLET = 1.0
+
+#: The constants of a material that conduction needs, and their units.
+NEEDED: Mapping[str, str] = {"thermal_conductivity": "W/(m K)", "heat_capacity": "J/(kg K)"}
+
+
+@dataclass(frozen=True)
+class PartTemperature:
+    """One part of a chip in the steady state.
+
+    ``mean`` and ``peak`` K above ambient; ``loss`` W released in it; ``capacity`` J/K; ``resistance`` K/W, the rise of
+    its mean for each watt that the whole chip loses.
+    """
+
+    mean: float
+    peak: float
+    loss: float
+    capacity: float
+    resistance: float
+
+    @property
+    def initial_rate(self) -> float:
+        """Rate (K/s) of its mean temperature at switch-on, before heat is conducted: the loss over the capacity."""
+        return self.loss / self.capacity
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Heating(Brief):
+    """Temperatures of a chip driven steadily at one frequency, in K above the ambient temperature.
+
+    ``rise`` (N,) at the nodes of ``mesh``, NaN where nothing conducts; ``parts`` by region; ``power`` W of electrical
+    input, ``released`` W of heat, ``convected`` W by outer boundary, ``held`` W into the holder; ``closure`` the
+    relative difference of the heat that is released and the heat that leaves. ``hottest`` r, z (m) of the hottest
+    point, ``peak`` K there and ``peak_resistance`` K/W. ``time_constant`` s, the slowest. ``drive`` in words,
+    ``frequency`` Hz. ``notes`` are sentences on assumptions.
+    """
+
+    mesh: NodalMesh
+    rise: Real
+    parts: Mapping[str, PartTemperature]
+    power: float
+    released: float
+    convected: Mapping[str, float]
+    held: float
+    closure: float
+    hottest: tuple[float, float]
+    peak: float
+    peak_resistance: float
+    time_constant: float
+    drive: str
+    frequency: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def initial_rate(self) -> float:
+        """Rate (K/s) of the mean temperature of the whole chip at switch-on, weighted with the heat capacity."""
+        return self.released / sum(part.capacity for part in self.parts.values())
+
+    def __str__(self) -> str:
+        parts = "\n".join(
+            f"{name}: mean {part.mean:.3g} K, peak {part.peak:.3g} K, {part.resistance:.3g} K/W, {part.loss:.3g} W "
+            f"lost in it, {part.initial_rate:.3g} K/s at switch-on" for name, part in self.parts.items())
+        return (f"{self.frequency / 1e6:.4f} MHz, {self.drive}, {self.power:.3g} W: hottest {self.peak:.3g} K above "
+                f"ambient at r = {1e3 * self.hottest[0]:.3g} mm, z = {1e3 * self.hottest[1]:.3g} mm, time constant "
+                f"{self.time_constant:.3g} s\n{parts}")
+
+
+def conducted_heat(
+    problem: Problem,
+    solution: Solution,
+    voltage: float,
+    *,
+    drive: str = "",
+    convection: float | Mapping[str, float] = STILL_AIR,
+    holder: str | Mapping[str, float] | None = None,
+    empty: str | None = EMPTY,
+) -> Heating:
+    """The steady temperatures of a chip, from a full `solution` of `problem` at one frequency.
+
+    Args:
+        voltage: amplitude (V) at the electrodes.
+        drive: the drive in words.
+        convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
+            (``superstrate|outside``), the key "" standing for all that are not named.
+        holder: a boundary at ambient temperature, or the temperature (K above ambient) of several.
+        empty: material of the registry that an empty region conducts as; None: it is insulated.
+
+    Raises:
+        InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary, or a chip
+            that loses nothing.
+    """
+    model, notes = conduction_of(problem, convection=convection, holder=holder, empty=empty)
+    source = heat_source(solution, voltage)
+    power = float(solution.input_power()[0]) * voltage**2
+    if not source.power > 0.0:
+        raise InputError("heat", "power lost in the chip", f"{source.power:g} W", "a chip that loses power: state the "
+                         "loss of its materials")
+    load = source.load
+    rise = model.temperature(load)
+    by_power = rise if not any(model.held.values()) else rise - model.temperature(np.zeros(model.size))
+    cooled, held = model.leaving(rise, load)
+    mesh, dofs = section_nodes(problem.mesh)
+    parts = {}
+    for region, constants in model.constants.items():
+        weights = model.averaging(region)
+        there = np.flatnonzero(weights)
+        nodes = np.unique(model.places[region].dofs)
+        parts[region] = PartTemperature(
+            mean=float(weights[there] @ rise[there]), peak=float(rise[nodes].max()),
+            loss=source.released(region), capacity=constants.volumetric * model.volume(region),
+            resistance=float(weights[there] @ by_power[there]) / source.power)
+    nodal = rise[dofs]
+    top = int(np.nanargmax(nodal))
+    return Heating(
+        mesh=mesh, rise=nodal, parts=parts, power=power, released=source.power, convected=cooled, held=held,
+        closure=abs(sum(cooled.values()) + held - source.power) / source.power,
+        hottest=(float(mesh.points[top, 0]), float(mesh.points[top, 1])), peak=float(nodal[top]),
+        peak_resistance=float(by_power[dofs[top]]) / source.power, time_constant=model.slowest_time(),
+        drive=drive, frequency=float(solution.frequency[0]), notes=notes)
+
+
+def conduction_of(
+    problem: Problem,
+    *,
+    convection: float | Mapping[str, float] = STILL_AIR,
+    holder: str | Mapping[str, float] | None = None,
+    empty: str | None = EMPTY,
+) -> tuple[Conduction, tuple[str, ...]]:
+    """The conduction in the parts of a `problem`, and sentences on what was assumed; see :func:`conducted_heat`."""
+    notes = list[str]()
+    constants = {region: thermal_constants(material, problem) for region, material in problem.materials.items()}
+    for region in problem.mesh.section.regions:
+        if region in constants:
+            continue
+        if empty is None:
+            notes.append(f"{region} is empty and insulated")
+            continue
+        material = Registry().load(empty)
+        constants[region] = thermal_constants(material, problem)
+        notes.append(f"{region} is empty and conducts heat as {material.name}, without convection or radiation inside")
+    held = {} if holder is None else {holder: 0.0} if isinstance(holder, str) else dict(holder)
+    cooling = dict(convection) if isinstance(convection, Mapping) else {"": float(convection)}
+    return conduction(problem.mesh, constants, cooling=cooling, held=held), tuple(notes)
+
+
+def thermal_constants(material: Material, problem: Problem | None = None) -> ThermalConstants:
+    """The constants of a material that conduction needs; the numbers of a `problem` come first, where it has them.
+
+    Raises:
+        InputError: the material lacks one. The nearest materials of the package that have it are named.
+    """
+    values = {} if problem is None else problem.values
+    numbers = {}
+    for name, unit in NEEDED.items():
+        stated = getattr(material, name)
+        found = values.get(f"{material.name}.{name}", stated)
+        if found is None:
+            raise InputError(f"material {material.name}", name, None, f"a number in {unit}: temperatures rest on it; "
+                             "state it in the material's entry, or use a material that has it",
+                             _with_constant(material, name))
+        numbers[name] = complex(found).real
+    density = complex(values.get(f"{material.name}.density", material.density)).real
+    return ThermalConstants(numbers["thermal_conductivity"], density, numbers["heat_capacity"])
+
+
+def _with_constant(material: Material, name: str) -> tuple[str, ...]:
+    """Materials of the package and of the same kind that have a constant: those of a similar name, or else the one of
+    the nearest density."""
+    registry = Registry()
+    known = {each.name: each for each in (registry.load(entry, notes=[]) for entry in registry.names())
+             if isinstance(each, type(material)) and getattr(each, name) is not None}
+    similar = nearest_names(material.name, known) or tuple(
+        each for each in known if each.split("/")[0] == material.name.split("/")[0])
+    return similar or (min(known, key=lambda each: abs(known[each].density - material.density)),)
+
+
+def thermal_influence(
+    problem: Problem,
+    solution: Solution | None = None,
+    *,
+    part: str,
+    convection: float | Mapping[str, float] = STILL_AIR,
+    holder: str | Mapping[str, float] | None = None,
+    empty: str | None = EMPTY,
+) -> dict[str, float]:
+    """Thermal resistances (K/W): the mean rise of `part` for each watt lost in a region, or on an interface.
+
+    The loss is distributed as in `solution`; evenly, where that loses nothing or is not given. The matrix of conduction
+    is symmetric, so one solve with the weights of the mean as its load gives all of them. The sum of losses times these
+    resistances is the mean of `part` by :func:`conducted_heat`.
+
+    Raises:
+        InputError: see :func:`conducted_heat`; an unknown part.
+    """
+    model, _ = conduction_of(problem, convection=convection, holder=holder, empty=empty)
+    choose(part, model.constants, source="heat", field="part")
+    influence = np.nan_to_num(model.temperature(model.averaging(part), driven=False))
+    found = {region: float(model.averaging(region) @ influence) for region in model.constants}
+    for name in problem.mesh.mesh.boundaries:
+        if "|" in name and not is_outer(name) and set(name.split("|")) <= set(model.constants):
+            found[name] = float(mean_over(problem.mesh, model.size, name) @ influence)
+    if solution is not None:
+        found |= {place: float(load @ influence) / float(load.sum())
+                  for place, load in heat_source(solution, 1.0).loads.items() if load.sum() > 0.0}
+    return found
+
+
+def peclet_number(fluid: Fluid, speed: float, length: float) -> float:
+    """The Peclet number of a flow: `speed` (m/s) times `length` (m) over the thermal diffusivity of the fluid.
+
+    `length` is the size of the cavity that heat is conducted across, the smaller of its height and its width.
+
+    Raises:
+        InputError: a fluid without thermal constants.
+    """
+    return speed * length / thermal_constants(fluid).diffusivity
+
+
+def check_peclet(fluid: Fluid, speed: float, length: float) -> float:
+    """The Peclet number of a flow through which heat is conducted.
+
+    Raises:
+        InputError: it is above :data:`HIGHEST_PECLET`, or a fluid without thermal constants.
+    """
+    found = peclet_number(fluid, speed, length)
+    if not found <= HIGHEST_PECLET:
+        raise InputError("heat", "speed of the flow", f"{speed:g} m/s",
+                         f"at most {HIGHEST_PECLET * speed / found:.3g} m/s in {fluid.name} across {1e3 * length:.3g} "
+                         f"mm: the Peclet number is {found:.3g}, and above {HIGHEST_PECLET:g} flow carries the heat "
+                         "that this model conducts. Lower the drive: the speed of the flow falls faster than the loss")
+    return found
+
+

@@ -1,0 +1,30 @@
+"""The density and the sound speed of a fluid about its temperature, as parabolas through its law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from materials.kinds import Fluid
+from workbench.files.errors import InputError
+
+#: Distance (K) to either side at which the parabola meets a fluid's law.
+STEP = 5.0
+
+
+def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
+    """The parameters of `fluid_temperature.FluidTemperature` but the offset, from a `law` of the temperature (K).
+
+    None where it has no law so far to both sides.
+    """
+    if fluid.temperature is None:
+        return None
+    try:
+        colder, warmer = law(fluid.temperature - STEP), law(fluid.temperature + STEP)
+    except InputError:
+        return None
+    found: dict[str, float] = {}
+    for kind, here, below, above in (("density", fluid.density, colder.density, warmer.density),
+                                     ("speed", fluid.sound_speed, colder.sound_speed, warmer.sound_speed)):
+        found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
+        found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
+    return found

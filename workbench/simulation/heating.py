@@ -1,0 +1,177 @@
+"""Heat in a simulated chip: temperatures, thermal resistances, and what its liquid's warming does to sound.
+
+    run = simulate(read_chip("chip.toml"), "filled")
+    heat = heating(run)
+    heat.parts["cavity"].mean, heat.peak, liquid_warming(run, heat).resonance_slope
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from geometry.names import CAVITY
+from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.heat import EMPTY, STILL_AIR, Heating, check_peclet, conducted_heat, thermal_influence
+from workbench.fem.linearised import FullSystem, curvature, frequency_slope, mixed_slopes
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import Solution, solve_full
+from workbench.files.errors import InputError, expect
+from workbench.model.fluid_slopes import fluid_slopes
+from workbench.results.merit import NoResonance
+from workbench.simulation.run import Simulation, Snapshot
+
+#: Most steps of Newton's method from the f0 of a spectrum to that of the model, and the relative step that ends it: a
+#: tenth of a hertz of a megahertz, a thousandth of the width of a resonance of Q = 10000.
+RESONANCE_STEPS, RESONANCE_FOUND = 8, 1e-7
+
+
+@dataclass(frozen=True)
+class LiquidWarming:
+    """The liquid in the cavity of a chip driven steadily.
+
+    ``rise`` K, the mean over the cavity above ambient. At the temperature that its numbers are stated at:
+    ``speed_slope`` m/s per K and ``density_slope`` kg/m^3 per K by the law of its entry; ``speed_change`` (m/s) and
+    ``density_change`` (kg/m^3) by a parabola through that law; ``thermal_expansion`` of volume, 1/K. ``resonance`` Hz
+    is f0, and ``resonance_slope`` Hz per K its derivative when all of the liquid, and nothing else, is warmer;
+    ``resonance_shift`` Hz is that times ``rise``. None where the entry has no law so far to both sides, or the result
+    no resonance. Viscosities stay, and so do the solids.
+    """
+
+    fluid: str
+    rise: float
+    speed_slope: float | None = None
+    density_slope: float | None = None
+    speed_change: float | None = None
+    density_change: float | None = None
+    thermal_expansion: float | None = None
+    resonance: float | None = None
+    resonance_slope: float | None = None
+
+    @property
+    def resonance_shift(self) -> float | None:
+        return None if self.resonance_slope is None else self.resonance_slope * self.rise
+
+
+def heating(
+    result: Snapshot,
+    *,
+    convection: float | Mapping[str, float] = STILL_AIR,
+    holder: str | Mapping[str, float] | None = None,
+    empty: str | None = EMPTY,
+    flow_speed: float = 0.0,
+) -> Heating:
+    """The steady temperatures of a simulated chip, at the frequency and under the drive of its fields: one full solve.
+
+    Args:
+        result: what `simulate` or `snapshot` returned.
+        convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
+            (``superstrate|outside``), the key "" standing for all that are not named.
+        holder: a boundary at ambient temperature, or the temperature (K above ambient) of several.
+        empty: material of the registry that an empty cavity conducts as; None: it is insulated.
+        flow_speed: largest speed (m/s) of the liquid, for the Peclet number across the height of the cavity.
+
+    Raises:
+        InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary, a chip that
+            loses nothing, or a flow that carries more heat than conduction does.
+    """
+    expect(result, Snapshot, reader="read_chip", source="heating", field="result")
+    liquid = result.problem.materials.get(CAVITY)
+    if flow_speed and isinstance(liquid, Fluid):
+        check_peclet(liquid, flow_speed, cavity_height(result))
+    solution = _solution(result)
+    return conducted_heat(result.problem, solution, abs(result.fields.voltage), drive=result.fields.drive,
+                          convection=convection, holder=holder, empty=empty)
+
+
+def thermal_resistances(
+    result: Snapshot,
+    *,
+    part: str = CAVITY,
+    convection: float | Mapping[str, float] = STILL_AIR,
+    holder: str | Mapping[str, float] | None = None,
+    empty: str | None = EMPTY,
+) -> dict[str, float]:
+    """Thermal resistances (K/W) for the figure "heating" of a study, a goal or a tolerance analysis.
+
+    Each is the mean rise of `part` for a watt lost in one region or on one interface, distributed as in the fields of
+    `result`. Their sum weighted with the losses is the mean of `part` by :func:`heating`. Other arguments as there.
+
+    Raises:
+        InputError: as :func:`heating`; an unknown part.
+    """
+    expect(result, Snapshot, reader="read_chip", source="thermal resistances", field="result")
+    return thermal_influence(result.problem, _solution(result), part=part, convection=convection, holder=holder,
+                             empty=empty)
+
+
+def cavity_height(result: Snapshot) -> float:
+    """Height (m) of the cavity of a chip, between its lowest and its highest point."""
+    mesh = result.fields.mesh
+    return float(np.ptp(mesh.points[mesh.nodes_of([CAVITY]), 1]))
+
+
+def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None = None) -> LiquidWarming:
+    """The mean rise of the cavity's liquid, and the change of its sound speed and of f0 that follows.
+
+    Raises:
+        InputError: the cavity holds no liquid.
+    """
+    liquid = result.problem.materials.get(CAVITY)
+    if not isinstance(liquid, Fluid):
+        raise InputError("liquid warming", f"state {result.state}", None if liquid is None else liquid.name,
+                         "a state with a fluid in the cavity",
+                         tuple(state.name for state in result.chip.states if state.name != result.state))
+    rise = heat.parts[CAVITY].mean
+    known = Registry() if registry is None else registry
+
+    def law(temperature: float) -> Fluid:
+        return cast(Fluid, known.load(liquid.name, temperature=temperature))
+
+    found = fluid_slopes(liquid, law)
+    if found is None:
+        return LiquidWarming(liquid.name, rise)
+    by_kelvin = {name: found[f"{liquid.name}.{name}"] for name in ("speed_slope", "speed_bend", "density_slope",
+                                                                  "density_bend")}
+    speed_slope = liquid.sound_speed * by_kelvin["speed_slope"]
+    density_slope = liquid.density * by_kelvin["density_slope"]
+    resonance = _resonance_slope(result, liquid.name, speed_slope, density_slope)
+    return LiquidWarming(
+        liquid.name, rise, speed_slope=speed_slope, density_slope=density_slope,
+        speed_change=rise * (speed_slope + liquid.sound_speed * by_kelvin["speed_bend"] * rise),
+        density_change=rise * (density_slope + liquid.density * by_kelvin["density_bend"] * rise),
+        thermal_expansion=-by_kelvin["density_slope"], resonance=resonance and resonance[0],
+        resonance_slope=resonance and resonance[1])
+
+
+def _resonance_slope(
+    result: Snapshot, fluid: str, speed_slope: float, density_slope: float
+) -> tuple[float, float] | None:
+    """f0 (Hz) and its derivative (Hz/K) by the temperature of the liquid; None where the result has no resonance.
+
+    L = ln |Z| has its minimum at f0, so that d f0 = -(d^2 L / df d theta) / (d^2 L / df^2) d theta.
+    """
+    if not isinstance(result, Simulation) or result.figures is None:
+        return None
+    system, frequency = FullSystem(result.operators, result.problem.values), result.figures.f0
+    for _ in range(RESONANCE_STEPS):
+        state = system.linearised(frequency, (f"{fluid}.sound_speed", f"{fluid}.density"))
+        step = -frequency_slope(state) / curvature(state)
+        if abs(step) <= RESONANCE_FOUND * frequency:
+            slopes = -mixed_slopes(state, np.ones(2, dtype=complex)) / curvature(state)
+            return frequency + step, float(slopes @ np.array([speed_slope, density_slope]))
+        frequency += step
+    raise NoResonance("the full model has no resonance near that of its spectrum", frequency=result.figures.f0,
+                      impedance=result.figures.z_min)
+
+
+def _solution(result: Snapshot) -> Solution:
+    """The full solution behind the fields of a result."""
+    problem = result.problem
+    operators: FullOperators = (result.operators if isinstance(result, Simulation)
+                                else assemble(problem.mesh, problem.terms))
+    return solve_full(operators, np.array([result.fields.frequency]), problem.values)
