@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from workbench.acoustics.captures import Window as Window
     from workbench.acoustics.captures import capture_statistics as capture_statistics
     from workbench.acoustics.captures import light_curve as light_curve
-    from workbench.acoustics.trajectories import Trajectories as Trajectories
     from workbench.acoustics.heat import Heating as Heating
+    from workbench.acoustics.trajectories import Trajectories as Trajectories
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
     from workbench.campaign.campaign import Campaign as Campaign
