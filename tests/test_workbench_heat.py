@@ -33,7 +33,7 @@ from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import place_of
 from workbench.fem.solve import Solution, solve_full
 from workbench.files.errors import InputError
-from workbench.model.problem import Problem, build, fill, with_boundary_layers
+from workbench.model.problem import Problem, build, fill
 from workbench.physics.term import Integral, Monomial
 from workbench.reduced.at_point import reduced
 from workbench.simulation.run import loss_budget
@@ -222,7 +222,7 @@ def cell(cavity: str = "water") -> Chip:
 
 @cache
 def solved(cavity: str = "water") -> tuple[Problem, FullOperators, Solution]:
-    problem = with_boundary_layers(build(fill(cell(cavity), "filled", Registry()), accuracy=quadratic(6.0)))
+    problem = build(fill(cell(cavity), "filled", Registry()), accuracy=quadratic(6.0))
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([FREQUENCY]), problem.values)
 
