@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
     from workbench.simulation.run import snapshot as snapshot
+    from workbench.simulation.streaming import streaming as streaming
 
 #: The public names and the modules that define them.
 PUBLIC = {
@@ -131,6 +132,7 @@ PUBLIC = {
     "simulate": "workbench.simulation.run",
     "snapshot": "workbench.simulation.run",
     "stated_uncertainty": "workbench.design.input_uncertainty",
+    "streaming": "workbench.simulation.streaming",
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",
     "write_chip": "geometry.chip_file",

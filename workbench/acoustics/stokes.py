@@ -17,37 +17,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.linalg import splu
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad
 
 from workbench.acoustics.curved_cells import of_order
 from workbench.acoustics.nodal import FloatArray, IntArray, NodalMesh
 from workbench.fem.elements import Lagrange
-from workbench.fem.factorisation import factorisation
 from workbench.fem.places import areas, mapped_nodes
 from workbench.results.brief import Brief
 
-#: Compressibility, in units of h over eta times the size of a function's patch, that the factorised matrix gives the
-#: liquid: with it the matrix is quasi-definite and has a stable LDL^T in any order (Vanderbei, SIAM J. Optim. 5, 100,
-#: 1995). Iterative refinement takes it out again. Ten times as much, each step gains a digit less.
-SLIGHT_COMPRESSIBILITY = 1e-6
-#: Largest number of refinement steps, and residual of the scaled system at which they end. The second is rounding.
-REFINEMENTS, SOLVED_TO = 30, 1e-13
-#: Residual above which the solve has failed: far above rounding, far below the error of a mesh.
-FAILED_ABOVE = 1e-9
+#: Largest number of refinement steps of a solve, and residual of the scaled system at which they end: rounding.
+REFINEMENTS, SOLVED_TO = 5, 1e-13
+#: Residual above which a solve has failed: far above rounding, far below the error of a mesh.
+FAILED_ABOVE = 1e-8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FlowConditions(Brief):
     """Conditions on the velocity at the nodes (N,) of a mesh.
 
-    ``velocity`` (N, 2) m/s is prescribed component by component, NaN where it is not. ``tangent`` (N, 2) is the unit
-    vector along which alone the liquid may move, at nodes of a surface that it slides along without friction; NaN at
-    all others.
+    ``held`` (N, 2) marks the components that are prescribed. ``tangent`` (N, 2) is the unit vector along which alone
+    the liquid may move, at nodes of a surface that it slides along without friction; NaN at all others.
     """
 
-    velocity: FloatArray
+    held: NDArray[np.bool_]
     tangent: FloatArray
 
 
@@ -56,7 +52,7 @@ class StokesFlow(Brief):
     """A flow: ``velocity`` (N, 2) m/s at the nodes of the mesh and ``pressure`` (N,) Pa there, of mean zero.
 
     ``net_flux`` is the largest |int q div u| over all functions q of the pressure, relative to the largest sum of the
-    magnitudes of its parts: the part of the flow that is not balanced in some row or patch of cells. ``residual`` is
+    magnitudes of its parts: the share of the flow that does not leave a row or patch of cells again. ``residual`` is
     that of the scaled system.
     """
 
@@ -66,76 +62,98 @@ class StokesFlow(Brief):
     residual: float
 
 
-def solve_stokes(
-    mesh: NodalMesh, conditions: FlowConditions, *, viscosity: float, force: FloatArray | None = None,
-    strained: FloatArray | None = None, axisymmetric: bool = True,
-) -> StokesFlow:
-    """The flow in a `mesh` of one region, of a liquid of that `viscosity` (Pa s).
+class StokesSolver:
+    """Stokes' equations in a mesh of one region under some conditions, factorised once for any number of loads.
 
-    Args:
-        force: body force (N, 2) in N/m^3 at the nodes; none unless given.
-        strained: velocity (N, 2) in m/s at the nodes whose viscous stress acts on the flow with a minus: the solution
-            u then obeys eta lap (u - strained).
-        axisymmetric: the measure is 2 pi r dr dz; otherwise dx dz.
-
-    Raises:
-        RuntimeError: the system is singular, or its residual is above :data:`FAILED_ABOVE`.
+    `axisymmetric` is the measure 2 pi r dr dz; otherwise dx dz.
     """
-    count, pressure_cells = len(mesh.points), _pressure_cells(mesh)
-    length = float(np.ptp(mesh.points, axis=0).max())
-    # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
-    blocks = _Blocks(mesh, pressure_cells, length, axisymmetric)
-    stiffness, divergence = blocks.stiffness(), blocks.divergence()
-    load = np.zeros(2 * count)
-    if force is not None:
-        load += blocks.mass() @ (force.T.ravel() * length**2 / viscosity)
-    if strained is not None:
-        load += stiffness @ strained.T.ravel()
-    held = np.nan_to_num(conditions.velocity).T.ravel()
-    expand = _expansion(conditions)
-    free, kept = expand.shape[1], divergence.shape[0] - 1  # One pressure is pinned, and set by the mean afterwards.
-    stiff, across = (expand.T @ stiffness @ expand).tocsc(), (divergence[:kept] @ expand).tocsc()
-    share = blocks.pressure_shares()
-    slight = sparse.diags(-SLIGHT_COMPRESSIBILITY * np.abs(share[:kept]))
-    matrix = sparse.bmat([[stiff, -across.T], [-across, None]], format="csc")
-    near = sparse.bmat([[stiff, -across.T], [-across, slight]], format="csc")
-    right = np.concatenate([expand.T @ (load - stiffness @ held), (divergence @ held)[:kept]])
-    solution, residual = _solved(matrix, near, right)
-    velocity = held + expand @ solution[:free]
-    pressure = np.append(solution[free:], 0.0) * viscosity / length
-    pressure -= share @ pressure / share.sum()
-    net_flux = np.abs(divergence @ velocity).max() / max(float((abs(divergence) @ np.abs(velocity)).max()), 1e-300)
-    return StokesFlow(velocity.reshape(2, count).T, _at_nodes(mesh, pressure_cells, pressure), float(net_flux),
-                      residual)
+
+    def __init__(self, mesh: NodalMesh, conditions: FlowConditions, *, axisymmetric: bool = True) -> None:
+        self.mesh, self.held = mesh, conditions.held
+        self._pressure_cells = _pressure_cells(mesh)
+        # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
+        self._length = float(np.ptp(mesh.points, axis=0).max())
+        blocks = _Blocks(mesh, self._pressure_cells, self._length, axisymmetric)
+        self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
+        self._shares, self._expand = blocks.pressure_shares(), _expansion(conditions)
+        # One pressure is pinned, and set by the mean afterwards: that of the largest patch, since one in a tiny cell
+        # would cost the digits by which the cell is small.
+        squares = blocks.pressure_squares()
+        self._kept = np.delete(np.arange(squares.size), np.argmax(squares))
+        stiff = (self._expand.T @ self._stiffness @ self._expand).tocsc()
+        across = (self._divergence[self._kept] @ self._expand).tocsc()
+        # The pressure in units that give its rows the size of those of the velocity.
+        scale = np.concatenate([1.0 / np.sqrt(stiff.diagonal()), 1.0 / np.sqrt(squares[self._kept])])
+        self._system = _Factorised(sparse.bmat([[stiff, -across.T], [-across, None]], format="csc"), scale)
+
+    def solve(
+        self, viscosity: float, *, velocity: FloatArray | None = None, force: FloatArray | None = None,
+        strained: FloatArray | None = None,
+    ) -> StokesFlow:
+        """The flow of a liquid of that `viscosity` (Pa s).
+
+        Args:
+            velocity: (N, 2) m/s, of which the prescribed components are read; zero unless given.
+            force: body force (N, 2) in N/m^3 at the nodes; none unless given.
+            strained: velocity (N, 2) in m/s whose viscous stress is taken off: the solution u obeys
+                -grad p + eta lap (u - strained) + f = 0.
+
+        Raises:
+            RuntimeError: the residual stays above :data:`FAILED_ABOVE`.
+        """
+        count = len(self.mesh.points)
+        held = np.zeros(2 * count) if velocity is None else np.where(self.held, velocity, 0.0).T.ravel()
+        load = -self._stiffness @ held
+        if force is not None:
+            load += self._mass @ (force.T.ravel() * self._length**2 / viscosity)
+        if strained is not None:
+            load += self._stiffness @ strained.T.ravel()
+        right = np.concatenate([self._expand.T @ load, (self._divergence @ held)[self._kept]])
+        solution, residual = self._system.solve(right)
+        free = self._expand.shape[1]
+        found = held + self._expand @ solution[:free]
+        pressure = np.zeros(len(self._shares))
+        pressure[self._kept] = solution[free:] * viscosity / self._length
+        pressure -= self._shares @ pressure / self._shares.sum()
+        parts = float((abs(self._divergence) @ np.abs(found)).max())
+        net_flux = float(np.abs(self._divergence @ found).max()) / parts if parts else 0.0
+        return StokesFlow(found.reshape(2, count).T, _at_nodes(self.mesh, self._pressure_cells, pressure), net_flux,
+                          residual)
 
 
-def _solved(matrix: sparse.csc_matrix, near: sparse.csc_matrix, right: FloatArray) -> tuple[FloatArray, float]:
-    """The solution of a symmetric system, and its relative residual in the scaled system, by refinement with a
-    factorisation of the matrix `near` it."""
-    scale = 1.0 / np.sqrt(np.abs(near.diagonal()))
-    scaling = sparse.diags(scale)
-    scaled, factorised = ((scaling @ each @ scaling).tocsc() for each in (matrix, near))
-    factorised.sort_indices()
-    solve = factorisation(factorised)(factorised.data.astype(complex))
-    target = scale * right
-    size = max(float(np.abs(target).max()), np.finfo(float).tiny)
-    found, left, residual = np.zeros_like(target), target, np.inf
-    for _ in range(REFINEMENTS):
-        found = found + np.real(solve(left.astype(complex)))
-        left = target - scaled @ found
-        residual = float(np.abs(left).max()) / size
-        if residual < SOLVED_TO:
-            break
-    if not residual < FAILED_ABOVE:
-        raise RuntimeError(f"the flow has a residual of {residual:.1e}; expected below {FAILED_ABOVE:.0e}")
-    return scale * found, residual
+class _Factorised:
+    """A matrix (n, n), scaled from both sides by `scale` (n,) and factorised.
+
+    SuperLU with partial pivoting: the matrix has no pressure on its diagonal, and an LDL^T that keeps to a given order
+    loses all digits in the flat cells beside a corner.
+    """
+
+    def __init__(self, matrix: sparse.csc_matrix, scale: FloatArray) -> None:
+        scaling = sparse.diags(scale)
+        self._scale, self._matrix = scale, (scaling @ matrix @ scaling).tocsc()
+        self._factor = splu(self._matrix)
+
+    def solve(self, right: FloatArray) -> tuple[FloatArray, float]:
+        """The solution for `right` (n,), refined, and its relative residual in the scaled system."""
+        target = self._scale * right
+        size = float(np.abs(target).max())
+        found, left, residual = np.zeros_like(target), target, 0.0
+        for _ in range(REFINEMENTS if size else 0):
+            found = found + self._factor.solve(left)
+            left = target - self._matrix @ found
+            residual = float(np.abs(left).max()) / size
+            if residual < SOLVED_TO:
+                break
+        if not residual < FAILED_ABOVE:
+            raise RuntimeError(f"the flow has a residual of {residual:.1e}; expected below {FAILED_ABOVE:.0e}")
+        return self._scale * found, residual
 
 
 def _expansion(conditions: FlowConditions) -> sparse.csc_matrix:
     """The matrix (2 N, number of free unknowns) from the free unknowns to the velocities, all u_r and then all u_z."""
-    count = len(conditions.velocity)
+    count = len(conditions.held)
     slides = np.isfinite(conditions.tangent[:, 0])
-    unknown = np.isnan(conditions.velocity) & ~slides[:, None]
+    unknown = ~conditions.held & ~slides[:, None]
     rows = np.concatenate([np.flatnonzero(unknown.T.ravel()), np.flatnonzero(slides), count + np.flatnonzero(slides)])
     alone, sliding = int(unknown.sum()), int(slides.sum())
     columns = np.concatenate([np.arange(alone), np.tile(alone + np.arange(sliding), 2)])
@@ -147,7 +165,7 @@ def _pressure_cells(mesh: NodalMesh) -> IntArray:
     """Numbers (M, k, k) of the pressure's unknowns in every cell: Lagrange nodes of order k - 1."""
     if mesh.order == 2:
         corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]
-        return np.unique(corners, return_inverse=True)[1].reshape(corners.shape)
+        return np.asarray(np.unique(corners, return_inverse=True)[1].reshape(corners.shape), dtype=np.int64)
     return of_order(mesh.points, mesh.cells, mesh.order - 1)[1]
 
 
@@ -192,7 +210,8 @@ class _Blocks:
         """Integrals (M, nb, nb') of products of functions (M, nq, nb) and (M, nq, nb') in every cell."""
         return np.swapaxes(one * self.weights[:, :, None], 1, 2) @ other
 
-    def _summed(self, parts: FloatArray, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.csr_matrix:
+    @staticmethod
+    def _summed(parts: FloatArray, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.csr_matrix:
         down = np.broadcast_to(rows[:, :, None], parts.shape).ravel()
         over = np.broadcast_to(columns[:, None, :], parts.shape).ravel()
         return sparse.coo_matrix((parts.ravel(), (down, over)), shape=shape).tocsr()
@@ -221,5 +240,12 @@ class _Blocks:
 
     def pressure_shares(self) -> FloatArray:
         """The integral of every function of the pressure: (number of pressures,)."""
-        own = self.weights @ self.pressure_value
+        return self._pressure_integrals(self.pressure_value)
+
+    def pressure_squares(self) -> FloatArray:
+        """The integral of the square of every function of the pressure: (number of pressures,)."""
+        return self._pressure_integrals(self.pressure_value**2)
+
+    def _pressure_integrals(self, values: FloatArray) -> FloatArray:
+        own = self.weights @ values
         return np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)
