@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
     from workbench.simulation.run import snapshot as snapshot
+    from workbench.simulation.streaming import streaming as streaming
 
 #: The public names and the modules that define them.
 PUBLIC = {
@@ -149,6 +150,7 @@ PUBLIC = {
     "simulate": "workbench.simulation.run",
     "snapshot": "workbench.simulation.run",
     "stated_uncertainty": "workbench.design.input_uncertainty",
+    "streaming": "workbench.simulation.streaming",
     "study": "workbench.design.study",
     "thermal_resistances": "workbench.simulation.heating",
     "tolerance": "workbench.design.tolerance",

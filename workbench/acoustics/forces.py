@@ -103,16 +103,21 @@ def particle_forces(
         particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=pressure_gradient,
         velocity=velocity, velocity_gradient=velocity_gradient,
     )
-    amplitude = float(np.abs(pressure).max())
-    one = np.ones(len(mesh.points))
-    mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
-    excitation = Excitation(
-        description=fields.drive, frequency=fields.frequency, voltage=abs(fields.voltage), pressure_amplitude=amplitude,
-        energy_density=acoustic_energy_density(amplitude, fluid), mean_energy_density=mean,
-    )
+    excitation = excitation_of(fields, fluid, region, amplitude=float(np.abs(pressure).max()))
     return ParticleForces(
         excitation=excitation, mesh=finer, region=region, particle=particle, fluid=fluid, scattering=scattering,
         potential=potential, force=force,
+    )
+
+
+def excitation_of(fields: Fields, fluid: FluidProperties, region: str, *, amplitude: float) -> Excitation:
+    """The excitation of the `fluid` in `region`, with `amplitude` (Pa) the largest |p| there."""
+    mesh = fields.mesh
+    one = np.ones(len(mesh.points))
+    mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
+    return Excitation(
+        description=fields.drive, frequency=fields.frequency, voltage=abs(fields.voltage), pressure_amplitude=amplitude,
+        energy_density=acoustic_energy_density(amplitude, fluid), mean_energy_density=mean,
     )
 
 

@@ -1,4 +1,4 @@
-"""The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
+"""The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, streaming, regions and mesh.
 
 Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
 Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, with a note), a
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_raster, raster
+from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_raster, interpolate, raster
+from workbench.acoustics.streaming import Streaming
 from workbench.acoustics.traps import TrapReport
 from workbench.render.canvas import (
     PLAIN_COLOURS,
@@ -44,6 +45,10 @@ _OUTLINE = "#303030"
 _MARKED, _UNMARKED = "#d55e00", "#eeeeee"
 #: Thickness of a region, as a share of the section's height, below which an arrow points at it too.
 _THIN = 0.02
+#: Share of the largest speed of a flow below which it has no arrow: there the error of the mesh may turn it.
+_STILL = 0.01
+#: Arrows of a flow along the radius.
+_ARROWS = 40
 #: Least height of a picture over its width: a flatter section has its heights enlarged. Doubled, a whole chip would be.
 _FLATTEST = 0.08
 
@@ -102,6 +107,38 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
                   markeredgewidth=1.5, clip_on=False, zorder=5)
     _outline(axes, forces.mesh)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential $U$ ({unit})")
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def draw_streaming(flow: Streaming, path: Path) -> Path:
+    """Draw the speed at which the liquid carries particles, and arrows along it, all of one length. Writes `path`.
+
+    Where the flow is slower than :data:`_STILL` of its largest speed there is no arrow; the title says how slow that is.
+    """
+    speed = np.linalg.norm(flow.carrier_velocity, axis=1)
+    factor, unit = prefixed(flow.largest_speed, "m/s")
+    least = _STILL * flow.largest_speed
+    window = _window(flow.mesh.points)
+    peclet = "" if flow.peclet is None else f", Peclet number {flow.peclet:.2g}"
+    figure, axes, bar = _frame(window, title=(
+        f"streaming in the {flow.region}: {factor * flow.rms_speed:.3g} {unit} rms{peclet}; no arrows where it is below "
+        f"{factor * least:.2g} {unit}\n{typeset(flow.excitation)}"))
+    limits = (0.0, flow.largest_speed * factor or 1.0)
+    _show(axes, window, _nodal(flow.mesh, speed * factor, window), limits=limits, colours=PLAIN_COLOURS)
+    _outline(axes, flow.mesh)
+    step = window.right / _ARROWS
+    places = np.stack(np.meshgrid(
+        (np.arange(_ARROWS) + 0.5) * step,
+        np.arange(window.bottom + 0.5 * step / window.tall, window.top, step / window.tall), indexing="ij"),
+        axis=-1).reshape(-1, 2)
+    arrows = interpolate(flow.mesh, flow.carrier_velocity, places, [flow.region])
+    size = np.linalg.norm(arrows, axis=1)
+    seen = size > max(least, np.finfo(float).tiny)  # NaN, outside the region, is not.
+    ends, ways = places[seen] * 1e3, arrows[seen] / size[seen, None]
+    for side in (1.0, -1.0):
+        axes.quiver(side * ends[:, 0], ends[:, 1], side * ways[:, 0], ways[:, 1], angles="xy", pivot="middle",
+                    color="white", units="inches", scale=1.0 / (0.7 * step / window.right * 0.5 * _WIDTH), width=0.012)
+    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"speed of the liquid ({unit})")
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 

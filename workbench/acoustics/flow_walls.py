@@ -1,0 +1,143 @@
+"""Conditions of a steady flow at the border of its region: slip along walls, no flow across, corners, open surfaces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefLine
+
+from geometry.quads import tabulated
+from workbench.acoustics.nodal import SAME_LINE, FloatArray, IntArray, NodalMesh, edge_nodes
+from workbench.acoustics.slip import WallEdges
+from workbench.acoustics.stokes import FlowConditions
+from workbench.results.brief import Brief
+
+#: Angle in radians between two walls above which they meet in a corner, where the liquid rests. Polynomials along one
+#: curved wall leave less than a thousandth; doubled, a corner of 10 degrees is taken for a bend.
+CORNER = 0.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WallSlip(Brief):
+    """Slip along one wall of a region: ``solid`` names the region beyond.
+
+    ``nodes`` (L, m + 1) of the mesh of the flow along every edge of a cell, ``points`` (L, m + 1, 2) their r, z in m,
+    ``tangent`` (L, m + 1, 2) unit vectors, ``speed`` (L, m + 1) m/s along them.
+    """
+
+    solid: str
+    nodes: IntArray
+    points: FloatArray
+    tangent: FloatArray
+    speed: FloatArray
+
+    @property
+    def largest(self) -> float:
+        """The largest |slip| in m/s."""
+        return float(np.abs(self.speed).max())
+
+
+def raised_edges(mesh: NodalMesh, finer: NodalMesh, edges: WallEdges) -> IntArray:
+    """Nodes (L, m + 1) of `finer`, made from a region of `mesh` by `nodal.raised`, along `edges` of that region."""
+    (region,) = finer.regions
+    place = np.searchsorted(mesh.cells_of([region]), edges.cells)
+    result = np.empty((len(place), finer.order + 1), dtype=np.int64)
+    for side in np.unique(edges.sides):
+        own = edges.sides == side
+        result[own] = edge_nodes(finer, int(side), place[own])
+    return result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowBorder(Brief):
+    """Nodes (N,) of a mesh by the condition there: ``on_wall`` and ``on_open`` surfaces, at a ``corner`` of them, on
+    the ``axis``; ``normal`` (N, 2) out of the liquid, NaN inside and at corners.
+
+    The normals are those of all edges at a node, weighted by its function, so that velocities across them carry no net
+    flux out of the region (Engelman, Sani and Gresho, Int. J. Numer. Meth. Fluids 2, 225, 1982).
+    """
+
+    on_wall: NDArray[np.bool_]
+    on_open: NDArray[np.bool_]
+    corner: NDArray[np.bool_]
+    axis: NDArray[np.bool_]
+    normal: FloatArray
+
+    def conditions(self) -> FlowConditions:
+        """All of the velocity is prescribed on walls, u_r on the axis, and the part across an open surface."""
+        rests = self.on_wall | self.corner | (self.axis & self.on_open)
+        held = np.stack([rests | self.axis, rests], axis=1)
+        slides = self.on_open & ~rests
+        tangent = np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=1)
+        return FlowConditions(held, np.where(slides[:, None], tangent, np.nan))
+
+    def along_walls(self, velocity: FloatArray) -> FloatArray:
+        """The part of `velocity` (N, 2) along the walls; zero at corners, on the axis and off the walls."""
+        moves = self.on_wall & ~self.corner & ~self.axis
+        normal = np.where(moves[:, None], self.normal, 0.0)
+        across = (normal * velocity).sum(axis=1)
+        result: FloatArray = np.where(moves[:, None], velocity - across[:, None] * normal, 0.0)
+        return result
+
+
+def flow_border(
+    mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Sequence[IntArray], *, axisymmetric: bool = True
+) -> FlowBorder:
+    """The border of a `mesh` of one region, from the nodes (L, m + 1) along edges of its walls and open surfaces."""
+    count = len(mesh.points)
+    edges = np.concatenate([*walls, *open_surfaces])
+    weighted, ends = _outward(mesh, edges, axisymmetric)
+    on_wall, on_open = np.zeros((2, count), dtype=bool)
+    for kind, some in ((on_wall, walls), (on_open, open_surfaces)):
+        for nodes in some:
+            kind[nodes] = True
+    total, unit, times = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count)
+    np.add.at(total, edges, weighted)
+    np.add.at(unit, edges[:, [0, -1]], ends)
+    np.add.at(times, edges[:, [0, -1]], 1.0)
+    # The mean of two unit vectors at an angle has the length of half its cosine.
+    corner = (times > 0.0) & (np.linalg.norm(unit, axis=1) < math.cos(0.5 * CORNER) * times)
+    # On the axis the weights vanish, and the mean of the normals stands for them.
+    axis = (mesh.points[:, 0] <= SAME_LINE * mesh.points[:, 0].max()) & axisymmetric
+    chosen = np.where(axis[:, None], unit, total)
+    size = np.linalg.norm(chosen, axis=1)
+    known = (size > 0.0) & ~corner
+    normal = np.full((count, 2), np.nan)
+    normal[known] = chosen[known] / size[known, None]
+    return FlowBorder(on_wall, on_open, corner, axis, normal)
+
+
+def _outward(mesh: NodalMesh, edges: IntArray, axisymmetric: bool) -> tuple[FloatArray, FloatArray]:
+    """Normals out of the region, integrated over every edge with the function of each of its nodes (L, m + 1, 2), and
+    unit ones at its two ends (L, 2, 2)."""
+    order = mesh.order
+    (along,), weights = get_quadrature(RefLine, 3 * order)
+    value, slope = tabulated(order, along)
+    place = mesh.points[edges]
+    inward = _inward(mesh, edges)
+    turned = np.einsum("qa,lax->lqx", slope, place)[:, :, ::-1] * [1.0, -1.0]
+    measure = weights * (2.0 * np.pi * np.einsum("qa,la->lq", value, place[:, :, 0]) if axisymmetric else 1.0)
+    sign = -np.sign(np.einsum("lqx,lx->l", turned, inward))
+    weighted = np.einsum("lq,qa,lqx->lax", np.broadcast_to(measure, turned.shape[:2]), value, turned)
+    at_ends = np.einsum("qa,lax->lqx", tabulated(order, np.array([0.0, 1.0]))[1], place)[:, :, ::-1] * [1.0, -1.0]
+    at_ends /= np.linalg.norm(at_ends, axis=2, keepdims=True)
+    return sign[:, None, None] * weighted, sign[:, None, None] * at_ends
+
+
+def _inward(mesh: NodalMesh, edges: IntArray) -> FloatArray:
+    """Vectors (L, 2) from the middle of every edge to the middle of its cell."""
+    ends = {tuple(sorted(pair)): k for k, pair in enumerate(edges[:, [0, -1]].tolist())}
+    result = np.empty((len(edges), 2))
+    corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]
+    middle = mesh.points[corners].mean(axis=(1, 2))
+    for cell, ((a, c), (b, d)) in enumerate(corners.tolist()):
+        for pair in ((a, c), (b, d), (a, b), (c, d)):
+            number = ends.get(tuple(sorted(pair)))
+            if number is not None:
+                result[number] = middle[cell] - mesh.points[edges[number][[0, -1]]].mean(axis=0)
+    return result

@@ -1,0 +1,251 @@
+"""Slow steady flow of an incompressible liquid in the cells of one region: Stokes' equations.
+
+    -grad p + eta lap u + f = 0        div u = 0
+
+Axisymmetric with the measure 2 pi r dr dz, where the viscous term of u_r includes -u_r / r^2, or plane with dx dz. In
+weak form, for all test fields w and q,
+
+    int 2 eta e(u) : e(w) - p div w = int f . w        int q div u = 0
+
+with e the symmetric gradient (rr, tt, zz, rz), so that a surface without a condition is free of stress. Taylor-Hood
+elements: the velocity has the order k of the cells, the pressure is continuous and of order k - 1 (Taylor and Hood,
+Comput. Fluids 1, 73, 1973; on quadrilaterals of any order Brezzi and Falk, SIAM J. Numer. Anal. 28, 581, 1991).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefQuad
+
+from workbench.acoustics.curved_cells import of_order
+from workbench.acoustics.nodal import FloatArray, IntArray, NodalMesh
+from workbench.fem.elements import Lagrange
+from workbench.fem.places import areas, mapped_nodes
+from workbench.results.brief import Brief
+
+#: Largest number of refinement steps of a solve, and residual of the scaled system at which they end: rounding.
+REFINEMENTS, SOLVED_TO = 5, 1e-13
+#: Residual above which a solve has failed: far above rounding, far below the error of a mesh.
+FAILED_ABOVE = 1e-8
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowConditions(Brief):
+    """Conditions on the velocity at the nodes (N,) of a mesh.
+
+    ``held`` (N, 2) marks the components that are prescribed. ``tangent`` (N, 2) is the unit vector along which alone
+    the liquid may move, at nodes of a surface that it slides along without friction; NaN at all others.
+    """
+
+    held: NDArray[np.bool_]
+    tangent: FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StokesFlow(Brief):
+    """A flow: ``velocity`` (N, 2) m/s at the nodes of the mesh and ``pressure`` (N,) Pa there, of mean zero.
+
+    ``net_flux`` is the largest |int q div u| over all functions q of the pressure, relative to the largest sum of the
+    magnitudes of its parts: the share of the flow that does not leave a row or patch of cells again. ``residual`` is
+    that of the scaled system.
+    """
+
+    velocity: FloatArray
+    pressure: FloatArray
+    net_flux: float
+    residual: float
+
+
+class StokesSolver:
+    """Stokes' equations in a mesh of one region under some conditions, factorised once for any number of loads.
+
+    `axisymmetric` is the measure 2 pi r dr dz; otherwise dx dz.
+    """
+
+    def __init__(self, mesh: NodalMesh, conditions: FlowConditions, *, axisymmetric: bool = True) -> None:
+        self.mesh, self.held = mesh, conditions.held
+        self._pressure_cells = _pressure_cells(mesh)
+        # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
+        self._length = float(np.ptp(mesh.points, axis=0).max())
+        blocks = _Blocks(mesh, self._pressure_cells, self._length, axisymmetric)
+        self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
+        self._shares, self._expand = blocks.pressure_shares(), _expansion(conditions)
+        # One pressure is pinned, and set by the mean afterwards: that of the largest patch, since one in a tiny cell
+        # would cost the digits by which the cell is small.
+        squares = blocks.pressure_squares()
+        self._kept = np.delete(np.arange(squares.size), np.argmax(squares))
+        stiff = (self._expand.T @ self._stiffness @ self._expand).tocsc()
+        across = (self._divergence[self._kept] @ self._expand).tocsc()
+        # The pressure in units that give its rows the size of those of the velocity.
+        scale = np.concatenate([1.0 / np.sqrt(stiff.diagonal()), 1.0 / np.sqrt(squares[self._kept])])
+        self._system = _Factorised(sparse.bmat([[stiff, -across.T], [-across, None]], format="csc"), scale)
+
+    def solve(
+        self, viscosity: float, *, velocity: FloatArray | None = None, force: FloatArray | None = None,
+        strained: FloatArray | None = None,
+    ) -> StokesFlow:
+        """The flow of a liquid of that `viscosity` (Pa s).
+
+        Args:
+            velocity: (N, 2) m/s, of which the prescribed components are read; zero unless given.
+            force: body force (N, 2) in N/m^3 at the nodes; none unless given.
+            strained: velocity (N, 2) in m/s whose viscous stress is taken off: the solution u obeys
+                -grad p + eta lap (u - strained) + f = 0.
+
+        Raises:
+            RuntimeError: the residual stays above :data:`FAILED_ABOVE`.
+        """
+        count = len(self.mesh.points)
+        held = np.zeros(2 * count) if velocity is None else np.where(self.held, velocity, 0.0).T.ravel()
+        load = -self._stiffness @ held
+        if force is not None:
+            load += self._mass @ (force.T.ravel() * self._length**2 / viscosity)
+        if strained is not None:
+            load += self._stiffness @ strained.T.ravel()
+        right = np.concatenate([self._expand.T @ load, (self._divergence @ held)[self._kept]])
+        solution, residual = self._system.solve(right)
+        free = self._expand.shape[1]
+        found = held + self._expand @ solution[:free]
+        pressure = np.zeros(len(self._shares))
+        pressure[self._kept] = solution[free:] * viscosity / self._length
+        pressure -= self._shares @ pressure / self._shares.sum()
+        parts = float((abs(self._divergence) @ np.abs(found)).max())
+        net_flux = float(np.abs(self._divergence @ found).max()) / parts if parts else 0.0
+        return StokesFlow(found.reshape(2, count).T, _at_nodes(self.mesh, self._pressure_cells, pressure), net_flux,
+                          residual)
+
+
+class _Factorised:
+    """A matrix (n, n), scaled from both sides by `scale` (n,) and factorised.
+
+    SuperLU with partial pivoting: the matrix has no pressure on its diagonal, and an LDL^T that keeps to a given order
+    loses all digits in the flat cells beside a corner.
+    """
+
+    def __init__(self, matrix: sparse.csc_matrix, scale: FloatArray) -> None:
+        scaling = sparse.diags(scale)
+        self._scale, self._matrix = scale, (scaling @ matrix @ scaling).tocsc()
+        self._factor = splu(self._matrix)
+
+    def solve(self, right: FloatArray) -> tuple[FloatArray, float]:
+        """The solution for `right` (n,), refined, and its relative residual in the scaled system."""
+        target = self._scale * right
+        size = float(np.abs(target).max())
+        found, left, residual = np.zeros_like(target), target, 0.0
+        for _ in range(REFINEMENTS if size else 0):
+            found = found + self._factor.solve(left)
+            left = target - self._matrix @ found
+            residual = float(np.abs(left).max()) / size
+            if residual < SOLVED_TO:
+                break
+        if not residual < FAILED_ABOVE:
+            raise RuntimeError(f"the flow has a residual of {residual:.1e}; expected below {FAILED_ABOVE:.0e}")
+        return self._scale * found, residual
+
+
+def _expansion(conditions: FlowConditions) -> sparse.csc_matrix:
+    """The matrix (2 N, number of free unknowns) from the free unknowns to the velocities, all u_r and then all u_z."""
+    count = len(conditions.held)
+    slides = np.isfinite(conditions.tangent[:, 0])
+    unknown = ~conditions.held & ~slides[:, None]
+    rows = np.concatenate([np.flatnonzero(unknown.T.ravel()), np.flatnonzero(slides), count + np.flatnonzero(slides)])
+    alone, sliding = int(unknown.sum()), int(slides.sum())
+    columns = np.concatenate([np.arange(alone), np.tile(alone + np.arange(sliding), 2)])
+    entries = np.concatenate([np.ones(alone), conditions.tangent[slides].T.ravel()])
+    return sparse.csc_matrix((entries, (rows, columns)), shape=(2 * count, alone + sliding))
+
+
+def _pressure_cells(mesh: NodalMesh) -> IntArray:
+    """Numbers (M, k, k) of the pressure's unknowns in every cell: Lagrange nodes of order k - 1."""
+    if mesh.order == 2:
+        corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]
+        return np.asarray(np.unique(corners, return_inverse=True)[1].reshape(corners.shape), dtype=np.int64)
+    return of_order(mesh.points, mesh.cells, mesh.order - 1)[1]
+
+
+def _at_nodes(mesh: NodalMesh, pressure_cells: IntArray, pressure: FloatArray) -> FloatArray:
+    """The pressure at the nodes of the velocity (N,)."""
+    order = mesh.order
+    element, fine = Lagrange(order - 1), Lagrange(order)
+    values = element.tabulated(fine.doflocs.T)[0]
+    result = np.empty(len(mesh.points))
+    inside = _in_order(pressure_cells, order - 1)
+    result[_in_order(mesh.cells, order)] = pressure[inside] @ values.T
+    return result
+
+
+def _in_order(cells: IntArray, order: int) -> IntArray:
+    """Nodes of cells (M, k + 1, k + 1) as (M, nb), in the order of `workbench.fem.elements.Lagrange`."""
+    along, across = np.array(Lagrange(order).indices).T
+    return cells[:, along, across]
+
+
+class _Blocks:
+    """The matrices of Stokes' equations on a mesh, for lengths in units of `length` and a viscosity of one."""
+
+    def __init__(self, mesh: NodalMesh, pressure_cells: IntArray, length: float, axisymmetric: bool) -> None:
+        order = mesh.order
+        self.count, self.pressures = len(mesh.points), int(pressure_cells.max()) + 1
+        self.nodes, self.pressure_nodes = _in_order(mesh.cells, order), _in_order(pressure_cells, order - 1)
+        # The divergence is integrated exactly, so that what flows into a cell leaves it to rounding.
+        points, weights = get_quadrature(RefQuad, 2 * order + 1 if mesh.is_grid else 4 * order)
+        value, along, across = Lagrange(order).tabulated(points)
+        radius, slopes = mapped_nodes(mesh.points[self.nodes].transpose(2, 1, 0) / length, points)
+        (r_along, r_across), (z_along, z_across) = slopes
+        area = areas(slopes)
+        self.value = value  # (nq, nb)
+        self.d_r = (z_across / area)[:, :, None] * along - (z_along / area)[:, :, None] * across
+        self.d_z = (r_along / area)[:, :, None] * across - (r_across / area)[:, :, None] * along
+        self.over_r = value / radius[:, :, None] if axisymmetric else np.zeros_like(self.d_r)
+        self.weights = area * weights * (2.0 * np.pi * radius if axisymmetric else 1.0)
+        self.pressure_value = Lagrange(order - 1).tabulated(points)[0]
+
+    def _gram(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Integrals (M, nb, nb') of products of functions (M, nq, nb) and (M, nq, nb') in every cell."""
+        return np.swapaxes(one * self.weights[:, :, None], 1, 2) @ other
+
+    @staticmethod
+    def _summed(parts: FloatArray, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.csr_matrix:
+        down = np.broadcast_to(rows[:, :, None], parts.shape).ravel()
+        over = np.broadcast_to(columns[:, None, :], parts.shape).ravel()
+        return sparse.coo_matrix((parts.ravel(), (down, over)), shape=shape).tocsr()
+
+    def stiffness(self) -> sparse.csr_matrix:
+        """2 int e(u) : e(w), of (2 N, 2 N)."""
+        square, n = (self.count, self.count), self.nodes
+        rr, zz, tt = (self._gram(each, each) for each in (self.d_r, self.d_z, self.over_r))
+        mixed = self._summed(self._gram(self.d_z, self.d_r), n, n, square)
+        first = self._summed(2.0 * rr + 2.0 * tt + zz, n, n, square)
+        last = self._summed(2.0 * zz + rr, n, n, square)
+        return sparse.bmat([[first, mixed], [mixed.T, last]], format="csr")
+
+    def divergence(self) -> sparse.csr_matrix:
+        """int q div u, of (number of pressures, 2 N)."""
+        tested = np.broadcast_to(self.pressure_value, (len(self.nodes), *self.pressure_value.shape))
+        shape = (self.pressures, self.count)
+        return sparse.hstack([self._summed(self._gram(tested, each), self.pressure_nodes, self.nodes, shape)
+                              for each in (self.d_r + self.over_r, self.d_z)], format="csr")
+
+    def mass(self) -> sparse.csr_matrix:
+        """int u . w, of (2 N, 2 N)."""
+        values = np.broadcast_to(self.value, self.d_r.shape)
+        one = self._summed(self._gram(values, values), self.nodes, self.nodes, (self.count, self.count))
+        return sparse.block_diag([one, one], format="csr")
+
+    def pressure_shares(self) -> FloatArray:
+        """The integral of every function of the pressure: (number of pressures,)."""
+        return self._pressure_integrals(self.pressure_value)
+
+    def pressure_squares(self) -> FloatArray:
+        """The integral of the square of every function of the pressure: (number of pressures,)."""
+        return self._pressure_integrals(self.pressure_value**2)
+
+    def _pressure_integrals(self, values: FloatArray) -> FloatArray:
+        own = self.weights @ values
+        return np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)

@@ -1,0 +1,69 @@
+"""The streaming of a simulated state, with the numbers of its liquid taken from the problem and the registry.
+
+    run = simulate(read_chip("chip.toml"), "filled")
+    flow = streaming(run)
+    flow.velocity, flow.carrier_velocity, flow.slips
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geometry.names import CAVITY
+from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.flow_forces import TemperatureSlopes
+from workbench.acoustics.nodal import FloatArray
+from workbench.acoustics.streaming import Streaming, acoustic_streaming
+from workbench.files.errors import InputError
+from workbench.simulation.run import Snapshot
+
+#: Step in K of the central differences for the change of a liquid with temperature. A parabola is exact; the cube of
+#: water's speed of sound leaves 1e-4 of its slope.
+STEP = 1.0
+
+
+def streaming(
+    shot: Snapshot, *, temperature: FloatArray | None = None, slopes: TemperatureSlopes | None = None,
+    registry: Registry | None = None, order: int | None = None,
+) -> Streaming:
+    """The steady flow in the cavity of a simulated state, at its frequency and drive.
+
+    Args:
+        shot: a state of `snapshot` or `simulate` with a liquid in its cavity.
+        temperature: K above the stated temperature of the liquid, at the nodes of the mesh of ``shot.fields`` or at
+            those of the cavity alone; even unless given.
+        slopes: change of the liquid with temperature; taken from its law in the `registry` unless given.
+        order: polynomial order of the flow; that of the fields unless given.
+
+    Raises:
+        InputError: no liquid in the cavity, or one without viscosity; a temperature of another shape, or without a law
+            of the liquid at it.
+    """
+    fluid = shot.problem.materials.get(CAVITY)
+    if not isinstance(fluid, Fluid):
+        raise InputError("streaming", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a liquid in the "
+                         'cavity, such as cavity = "water" in its table of the chip file')
+    known = shot.problem.values.get(f"{fluid.name}.diffusivity_of_sound")
+    if temperature is not None and slopes is None:
+        slopes = slopes_of(fluid, registry or Registry(), warmer_by=float(np.nanmean(temperature)))
+    return acoustic_streaming(shot.fields, fluid=fluid, region=CAVITY,
+                              diffusivity=None if known is None else complex(known).real, temperature=temperature,
+                              slopes=slopes, order=order)
+
+
+def slopes_of(fluid: Fluid, registry: Registry, *, warmer_by: float = 0.0) -> TemperatureSlopes:
+    """The change of `fluid` with temperature, by its law in the `registry`, at `warmer_by` K above its temperature.
+
+    Raises:
+        InputError: the registry states no law for the fluid, or none that reaches this temperature.
+    """
+    if fluid.temperature is None:
+        raise InputError("streaming", "temperature", f"{fluid.name} without a temperature",
+                         "a liquid whose entry states its law of temperature, or slopes=TemperatureSlopes(...)")
+    there = fluid.temperature + warmer_by
+    below, above = (registry.load(fluid.name, temperature=there + side) for side in (-STEP, STEP))
+    if not (isinstance(below, Fluid) and isinstance(above, Fluid)) or below.temperature is None:
+        raise InputError("streaming", "temperature", fluid.name, "a liquid with a law of temperature in the registry")
+    return TemperatureSlopes(density=(above.density - below.density) / (2.0 * STEP),
+                             sound_speed=(above.sound_speed - below.sound_speed) / (2.0 * STEP))
