@@ -184,7 +184,7 @@ def main() -> None:
                         "checkout and the folder (default: processes of this machine)")
     parser.add_argument("--conceal", default="", choices=["", *MECHANISMS], metavar="NAME",
                         help="conceal this alone, in every trial")
-    parser.add_argument("--minutes", type=float, default=10.0, help="that a diagnosis may take")
+    parser.add_argument("--minutes", type=float, default=40.0, help="that a diagnosis may take (default 40)")
     parser.add_argument("--uncommitted", action="store_true", help="run with changes that are not committed")
     parser.add_argument("--into", type=Path, help="file of outcomes that `score` adds to")
     parser.add_argument("--commit", help="what `score` and `table` are of")

@@ -20,7 +20,7 @@ from workbench.files.writing import write_atomic
 from workbench.report.diagnosis import diagnosis_record
 
 #: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
-MINUTES = 8.0
+MINUTES = 20.0
 
 
 @contextmanager
