@@ -8,8 +8,9 @@ weak form, for all test fields w and q,
     int 2 eta e(u) : e(w) - p div w = int f . w        int q div u = 0
 
 with e the symmetric gradient (rr, tt, zz, rz), so that a surface without a condition is free of stress. Taylor-Hood
-elements: the velocity has the order k of the cells, the pressure is continuous and of order k - 1 (Taylor and Hood,
-Comput. Fluids 1, 73, 1973; on quadrilaterals of any order Brezzi and Falk, SIAM J. Numer. Anal. 28, 581, 1991).
+elements: the velocity has the order k of the cells, the pressure is continuous and of order k - 1, plus a constant in
+every cell. The constants make the net flux out of every cell zero, and so that through every line of cells (Boffi,
+Cavallini, Gardini and Gastaldi, J. Sci. Comput. 52, 383, 2012).
 """
 
 from __future__ import annotations
@@ -49,15 +50,13 @@ class FlowConditions(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StokesFlow(Brief):
-    """A flow: ``velocity`` (N, 2) m/s at the nodes of the mesh and ``pressure`` (N,) Pa there, of mean zero.
+    """A flow: ``velocity`` (N, 2) m/s at the nodes of the mesh.
 
-    ``net_flux`` is the largest |int q div u| over all functions q of the pressure, relative to the largest sum of the
-    magnitudes of its parts: the share of the flow that does not leave a row or patch of cells again. ``residual`` is
-    that of the scaled system.
+    ``net_flux`` is the largest |int q div u| over all functions q of the pressure, such as the net flux out of a cell,
+    relative to the largest sum of the magnitudes of its parts. ``residual`` is that of the scaled system.
     """
 
     velocity: FloatArray
-    pressure: FloatArray
     net_flux: float
     residual: float
 
@@ -70,16 +69,17 @@ class StokesSolver:
 
     def __init__(self, mesh: NodalMesh, conditions: FlowConditions, *, axisymmetric: bool = True) -> None:
         self.mesh, self.held = mesh, conditions.held
-        self._pressure_cells = _pressure_cells(mesh)
         # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
         self._length = float(np.ptp(mesh.points, axis=0).max())
-        blocks = _Blocks(mesh, self._pressure_cells, self._length, axisymmetric)
+        blocks = _Blocks(mesh, self._length, axisymmetric)
         self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
-        self._shares, self._expand = blocks.pressure_shares(), _expansion(conditions)
-        # One pressure is pinned, and set by the mean afterwards: that of the largest patch, since one in a tiny cell
-        # would cost the digits by which the cell is small.
+        self._expand = _expansion(conditions)
+        # Only differences of the pressure act: one unknown of either kind is left out. One in a tiny cell would cost
+        # the digits by which the cell is small, so it is that of the largest patch.
         squares = blocks.pressure_squares()
-        self._kept = np.delete(np.arange(squares.size), np.argmax(squares))
+        continuous = squares.size - len(mesh.cells)
+        self._kept = np.delete(np.arange(squares.size), [
+            int(np.argmax(squares[:continuous])), continuous + int(np.argmax(squares[continuous:]))])
         stiff = (self._expand.T @ self._stiffness @ self._expand).tocsc()
         across = (self._divergence[self._kept] @ self._expand).tocsc()
         # The pressure in units that give its rows the size of those of the velocity.
@@ -112,13 +112,9 @@ class StokesSolver:
         solution, residual = self._system.solve(right)
         free = self._expand.shape[1]
         found = held + self._expand @ solution[:free]
-        pressure = np.zeros(len(self._shares))
-        pressure[self._kept] = solution[free:] * viscosity / self._length
-        pressure -= self._shares @ pressure / self._shares.sum()
         parts = float((abs(self._divergence) @ np.abs(found)).max())
         net_flux = float(np.abs(self._divergence @ found).max()) / parts if parts else 0.0
-        return StokesFlow(found.reshape(2, count).T, _at_nodes(self.mesh, self._pressure_cells, pressure), net_flux,
-                          residual)
+        return StokesFlow(found.reshape(2, count).T, net_flux, residual)
 
 
 class _Factorised:
@@ -162,22 +158,11 @@ def _expansion(conditions: FlowConditions) -> sparse.csc_matrix:
 
 
 def _pressure_cells(mesh: NodalMesh) -> IntArray:
-    """Numbers (M, k, k) of the pressure's unknowns in every cell: Lagrange nodes of order k - 1."""
+    """Numbers (M, k, k) of the continuous pressure's unknowns in every cell: Lagrange nodes of order k - 1."""
     if mesh.order == 2:
         corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]
         return np.asarray(np.unique(corners, return_inverse=True)[1].reshape(corners.shape), dtype=np.int64)
     return of_order(mesh.points, mesh.cells, mesh.order - 1)[1]
-
-
-def _at_nodes(mesh: NodalMesh, pressure_cells: IntArray, pressure: FloatArray) -> FloatArray:
-    """The pressure at the nodes of the velocity (N,)."""
-    order = mesh.order
-    element, fine = Lagrange(order - 1), Lagrange(order)
-    values = element.tabulated(fine.doflocs.T)[0]
-    result = np.empty(len(mesh.points))
-    inside = _in_order(pressure_cells, order - 1)
-    result[_in_order(mesh.cells, order)] = pressure[inside] @ values.T
-    return result
 
 
 def _in_order(cells: IntArray, order: int) -> IntArray:
@@ -189,10 +174,12 @@ def _in_order(cells: IntArray, order: int) -> IntArray:
 class _Blocks:
     """The matrices of Stokes' equations on a mesh, for lengths in units of `length` and a viscosity of one."""
 
-    def __init__(self, mesh: NodalMesh, pressure_cells: IntArray, length: float, axisymmetric: bool) -> None:
+    def __init__(self, mesh: NodalMesh, length: float, axisymmetric: bool) -> None:
         order = mesh.order
-        self.count, self.pressures = len(mesh.points), int(pressure_cells.max()) + 1
-        self.nodes, self.pressure_nodes = _in_order(mesh.cells, order), _in_order(pressure_cells, order - 1)
+        continuous = _in_order(_pressure_cells(mesh), order - 1)
+        own = int(continuous.max()) + 1 + np.arange(len(continuous))
+        self.count, self.pressures = len(mesh.points), int(own[-1]) + 1
+        self.nodes, self.pressure_nodes = _in_order(mesh.cells, order), np.column_stack([continuous, own])
         # The divergence is integrated exactly, so that what flows into a cell leaves it to rounding.
         points, weights = get_quadrature(RefQuad, 2 * order + 1 if mesh.is_grid else 4 * order)
         value, along, across = Lagrange(order).tabulated(points)
@@ -204,7 +191,7 @@ class _Blocks:
         self.d_z = (r_along / area)[:, :, None] * across - (r_across / area)[:, :, None] * along
         self.over_r = value / radius[:, :, None] if axisymmetric else np.zeros_like(self.d_r)
         self.weights = area * weights * (2.0 * np.pi * radius if axisymmetric else 1.0)
-        self.pressure_value = Lagrange(order - 1).tabulated(points)[0]
+        self.pressure_value = np.column_stack([Lagrange(order - 1).tabulated(points)[0], np.ones(len(weights))])
 
     def _gram(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Integrals (M, nb, nb') of products of functions (M, nq, nb) and (M, nq, nb') in every cell."""
@@ -238,14 +225,7 @@ class _Blocks:
         one = self._summed(self._gram(values, values), self.nodes, self.nodes, (self.count, self.count))
         return sparse.block_diag([one, one], format="csr")
 
-    def pressure_shares(self) -> FloatArray:
-        """The integral of every function of the pressure: (number of pressures,)."""
-        return self._pressure_integrals(self.pressure_value)
-
     def pressure_squares(self) -> FloatArray:
         """The integral of the square of every function of the pressure: (number of pressures,)."""
-        return self._pressure_integrals(self.pressure_value**2)
-
-    def _pressure_integrals(self, values: FloatArray) -> FloatArray:
-        own = self.weights @ values
+        own = self.weights @ self.pressure_value**2
         return np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)
