@@ -62,12 +62,14 @@ def test_the_command_writes_trajectories_pictures_and_a_report(
     assert main(command) == 0
     assert {path.name for path in out.iterdir()} == {
         "above_start.png", "above_end.png", "overlay_end.png", "side.png", "light_curve.png", "light_curve.csv",
-        "particles.gif", "particles.json", "trajectories.npz", "report.html"}
+        "particles.gif", "particles.json", "trajectories.npz", "report.html", "streaming.png"}
     with np.load(out / "trajectories.npz") as kept:
         assert kept["positions_m"].shape == (30, kept["times_s"].size, 2)
         assert kept["times_s"][-1] == 120.0
         words = [str(kept["fate_words"][each]) for each in kept["fate"]]
     record = standard_json(out / "particles.json")
+    assert set(record["liquid"]["causes_rms_m_s"]) == {"walls", "absorption", "heat", "buoyancy"}
+    assert 0.0 < record["liquid"]["mean_k"]["cavity"] < record["liquid"]["peak_k"]
     assert sum(record["fate"].values()) == 30
     assert record["fate"]["sedimented"] == words.count("sedimented")
     assert record["captures"][0]["name"] == "came to levitate"

@@ -84,6 +84,8 @@ if TYPE_CHECKING:
     from workbench.simulation.heating import heating as heating
     from workbench.simulation.heating import liquid_warming as liquid_warming
     from workbench.simulation.heating import thermal_resistances as thermal_resistances
+    from workbench.simulation.liquid_motion import LiquidMotion as LiquidMotion
+    from workbench.simulation.liquid_motion import liquid_motion as liquid_motion
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
@@ -105,6 +107,7 @@ PUBLIC = {
     "Goal": "workbench.design.goal",
     "Heating": "workbench.acoustics.heat",
     "InputError": "workbench.files.errors",
+    "LiquidMotion": "workbench.simulation.liquid_motion",
     "LiquidWarming": "workbench.simulation.heating",
     "MaterialFit": "workbench.fitting.recordings",
     "Operation": "workbench.design.evaluation",
@@ -136,6 +139,7 @@ PUBLIC = {
     "fit_resonances": "workbench.results.resonances",
     "full_evaluation": "workbench.design.model",
     "heating": "workbench.simulation.heating",
+    "liquid_motion": "workbench.simulation.liquid_motion",
     "liquid_warming": "workbench.simulation.heating",
     "measure": "workbench.bench.sweep",
     "optimise": "workbench.design.optimisation",

@@ -40,9 +40,9 @@ class Streaming(Brief):
 
     ``velocity`` (N, 2) m/s along r and z is the flow v2, ``drift`` (N, 2) the Stokes drift; particles are carried by
     their sum, :attr:`carrier_velocity`. ``causes`` are its parts (N, 2): of the "walls", of the "absorption" in the
-    bulk, and of "heat" (thermoacoustic force and buoyancy), as far as they are known. ``slips`` hold the slip along
-    every wall. ``net_flux`` is the largest share of the flow that enters a row or patch of cells and does not leave it,
-    ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left out.
+    bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as these are known. ``slips`` hold the slip
+    along every wall. ``net_flux`` is the largest share of the flow that enters a row or patch of cells and does not
+    leave it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left out.
     """
 
     excitation: Excitation
@@ -147,7 +147,7 @@ def acoustic_streaming(
     if temperature is None:
         assumed.append("The temperature is taken as even: no force of sound or gravity on warmer liquid.")
     else:
-        forces["heat"] = _heat_force(fields, fluid, slopes, temperature, finer, pressure, velocity)
+        forces |= _heat_forces(fields, fluid, slopes, temperature, finer, pressure, velocity)
     causes, net_flux, residual = _flows(finer, border, viscosity(fluid), _at_nodes(slips, len(finer.points)), drift,
                                         forces)
     return Streaming(
@@ -230,11 +230,11 @@ def _flows(
             max(each.residual for each in flows.values()))
 
 
-def _heat_force(
+def _heat_forces(
     fields: Fields, fluid: Fluid, slopes: TemperatureSlopes | None, temperature: FloatArray, finer: NodalMesh,
     pressure: NodalArray, velocity: NodalArray,
-) -> FloatArray:
-    """The force (N, 2) on the unevenly warm liquid at the nodes of `finer`."""
+) -> dict[str, FloatArray]:
+    """The forces (N, 2) of sound and of gravity on the unevenly warm liquid at the nodes of `finer`."""
     mesh, (region,) = fields.mesh, finer.regions
     if slopes is None:
         raise InputError("streaming", "slopes", slopes, f"the change of {fluid.name} with temperature")
@@ -252,5 +252,8 @@ def _heat_force(
         raise InputError("streaming", "temperature", f"{int((~np.isfinite(whole[nodes])).sum())} values that are not "
                          "finite", f"a temperature at every node of the {region}")
     warm, rise = (transfer(mesh, each, finer) for each in (whole, gradient(mesh, whole, [region])))
-    return thermoacoustic_force(fluid, slopes, pressure=pressure, velocity=velocity, temperature=warm,
+    sound = thermoacoustic_force(fluid, slopes, pressure=pressure, velocity=velocity, temperature=warm,
+                                 temperature_gradient=rise, gravity=0.0)
+    both = thermoacoustic_force(fluid, slopes, pressure=pressure, velocity=velocity, temperature=warm,
                                 temperature_gradient=rise)
+    return {"heat": sound, "buoyancy": both - sound}

@@ -177,6 +177,12 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--minutes", type=float, default=30.0, metavar="M", help="time to follow them for (default 30)")
     sub.add_argument("--count", type=int, default=200, metavar="N", help="number of particles (default 200)")
     sub.add_argument("--seed", type=int, default=0, metavar="N", help="of their start points (default 0)")
+    sub.add_argument("--flow", choices=("heat", "sound", "none"), default="heat",
+                     help="what moves the liquid: heat beside sound (default), sound alone, or nothing")
+    sub.add_argument("--convection", metavar="H",
+                     help='heat that leaves the outside, such as "20 W/(m^2 K)" (default 10 W/(m^2 K): still air)')
+    sub.add_argument("--holder", metavar="BOUNDARY",
+                     help="outer boundary held at ambient temperature, such as substrate|outside (default: none)")
     sub.add_argument("--particle", metavar="NAME", help="its material (default: of the state)")
     sub.add_argument("--particle-radius", metavar="LENGTH", help='such as "5 um" (default: of the state)')
     sub.add_argument("--window", metavar="RADIUS",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
 from workbench.acoustics.captures import Window, capture_statistics
+from workbench.acoustics.heat import STILL_AIR
 from workbench.acoustics.trajectories import Trajectories
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import run_state, simulated
@@ -18,6 +19,8 @@ from workbench.files.writing import write_json
 from workbench.report.page import Picture
 from workbench.report.particles import (
     captures_table,
+    flow_answer,
+    flow_record,
     motion_answer,
     motion_record,
     write_light_curve,
@@ -25,6 +28,7 @@ from workbench.report.particles import (
     write_trajectories,
 )
 from workbench.simulation.beads import carrier_of, trajectories, with_particle
+from workbench.simulation.liquid_motion import LiquidMotion, liquid_motion
 from workbench.simulation.run import Snapshot, snapshot
 
 if TYPE_CHECKING:
@@ -42,21 +46,27 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
     model = model_options(options, chip)
     device = carrier_of(chip, options.state, model.registry)
     outer = _length(options.window, "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
+    convection = STILL_AIR if options.convection is None else parse_quantity(
+        options.convection, "heat transfer coefficient", source="command line", field="--convection")
     window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
     with progress_bars(console) as show:
         shot = _field(chip, name, model, show)
+        moving = liquid_motion(shot, by=options.flow, registry=model.registry, convection=convection,
+                               holder=options.holder)
         found = trajectories(shot, 60.0 * options.minutes, particles=options.count, seed=options.seed,
-                             progress=partial(simulated, show, name))
-        pictures, files = _drawn(found, window, folder, animated=not options.no_animation) \
+                             flow=moving.velocity, progress=partial(simulated, show, name))
+        pictures, files = _drawn(found, moving, window, folder, animated=not options.no_animation) \
             if not options.no_pictures else ([], {})
         show(name, "done", 1.0)
     files = {**files, "all positions, times and fates": write_trajectories(found, folder / "trajectories.npz"),
              "the light curve": write_light_curve(found, window, folder / "light_curve.csv")}
     write_json(folder / "particles.json", {"chip": chip.name, "chip_file": str(options.chip), "state": name,
-                                           **motion_record(found, window), "findings": list(shot.findings)})
-    write_particles_report(shot, found, pictures, files, folder)
+                                           **motion_record(found, window), "liquid": flow_record(moving),
+                                           "findings": list(shot.findings)})
+    write_particles_report(shot, found, moving, pictures, files, folder)
     print_table(chip.name, captures_table(capture_statistics(found)))
     print_paragraph(motion_answer(found))
+    print_paragraph(flow_answer(moving))
     for text in shot.findings:
         say_finding(text, console)
     return 0
@@ -76,10 +86,11 @@ def _length(text: str | None, field: str) -> float | None:
 
 
 def _drawn(
-    found: Trajectories, window: Window, folder: Path, *, animated: bool
+    found: Trajectories, moving: LiquidMotion, window: Window, folder: Path, *, animated: bool
 ) -> tuple[list[Picture], dict[str, Path]]:
     """The pictures of the report, and further files by what they hold."""
     from workbench.render import beads
+    from workbench.render.sections import draw_streaming
 
     end = float(found.times[-1])
     # A moment of each stage: levitation in seconds, gathering in minutes.
@@ -95,6 +106,9 @@ def _drawn(
         Picture(beads.draw_light_curves(found, [(f"r below {1e3 * window.outer:.3g} mm", window)],
                                         folder / "light_curve.png"), f"shares over time; {words}"),
     ]
+    if moving.streaming is not None:
+        flow = draw_streaming(moving.streaming, folder / "streaming.png")
+        pictures.append(Picture(flow, "the flow of the liquid that carries them, Stokes drift included"))
     overlay = beads.draw_from_above(found, folder / "overlay_end.png", at=end, transparent=True)
     files = {"the picture from above without background, to lay over a micrograph of the cavity's width": overlay}
     if animated:

@@ -25,6 +25,7 @@ from workbench.render.beads import time_text
 from workbench.report.page import Answer, Block, Note, Picture, TextTable, write_report
 from workbench.report.simulation import field_table
 from workbench.simulation.gathering import particle_words, percent
+from workbench.simulation.liquid_motion import LiquidMotion
 from workbench.simulation.run import Snapshot
 
 #: Sentences on the limits of the computation, as the documentation has them.
@@ -120,19 +121,47 @@ def write_light_curve(found: Trajectories, window: Window, path: Path) -> Path:
     return path
 
 
+def flow_answer(moving: LiquidMotion) -> str:
+    """Sentences on the motion of the liquid."""
+    flow, heat = moving.streaming, moving.heat
+    if flow is None:
+        return "The liquid is taken to be at rest."
+    parts = ", ".join(f"{name} {1e6 * flow.rms_of(each):.2g}" for name, each in flow.causes.items())
+    text = (f"The liquid carries them with {1e6 * flow.rms_speed:.3g} um/s rms, {1e6 * flow.largest_speed:.3g} um/s at "
+            f"most ({parts} um/s rms alone)")
+    if heat is not None:
+        text += (f"; driven steadily the chip is up to {heat.peak:.3g} K above ambient, its liquid "
+                 f"{heat.parts[flow.region].mean:.3g} K, with a time constant of {heat.time_constant:.3g} s")
+    return text + "."
+
+
+def flow_record(moving: LiquidMotion) -> dict[str, Any]:
+    """The motion of the liquid as particles.json holds it; empty at rest."""
+    flow, heat = moving.streaming, moving.heat
+    found: dict[str, Any] = {}
+    if flow is not None:
+        found |= {"rms_m_s": flow.rms_speed, "largest_m_s": flow.largest_speed, "peclet": flow.peclet,
+                  "causes_rms_m_s": {name: flow.rms_of(each) for name, each in flow.causes.items()}}
+    if heat is not None:
+        found |= {"power_w": heat.power, "peak_k": heat.peak, "time_constant_s": heat.time_constant,
+                  "mean_k": {name: part.mean for name, part in heat.parts.items()}}
+    return found
+
+
 def write_particles_report(
-    shot: Snapshot, found: Trajectories, pictures: Sequence[Picture], files: Mapping[str, Path], folder: Path
+    shot: Snapshot, found: Trajectories, moving: LiquidMotion, pictures: Sequence[Picture], files: Mapping[str, Path],
+    folder: Path
 ) -> Path:
     """``report.html``: the fate of the particles first, then how many, when and where, the pictures, what is left out.
     `files` are further files by what they hold."""
     sections: list[tuple[str, list[Block]]] = [
-        ("Where are the particles?", [Answer(motion_answer(found)), *map(Note, shot.findings)]),
+        ("Where are the particles?", [Answer(motion_answer(found)), flow_answer(moving), *map(Note, shot.findings)]),
         ("How many, and when", [captures_table(capture_statistics(found)), rest_table(found)]),
         ("Pictures", list(pictures)),
         (f"The field of state {shot.state} at {shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}",
          [field_table(found.report)]),
         ("What is computed", [
             "Every particle follows dx/dt = v2 + (F - W e_z) / (6 pi eta a): radiation force and net weight against "
-            "drag, and the flow v2 of the liquid if one is given (here none).", LEFT_OUT,
+            "drag, and the flow v2 of the liquid, Stokes drift included.", *moving.notes, LEFT_OUT,
             "Files: " + "; ".join(f"{path.name}, {words}" for words, path in files.items()) + "."])]
     return write_report(folder / "report.html", f"{shot.chip.name}: particles", sections)

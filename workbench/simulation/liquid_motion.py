@@ -1,0 +1,113 @@
+"""The liquid that carries particles in a simulated state: streaming by sound, and by the heat that the chip loses.
+
+    shot = snapshot(read_chip("chip.toml"), "filled", 1.03e6)
+    moving = liquid_motion(shot)
+    trajectories(shot, 1800.0, flow=moving.velocity)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.heat import STILL_AIR, Heating, check_peclet
+from workbench.acoustics.nodal import FloatArray
+from workbench.acoustics.streaming import Streaming
+from workbench.files.errors import InputError, choose
+from workbench.results.brief import Brief
+from workbench.simulation.heating import heating
+from workbench.simulation.run import Snapshot
+from workbench.simulation.streaming import streaming
+
+
+class FlowCause(StrEnum):
+    """A cause of the liquid's motion: heat brings that of sound along."""
+
+    HEAT = "heat"
+    SOUND = "sound"
+    NONE = "none"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiquidMotion(Brief):
+    """The steady motion of the liquid in the cavity of a state, and the temperatures that drive it.
+
+    ``streaming`` is None where the liquid stays at rest, ``heat`` where it is driven by sound alone; ``velocity``
+    (N, 2) m/s carries particles, at the nodes of the mesh of the state's forces, None at rest.
+    """
+
+    streaming: Streaming | None
+    heat: Heating | None
+    velocity: FloatArray | None
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, filter(None, (self.streaming, self.heat)))) or "the liquid stays at rest"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on assumptions."""
+        found = () if self.streaming is None else self.streaming.assumptions
+        if self.heat is not None:
+            found += (f"The flow is that of the chip when it has warmed up, by {self.heat.peak:.3g} K at the hottest "
+                      f"place; it comes up with a time constant of {self.heat.time_constant:.3g} s.", *self.heat.notes)
+        return found
+
+
+def liquid_motion(
+    shot: Snapshot, *, by: str = FlowCause.HEAT, registry: Registry | None = None,
+    convection: float | Mapping[str, float] = STILL_AIR, holder: str | Mapping[str, float] | None = None,
+) -> LiquidMotion:
+    """The steady motion of the liquid in the cavity of a simulated state, at its frequency and drive.
+
+    Args:
+        shot: a state of `snapshot` or `simulate` with a particle in a liquid.
+        by: "heat" (thermoacoustic force and buoyancy, beside the sound), "sound" (slip at the walls and absorption) or
+            "none".
+        convection, holder: ways for the heat to leave, as of `heating`.
+
+    Raises:
+        InputError: an unknown cause; see `heating` and `streaming`; a liquid that the drive warms beyond its law, or
+            whose flow carries more heat than conduction does (a Peclet number above 1).
+    """
+    cause = FlowCause(choose(by, list(FlowCause), source="liquid_motion", field="by"))
+    if cause is FlowCause.NONE or shot.traps is None:
+        return LiquidMotion(None, None, None)
+    heat, registry = None, registry or Registry()
+    if cause is FlowCause.HEAT:
+        heat = heating(shot, convection=convection, holder=holder)
+        _check_warm(shot, heat, registry)
+    flow = streaming(shot, temperature=None if heat is None else heat.rise, registry=registry)
+    if heat is not None:
+        check_peclet(flow.fluid, flow.largest_speed, flow.height)
+    return LiquidMotion(flow, heat, flow.carried_on(shot.traps.forces.mesh))
+
+
+def _check_warm(shot: Snapshot, heat: Heating, registry: Registry) -> None:
+    """Raise if the liquid becomes warmer than its law reaches."""
+    assert shot.traps is not None
+    fluid, rise = shot.traps.forces.fluid, heat.parts[shot.traps.forces.region].peak
+    if not isinstance(fluid, Fluid) or fluid.temperature is None or _reaches(fluid, rise, registry):
+        return
+    low, high = 0.0, rise
+    while high - low > 0.01 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _reaches(fluid, middle, registry) else (low, middle)
+    voltage = 2.0 * abs(shot.fields.voltage)
+    raise InputError(
+        "liquid_motion", "drive", f"{voltage:.3g} Vpp at the electrodes",
+        f"at most {voltage * (low / rise) ** 0.5:.2g} Vpp: driven steadily, {fluid.name} would be {rise:.3g} K warmer "
+        f"than {fluid.temperature - 273.15:.3g} degC, beyond boiling or beyond its law, which ends {low:.3g} K above. "
+        'A holder takes heat away; a flow by sound alone (by="sound", --flow sound) leaves heat out')
+
+
+def _reaches(fluid: Fluid, rise: float, registry: Registry) -> bool:
+    """Whether the law of a liquid reaches so many K above its stated temperature."""
+    assert fluid.temperature is not None
+    try:
+        registry.load(fluid.name, temperature=fluid.temperature + rise)
+    except InputError:
+        return False
+    return True
