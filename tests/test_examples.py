@@ -17,9 +17,10 @@ ROOT = Path(__file__).resolve().parent.parent
 #: The examples of the gallery that are run; those from 10 to 13 take minutes to hours, those from 16 to 17
 #: minutes (`tests/benchmarks/design.py` runs what they show).
 SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[45]_*.py"),
-                *(ROOT / "examples").glob("18_*.py")])
+                *(ROOT / "examples").glob("1[89]_*.py")])
 #: What takes more than some ten seconds on a quiet machine.
-SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study", "18_your_own_shape"}
+SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study", "18_your_own_shape",
+        "19_the_photograph"}
 #: What an example may import beside `workbench`: the standard library and numpy.
 PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
 #: Examples that look inside: this one switches single losses of one reduced model off and asks it for their power.
@@ -33,6 +34,7 @@ DRAWN = {
     "08_fields_and_traps": {"pressure_filled.png", "gorkov_filled.png", "cutaway_filled.png", "losses_filled.png"},
     "15_tolerance": {"yield.png", "samples.png", "tornado.png"},
     "18_your_own_shape": {"mesh_filled.png", "pressure_filled.png"},
+    "19_the_photograph": {f"above_{energy}_{seconds}s.png" for energy in (15, 45) for seconds in (5, 60, 300, 1800)},
 }
 #: Words of what an example prints: the number that its docstring states, as far as it is printed.
 SAID = {
@@ -45,13 +47,14 @@ SAID = {
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
     "18_your_own_shape": "cavity 43.73 mm^3, f0 1.0298 MHz",
+    "19_the_photograph": "15 J/m^3, 1.45 Vpp: the liquid carries beads with 1.7 um/s rms; the chip warms by 4 K",
 }
 
 
 def test_there_is_an_example_for_every_number() -> None:
     assert [path.stem for path in SHORT] == sorted(DRAWN) == sorted(SAID)
     numbers = [path.name[:2] for path in sorted((ROOT / "examples").glob("[0-9]*.py"))]
-    assert numbers == [f"{k:02d}" for k in range(1, 19)]
+    assert numbers == [f"{k:02d}" for k in range(1, 20)]
 
 
 def imported(tree: ast.AST) -> set[str]:

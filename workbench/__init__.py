@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from workbench.readers import read_recording as read_recording
     from workbench.reduced.ranges import RangeModel as RangeModel
     from workbench.reduced.ranges import range_model as range_model
+    from workbench.render.beads import draw_from_above as draw_from_above
     from workbench.render.gallery import draw_state as draw_state
     from workbench.render.plots import draw_spectra as draw_spectra
     from workbench.render.tolerances import draw_tolerance as draw_tolerance
@@ -130,6 +131,7 @@ PUBLIC = {
     "compare": "workbench.results.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
+    "draw_from_above": "workbench.render.beads",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "draw_tolerance": "workbench.render.tolerances",
