@@ -42,7 +42,8 @@ class Streaming(Brief):
     their sum, :attr:`carrier_velocity`. ``causes`` are its parts (N, 2): of the "walls", of the "absorption" in the
     bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as these are known. ``slips`` hold the slip
     along every wall. ``net_flux`` is the largest share of the flow that enters a row or patch of cells and does not
-    leave it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left out.
+    leave it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces
+    left out.
     """
 
     excitation: Excitation

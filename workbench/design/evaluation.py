@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geometry.names import parent_place
 from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
 from workbench.design.dual import Dual, dual_derivative
-from workbench.design.figures import LOSS_SHARE
+from workbench.design.figures import LOSS_SHARE, QUOTIENTS, with_parts
 from workbench.design.resonance import Linearisable, Resonance, find_resonance
 from workbench.design.trapping import FoundTrap, NoTrap, find_trap, largest_square, trap_focus_time
 from workbench.fem.linearised import LinearisedState, by_frequency, difference_frequencies, slope_columns
@@ -157,10 +157,15 @@ def answer(
             follows = Dual(driven, np.zeros(len(question.names)))
         operating = _Operating(question, state, follows)
         for names, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
-            wanted = [each for each in question.figures if each in names or
+            wanted = [each for each in with_parts(question.figures) if each in names or
                       (names is ELECTRICAL and each.startswith(LOSS_SHARE))]
             if wanted:
                 compute(wanted, found, missing)
+    for name, parts in QUOTIENTS.items():
+        if all(each in found for each in parts):
+            found[name] = found[parts[0]] / found[parts[1]]
+        elif any(each in missing for each in parts):
+            missing[name] = next(missing[each] for each in parts if each in missing)
     kept = {name: found[name] for name in question.figures if name in found}
     return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures},
                         math.nan if driven is None else driven, state)

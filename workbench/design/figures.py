@@ -48,7 +48,17 @@ _ALL = (
     Figure("radial_stiffness", "N/m", "stiffness", "radial stiffness of the deepest trap", "pN/um", 1e-6),
     Figure("focus_time", "s", "time", "time from 90 to 10 % of a quarter wavelength above the deepest trap", "s"),
     Figure("heating", "K", "temperature difference", "loss budget times the stated thermal resistances", "K"),
+    Figure("depth_per_kelvin", "J/K", "energy per temperature", "depth of the deepest trap over the heating", "fJ/K",
+           1e-15),
 )
+
+#: Figures that are quotients of two others, by name.
+QUOTIENTS: Mapping[str, tuple[str, str]] = {"depth_per_kelvin": ("trap_depth", "heating")}
+
+
+def with_parts(names: Iterable[str]) -> tuple[str, ...]:
+    """Figures, each once, and those that they are quotients of."""
+    return tuple(dict.fromkeys(each for name in names for each in (*QUOTIENTS.get(name, ()), name)))
 
 #: Figures by name; ``loss.<region>`` besides, for every region of a chip.
 FIGURES: Mapping[str, Figure] = {each.name: each for each in _ALL}

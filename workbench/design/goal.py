@@ -27,7 +27,7 @@ from geometry.plausible import check_band, check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
-from workbench.design.figures import FIGURES, LOSS_SHARE
+from workbench.design.figures import FIGURES, LOSS_SHARE, with_parts
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
@@ -354,7 +354,7 @@ def _check(goal: Goal) -> None:
         InputError: heating without thermal resistance, a search of nothing but choices, too many of them.
     """
     asked = set(goal.figures)
-    if "heating" in asked and not goal.operation.thermal_resistance:
+    if "heating" in with_parts(asked) and not goal.operation.thermal_resistance:
         raise InputError(goal.source, "thermal", None, 'the resistances that "heating" needs, such as all = "12 K/W"')
     state = goal.chip.state(goal.state)
     trapped = sorted(name for name in asked if name.startswith(("trap_", "axial_", "radial_", "focus_")))

@@ -25,7 +25,7 @@ from materials.registry import Registry
 from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.evaluation import OF_FIELD, Evaluation, FigureValues, Operation, Question, answer, needs_resonance
-from workbench.design.figures import LOSS_SHARE, check_figures
+from workbench.design.figures import LOSS_SHARE, check_figures, with_parts
 from workbench.fem.linearised import FullSystem, ReducedSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, one_thread
@@ -183,7 +183,7 @@ def of_range_model(
     operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted)
-    by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
+    by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in with_parts(wanted))
     bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=relative_error,
                      by_place=by_place, seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
@@ -243,7 +243,7 @@ def _cavity(
 ) -> tuple[Cavity | None, str]:
     """The cavity and its particle, or why there is none; looked at only if a figure needs it."""
     fluid = device.materials.get(CAVITY)
-    if not set(figures) & set(OF_FIELD):
+    if not set(with_parts(figures)) & set(OF_FIELD):
         return None, ""
     if not isinstance(fluid, Fluid):
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"

@@ -15,6 +15,7 @@ from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.design.boxes import Box, TrustRegion, middle, variables_in_box
 from workbench.design.evaluation import OF_FIELD, Evaluation
+from workbench.design.figures import with_parts
 from workbench.design.goal import TOLERANCE, Goal, Robust
 from workbench.design.input_uncertainty import stated_uncertainty
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
@@ -78,7 +79,7 @@ class ChipSolver:
             chip, goal.state, ranges, figures=goal.figures, operation=goal.operation, registry=self.registry,
             band=goal.band, relative_error=goal.search.relative_error, limit=SOLVES, seed=goal.search.seed,
             progress=progress, accuracy=self.accuracy)
-        of_field = [name for name in goal.figures if name in OF_FIELD]
+        of_field = [name for name in with_parts(goal.figures) if name in OF_FIELD]
         if of_field and made.reason:
             raise InputError(goal.source, "goal", ", ".join(of_field), f"figures of the impedance: {made.reason}")
         return made

@@ -18,6 +18,7 @@ from geometry.chip import Chip
 from geometry.chip_section import chip_section
 from materials.registry import Registry
 from workbench.acoustics.heat import STILL_AIR
+from workbench.design.figures import with_parts
 from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
 from workbench.simulation.heating import thermal_resistances
@@ -52,7 +53,7 @@ def read_thermal(
     for key, value in zip(table, found.values(), strict=True):
         if not value >= 0.0:
             raise table.error(key, "a thermal resistance of zero or more")
-    if "heating" in figures and not found:
+    if "heating" in with_parts(figures) and not found:
         raise InputError(root.source, "thermal", "nothing", 'thermal resistances for the figure "heating", such as '
                          'all = "10 K/W", or computed = "cavity"')
     return found

@@ -74,7 +74,8 @@ def _with_deviations(
             likelihood = likelihood.with_objective(likelihood.objective.enriched(place, tolerance))
         parts = _changes(models, likelihood.objective, likelihood.noise, place)[0]
         found, data = likelihood.whitened(replace(found, local=replace(found.local, parts=parts)))
-        tolerance = SLACK * FINE * _least_noise(found.weighting)
+        # One that leaves much of a recording need not be known as exactly as noise.
+        tolerance = SLACK * FINE * max(_median_deviations(found.weighting))
         is_accurate = data.error <= tolerance
         has_moved = bool((np.abs(found.likeliest - place) > found.errors)[list(found.free)].any())
         if is_accurate and not has_moved:
@@ -133,7 +134,12 @@ def _held_out(models: LocalModels, found: Explanation, place: Real) -> Likelihoo
 
 def _least_noise(weighting: Weighting) -> float:
     """The median deviation of the recording that deviates least."""
-    return min(float(np.median(each)) for each in weighting.deviations())
+    return min(_median_deviations(weighting))
+
+
+def _median_deviations(weighting: Weighting) -> list[float]:
+    """The median deviation of the points of every recording."""
+    return [float(np.median(each)) for each in weighting.deviations()]
 
 
 def with_held_out(held: Likelihood, found: Explanation, parts: Real) -> Explanation:

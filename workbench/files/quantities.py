@@ -41,6 +41,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "thermal expansion": {"1/K": 1.0, "ppm/K": 1e-6},
     "energy density": {"J/m^3": 1.0},
     "energy": {"J": 1.0, "fJ": 1e-15},
+    "energy per temperature": {"J/K": 1.0, "fJ/K": 1e-15},
     "stiffness": {"N/m": 1.0, "pN/um": 1e-6},
     "temperature difference": {"K": 1.0},
     "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},
