@@ -3,10 +3,10 @@
 
 The paper ends with a photograph: polystyrene beads of 10 um gathered in the middle of the cavity. These are the beads
 of its chip from above after 5 s, 1, 5 and 30 min, at two energy densities (of a standing wave as high as the largest
-pressure). After 5 s they have hardly moved to the side: they rise or sink to the pressure node. After 1 min at 45 J/m^3,
-and after 5 min at 15, some are gathered on the axis; at the end there is a dense middle, a ring of 2 mm, and beads on
-the floor where the field is too weak to lift them. The flow that the heat of the losses drives carries some of those
-that radiation would bring to the middle out to the ring.
+pressure). After 5 s they have hardly moved to the side: they rise or sink to the pressure node. After 1 min at
+45 J/m^3, and after 5 min at 15, some are gathered on the axis; at the end there is a dense middle, a ring of 2 mm, and
+beads on the floor where the field is too weak to lift them. The flow that the heat of the losses drives carries some of
+those that radiation would bring to the middle out to the ring.
 
 Reference number: at 15 J/m^3 the liquid carries beads with 1.7 um/s rms and the chip warms by 4 K; of the beads 22 %
 are within 1 mm of the axis after half an hour, and 28 % if the liquid stays at rest.

@@ -126,8 +126,7 @@ def test_a_strained_velocity_only_changes_the_stress() -> None:
 
 
 def test_thermoacoustic_flow_between_plates() -> None:
-    """u = a [cos(2 pi z/h) - 1 + 6 z (h - z)/h^2], a = f0 h^2/(8 pi^2 eta), f0 = -E g kappa'/kappa, away from the ends.
-    """
+    """u = a [cos(2 pi z/h) - 1 + 6 z (h - z)/h^2], a = f0 h^2/(8 pi^2 eta), f0 = -E g kappa'/kappa."""
     water = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=VISCOSITY)
     slopes = TemperatureSlopes(density=-0.257, sound_speed=2.68)
     height, slope, energy = 160e-6, 1e3, 100.0

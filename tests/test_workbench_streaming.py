@@ -103,7 +103,8 @@ def test_a_higher_order_hardly_changes_the_flow(shot: Snapshot, flow: Streaming)
 
 def test_the_peclet_number_is_that_of_heat_over_the_height(flow: Streaming) -> None:
     water = flow.fluid
-    assert water.thermal_conductivity and water.heat_capacity
+    assert water.thermal_conductivity
+    assert water.heat_capacity
     diffusivity = water.thermal_conductivity / (water.density * water.heat_capacity)
     assert diffusivity == pytest.approx(1.46e-7, rel=0.01)
     assert flow.peclet == pytest.approx(flow.largest_speed * 0.72e-3 / diffusivity, rel=1e-9)
@@ -111,12 +112,15 @@ def test_the_peclet_number_is_that_of_heat_over_the_height(flow: Streaming) -> N
     assert replace(flow, fluid=replace(water, thermal_conductivity=None)).peclet is None
 
 
-def test_the_critical_bead_of_water() -> None:
+def test_the_critical_bead_of_water(flow: Streaming) -> None:
     """1.98 um at 1.97 MHz, polystyrene in water of 25 degC (about 2 um was published)."""
     water = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.89e-3)
     assert critical_diameter(0.16493, water, 1.97e6) == pytest.approx(1.98e-6, rel=3e-3)
     assert critical_diameter(0.16493, water, 1.97e6, slip=1.5) == pytest.approx(2.0 * 1.98e-6, rel=3e-3)
-    with pytest.raises(wb.InputError, match="contrast_factor: received 0.0"):
+    assert flow.critical_diameter is not None
+    # Phi is 0.166 for 10 um here.
+    assert flow.critical_diameter == pytest.approx(critical_diameter(0.166, flow.fluid, 480e3), rel=0.01)
+    with pytest.raises(wb.InputError, match=r"contrast_factor: received 0\.0"):
         critical_diameter(0.0, water, 1e6)
 
 

@@ -71,7 +71,8 @@ class Resolved:
         cells = np.stack([place, place + 1, place + r.size + 1, place + r.size])
         mesh = skfem.MeshQuad(np.stack([np.tile(r, z.size), np.repeat(z, r.size)]) / UNIT, cells)
         self.omega = OMEGA * UNIT
-        assert fluid.shear_viscosity is not None and fluid.bulk_viscosity is not None
+        assert fluid.shear_viscosity is not None
+        assert fluid.bulk_viscosity is not None
         self.shear, self.bulk = fluid.shear_viscosity / UNIT, fluid.bulk_viscosity / UNIT
         self.u, self.p = (skfem.Basis(mesh, Lagrange(k), intorder=16) for k in (5, 4))
         self._at_nodes = skfem.Basis(mesh, Lagrange(5), quadrature=(Lagrange(5).doflocs.T, np.ones(36)))

@@ -228,4 +228,5 @@ class _Blocks:
     def pressure_squares(self) -> FloatArray:
         """The integral of the square of every function of the pressure: (number of pressures,)."""
         own = self.weights @ self.pressure_value**2
-        return np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)
+        sums = np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)
+        return np.asarray(sums, dtype=np.float64)

@@ -27,7 +27,7 @@ from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, gradien
 from workbench.acoustics.slip import WallEdges, slip_velocity, stokes_drift, wall_edges, wall_fields
 from workbench.acoustics.stokes import StokesSolver
 from workbench.files.errors import InputError
-from workbench.model.particles import FluidProperties, boundary_layer_thickness, viscosity
+from workbench.model.particles import FluidProperties, Scattering, boundary_layer_thickness, viscosity
 from workbench.results.brief import Brief
 
 #: Largest slip of a standing wave along a plane wall, in units of v0^2 / c (Rayleigh 1884).
@@ -40,10 +40,11 @@ class Streaming(Brief):
 
     ``velocity`` (N, 2) m/s along r and z is the flow v2, ``drift`` (N, 2) the Stokes drift; particles are carried by
     their sum, :attr:`carrier_velocity`. ``causes`` are its parts (N, 2): of the "walls", of the "absorption" in the
-    bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as these are known. ``slips`` hold the slip
-    along every wall. ``net_flux`` is the largest share of the flow that enters a row or patch of cells and does not
-    leave it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces
-    left out.
+    bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as known. ``slips`` hold the slip along every
+    wall. ``net_flux`` is the largest share of the flow that enters a cell or patch of cells and does not leave
+    it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left
+    out. ``critical_diameter`` m of a particle that radiation and streaming move alike (:func:`critical_diameter`), None
+    without a particle or if radiation does not move it.
     """
 
     excitation: Excitation
@@ -57,6 +58,7 @@ class Streaming(Brief):
     net_flux: float
     residual: float
     assumptions: tuple[str, ...]
+    critical_diameter: float | None = None
 
     @property
     def carrier_velocity(self) -> FloatArray:
@@ -108,7 +110,8 @@ class Streaming(Brief):
 
 def acoustic_streaming(
     fields: Fields, *, fluid: Fluid, region: str, diffusivity: float | None = None,
-    temperature: FloatArray | None = None, slopes: TemperatureSlopes | None = None, order: int | None = None,
+    temperature: FloatArray | None = None, slopes: TemperatureSlopes | None = None,
+    scattering: Scattering | None = None, order: int | None = None,
 ) -> Streaming:
     """The steady flow of `fluid` in `region` under the sound of `fields`.
 
@@ -117,14 +120,17 @@ def acoustic_streaming(
         temperature: K above ambient at the nodes (N,) of the mesh of `fields` (NaN outside of the region), or at those
             of the region alone, in their order; even unless given.
         slopes: change of the fluid with temperature; needed with a temperature.
+        scattering: of a particle, for its critical diameter.
         order: polynomial order of the flow's velocity, 2 or more; that of the fields unless given. On the chips of the
             package order 4 leaves 0.3 % rms of the flow and order 6 a tenth of that, in five times the time.
 
     Raises:
         InputError: a region without pressure or that touches another fluid, a fluid without viscosity, a temperature of
-            another shape, with values that are not finite, or without `slopes`.
+            another shape, with values that are not finite, or without `slopes`, an order below two.
     """
     mesh = fields.mesh
+    if order is not None and order < 2:
+        raise InputError("streaming", "order", order, "an order of 2 or more")
     edges = _checked(fields, fluid, region)
     walls = [each for each in edges if _is_solid(fields, each.neighbour)]
     opened = [each for each in edges if each not in walls]
@@ -154,7 +160,9 @@ def acoustic_streaming(
     return Streaming(
         excitation=excitation_of(fields, fluid, region, amplitude=float(np.abs(pressure).max())), region=region,
         fluid=fluid, mesh=finer, velocity=sum(causes.values()) - drift, drift=drift, causes=causes, slips=slips,
-        net_flux=net_flux, residual=residual, assumptions=tuple(assumed))
+        net_flux=net_flux, residual=residual, assumptions=tuple(assumed),
+        critical_diameter=None if scattering is None or not scattering.contrast_factor else critical_diameter(
+            scattering.contrast_factor, fluid, fields.frequency))
 
 
 def critical_diameter(

@@ -1,4 +1,4 @@
-"""The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, streaming, regions, mesh.
+"""The chip's r-z section, mirrored about its axis: displacement, pressure, potential, streaming, regions and mesh.
 
 Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
 Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, with a note), a
@@ -113,8 +113,7 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 def draw_streaming(flow: Streaming, path: Path) -> Path:
     """Draw the speed at which the liquid carries particles, and arrows along it, all of one length. Writes `path`.
 
-    Where the flow is slower than :data:`_STILL` of its largest speed there is no arrow; the title says how slow that
-    is.
+    Where the flow is slower than :data:`_STILL` of its largest speed there is no arrow; the title gives that speed.
     """
     speed = np.linalg.norm(flow.carrier_velocity, axis=1)
     factor, unit = prefixed(flow.largest_speed, "m/s")
@@ -122,8 +121,8 @@ def draw_streaming(flow: Streaming, path: Path) -> Path:
     window = _window(flow.mesh.points)
     peclet = "" if flow.peclet is None else f", Peclet number {flow.peclet:.2g}"
     figure, axes, bar = _frame(window, title=(
-        f"streaming in the {flow.region}: {factor * flow.rms_speed:.3g} {unit} rms{peclet}; no arrows where it is "
-        f"below {factor * least:.2g} {unit}\n{typeset(flow.excitation)}"))
+        f"streaming in the {flow.region}: {factor * flow.rms_speed:.3g} {unit} rms{peclet}; no arrows below "
+        f"{factor * least:.2g} {unit}\n{typeset(flow.excitation)}"))
     limits = (0.0, flow.largest_speed * factor or 1.0)
     _show(axes, window, _nodal(flow.mesh, speed * factor, window), limits=limits, colours=PLAIN_COLOURS)
     _outline(axes, flow.mesh)

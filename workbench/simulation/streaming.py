@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from geometry.names import CAVITY
@@ -44,12 +46,19 @@ def streaming(
     if not isinstance(fluid, Fluid):
         raise InputError("streaming", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a liquid in the "
                          'cavity, such as cavity = "water" in its table of the chip file')
-    known = shot.problem.values.get(f"{fluid.name}.diffusivity_of_sound")
+    known = {name: complex(shot.problem.values[f"{fluid.name}.{name}"]).real for name in (
+        "density", "sound_speed", "shear_viscosity", "diffusivity_of_sound")
+        if f"{fluid.name}.{name}" in shot.problem.values}
+    # The numbers that the fields were computed with, which a fit may have changed.
+    fluid = replace(fluid, density=known["density"], sound_speed=known["sound_speed"],
+                    shear_viscosity=known.get("shear_viscosity"))
     if temperature is not None and slopes is None:
-        slopes = slopes_of(fluid, registry or Registry(), warmer_by=float(np.nanmean(temperature)))
+        inside = shot.fields.mesh.nodes_of([CAVITY])
+        there = temperature[inside] if temperature.size > inside.size else temperature
+        slopes = slopes_of(fluid, registry or Registry(), warmer_by=float(np.mean(there)))
     return acoustic_streaming(shot.fields, fluid=fluid, region=CAVITY,
-                              diffusivity=None if known is None else complex(known).real, temperature=temperature,
-                              slopes=slopes, order=order)
+                              diffusivity=known.get("diffusivity_of_sound"), temperature=temperature, slopes=slopes,
+                              order=order, scattering=None if shot.traps is None else shot.traps.forces.scattering)
 
 
 def slopes_of(fluid: Fluid, registry: Registry, *, warmer_by: float = 0.0) -> TemperatureSlopes:
