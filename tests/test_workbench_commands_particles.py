@@ -107,6 +107,9 @@ def test_without_a_frequency_the_field_is_that_of_f0_and_pictures_can_be_left_ou
     (["--drive", "10 Vpp", "--particle", "pzt4"], "expected an isotropic solid (a bead), or a fluid"),
     (["--drive", "10 Vpp", "--particle-radius", "0.4 mm"], "expected above zero and below 0.36 mm, or it does not fit"),
     (["--drive", "10 Vpp", "--particle-radius", "0.3 mm"], "Gor'kov's formula holds for spheres much smaller"),
+    (["--drive", "10 Vpp", "--convection", "10"], "--convection: received '10'; expected"),
+    (["--drive", "10 Vpp", "--convection", "0 W/(m^2 K)"], "expected a heat transfer coefficient above zero"),
+    (["--drive", "10 Vpp", "--holder", "substrate|outsid"], "did you mean 'substrate|outside'"),
     (["--drive", "10 Vpp", "--state", "fille"], "state: received 'fille'; expected one of filled"),
 ])
 def test_mistakes_are_told_before_anything_is_solved(
@@ -119,6 +122,17 @@ def test_mistakes_are_told_before_anything_is_solved(
     monkeypatch.setattr("workbench.simulation.run._solved_near", solved)
     assert main(["particles", str(cell), "--at", "1 MHz", *options, "-o", str(tmp_path / "out")]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_drive_that_boils_the_liquid_is_refused_with_the_one_that_does_not(
+    cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["particles", str(cell), "--at", "1 MHz", "--accuracy", "2 %", "--drive", "60 Vpp", "-o",
+               str(tmp_path / "out")]
+    assert main(command) == 2
+    words = " ".join(capsys.readouterr().err.split())
+    assert "60 Vpp at the electrodes'; expected at most" in words
+    assert "--flow sound" in words
 
 
 def with_lines(text: str, *lines: str) -> str:

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
+from geometry.chip_section import chip_section
 from workbench.acoustics.captures import Window, capture_statistics
 from workbench.acoustics.heat import STILL_AIR
 from workbench.acoustics.trajectories import Trajectories
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import run_state, simulated
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
+from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.report.page import Picture
@@ -46,8 +48,9 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
     model = model_options(options, chip)
     device = carrier_of(chip, options.state, model.registry)
     outer = _length(options.window, "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
-    convection = STILL_AIR if options.convection is None else parse_quantity(
-        options.convection, "heat transfer coefficient", source="command line", field="--convection")
+    convection = _convection(options.convection)
+    if options.holder is not None:
+        choose(options.holder, chip_section(chip).boundary_names(), source="command line", field="--holder")
     window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
     with progress_bars(console) as show:
         shot = _field(chip, name, model, show)
@@ -78,6 +81,17 @@ def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
         return run_state(chip, name, model, show)
     return snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
                     accuracy=model.accuracy, progress=partial(simulated, show, name))
+
+
+def _convection(text: str | None) -> float:
+    """The heat transfer coefficient (W/(m^2 K)) that an option states; that of still air without the option."""
+    if text is None:
+        return STILL_AIR
+    found = parse_quantity(text, "heat transfer coefficient", source="command line", field="--convection")
+    if not found > 0.0:
+        raise InputError("command line", "--convection", text, 'a heat transfer coefficient above zero, such as '
+                         '"10 W/(m^2 K)"')
+    return found
 
 
 def _length(text: str | None, field: str) -> float | None:
