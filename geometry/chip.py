@@ -15,6 +15,7 @@ from typing import Any
 from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.dimension import Dimension
+from geometry.measure import Axisymmetric, Measure
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
     ElectrodeDisc,
@@ -28,6 +29,7 @@ from geometry.parts import (
     port_axis,
     stacked,
 )
+from geometry.straight import check_straight, read_measure
 from workbench.files.errors import choose
 from workbench.files.tables import FileTable, read_toml
 
@@ -39,7 +41,8 @@ class Chip:
     ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
     order of the file, ``source`` the origin of the description, ``file`` the name errors are reported under.
     ``unusual`` lists names whose values are meant although they look like a slip (`geometry.plausible`): a gel of 2 mm,
-    a wide band.
+    a wide band. ``measure`` is that of the section: discs and rings about an axis, or the cross-section of what is
+    straight; radii are then half widths, from the middle.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -55,8 +58,10 @@ class Chip:
     source: str = ""
     file: str = "chip"
     unusual: tuple[str, ...] = ()
+    measure: Measure = field(default_factory=Axisymmetric)
 
     def __post_init__(self) -> None:
+        check_straight(self.measure, self.layers, self.electrodes, self.ports, self.states, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
         checks.check_cavity(self.layers, self.file)
         checks.check_shapes(self.layers, self.file)
@@ -134,9 +139,10 @@ class Chip:
 
         ``<region>.thickness`` and ``<region>.radius``; ``cavity.radius`` if all holes are equally wide, otherwise
         ``<region>.cavity_radius`` each; ``electrode_live.radius``, ``electrode_live.inner_radius`` and likewise of the
-        ground electrode if they do not cover the whole face; ``ports.diameter`` and ``ports.height`` if given.
+        ground electrode if they do not cover the whole face; ``ports.diameter`` and ``ports.height`` if given. In a
+        straight chip ``half_width`` stands in place of ``radius`` in all of these.
         """
-        return dict(named_dimensions(self.layers, self.electrodes, self.ports))
+        return dict(named_dimensions(self.layers, self.electrodes, self.ports, self.measure.across))
 
     def with_dimensions(self, values: Mapping[str, float], *, unusual: Collection[str] = ()) -> Chip:
         """A copy with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
@@ -178,19 +184,20 @@ class Chip:
         def of_profile(region: str, name: str, old: Dimension) -> Dimension:
             return always(f"{region}.{name}", old)
 
-        shared = hole_names(self.layers)
+        shared, across = hole_names(self.layers, self.measure.across), self.measure.across
         layers = tuple(
             replace(
                 layer,
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
-                radius=always(f"{layer.region}.radius", layer.radius),
+                radius=always(f"{layer.region}.{across}", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
                 profile=layer.profile and layer.profile.changed(partial(of_profile, layer.region)),
             ).with_shapes({shape: changed(f"{layer.region}.{shape}", size) for shape, size in layer.shapes.items()})
             for layer in self.layers
         )
         live, ground = (
-            ElectrodeDisc(changed(f"{name}.radius", disc.radius), changed(f"{name}.inner_radius", disc.inner_radius))
+            ElectrodeDisc(changed(f"{name}.{across}", disc.radius),
+                          changed(f"{name}.inner_{across}", disc.inner_radius))
             for name, disc in discs(self.electrodes)
         )
         ports = self.ports and replace(
@@ -228,8 +235,9 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         InputError: the content does not describe a chip.
     """
     root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
-    head = root.table("chip").only(("name", "description", "source", "band", "unusual"))
-    layers, electrodes = read_layers(root)
+    head = root.table("chip").only(("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
+    measure = read_measure(head)
+    layers, electrodes = read_layers(root, measure)
     cavity = root.table("cavity").only(("ports",))
     return Chip(
         name=read_text(head, "name"),
@@ -241,5 +249,6 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         description=head.text("description", ""),
         source=head.text("source", ""),
         file=source,
+        measure=measure,
         unusual=head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual"),
     )

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
+from geometry.measure import Straight
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
 from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Script, Size, StepPart
+from geometry.straight import head_keys
 from workbench.files.quantities import format_quantity
 from workbench.files.toml import TomlEntry, toml_heading, toml_table
 from workbench.files.writing import write_atomic
@@ -32,12 +34,14 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head: dict[str, TomlEntry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
+    head |= head_keys(chip.measure)
+    head |= {"length": _length(chip.measure.length)} if isinstance(chip.measure, Straight) else {}
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     parts = [toml_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
         # A bottom is written only if the layer does not start exactly at the end of the one below.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
-        parts.append(toml_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
+        parts.append(toml_table("[[layers]]", _layer(layer, chip, folder, with_bottom=not resting)))
     if chip.ports is not None:
         parts.append(toml_table("[cavity]", {"ports": _ports(chip.ports)}))
     parts += [toml_table(toml_heading("states", state.name), _state(state)) for state in chip.states]
@@ -65,19 +69,19 @@ def _dimension(dimension: Dimension, kind: str = "length") -> TomlEntry:
     return table if len(table) > 1 else table["value"]
 
 
-def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: bool) -> dict[str, TomlEntry]:
+def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict[str, TomlEntry]:
     found: dict[str, TomlEntry] = {"role": layer.role, "material": layer.material}
     if layer.density is not None:
         found["density"] = format_quantity(layer.density, "density", ("kg/m^3",))
-    found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
+    found |= {"thickness": _dimension(layer.thickness), chip.measure.across: _dimension(layer.radius)}
     if layer.cavity_radius is not None:
-        found["cavity_radius"] = _dimension(layer.cavity_radius)
+        found[f"cavity_{chip.measure.across}"] = _dimension(layer.cavity_radius)
     found |= {shape: _dimension(size, SHAPES[shape]) for shape, size in layer.shapes.items()}
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
     if layer.profile is not None:
         found["profile"] = _profile(layer.profile, folder)
-    return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})
+    return found | ({"electrodes": _electrodes(chip.electrodes, chip.measure.across)} if layer.role == TRANSDUCER else {})
 
 
 def _profile(profile: Profile, folder: Path) -> TomlEntry:
@@ -132,10 +136,10 @@ def _corner(corner: Corner) -> TomlEntry:
     return found if len(found) > 1 else found["at"]
 
 
-def _electrodes(electrodes: Electrodes) -> TomlEntry:
+def _electrodes(electrodes: Electrodes, across: str) -> TomlEntry:
     found: dict[str, TomlEntry] = {"live": electrodes.live}
     for prefix, (_, disc) in zip(("live", "ground"), discs(electrodes), strict=True):
-        for key, dimension in ((f"{prefix}_radius", disc.radius), (f"{prefix}_inner_radius", disc.inner_radius)):
+        for key, dimension in ((f"{prefix}_{across}", disc.radius), (f"{prefix}_inner_{across}", disc.inner_radius)):
             if dimension is not None:
                 found[key] = _dimension(dimension)
     return found

@@ -6,14 +6,18 @@ from collections.abc import Mapping
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension, read_radius
 from geometry.limits import CLOSED, FILL_KEYS, NOT_KEYS
+from geometry.measure import Measure, Straight
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.profile import AXES, Profile, StepPart, read_profile
+from geometry.straight import refuse_round_keys
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
 _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter", "cavity_radius", "cavity_diameter",
                "bottom", "profile", *SHAPES)
+_STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
+                        "cavity_width", "bottom")
 
 
 def read_text(table: FileTable, key: str) -> str:
@@ -50,8 +54,10 @@ def read_band(head: FileTable) -> tuple[float, float]:
     return low, high
 
 
-def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
-    """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes."""
+def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], Electrodes]:
+    """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes, with the
+    keys of a chip of that `measure`."""
+    across, doubled = measure.across, measure.doubled
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
     if not tables:
@@ -61,8 +67,12 @@ def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
     layers: list[Layer] = []
     electrodes = Electrodes()
     for table, region, role in zip(tables, region_names(roles), roles, strict=True):
-        _refuse_not_round(table)
-        table.only([*_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _LAYER_KEYS)
+        if isinstance(measure, Straight):
+            refuse_round_keys(table)
+            table.only([*_STRAIGHT_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _STRAIGHT_LAYER_KEYS)
+        else:
+            _refuse_not_round(table)
+            table.only([*_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _LAYER_KEYS)
         bottom = table.optional_quantity("bottom", "length")
         profile = read_profile(table.table("profile")) if "profile" in table else None
         measured: dict[str, float] = {}
@@ -75,17 +85,17 @@ def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
             role=role,
             material=read_text(table, "material"),
             thickness=_dimension_or(table, "thickness", measured),
-            radius=_radius_or(table, "radius", "diameter", measured),
+            radius=_radius_or(table, across, doubled, measured),
             z_bottom=bottom if bottom is not None else measured["bottom"] if measured else (
                 layers[-1].z_top if layers else 0.0),
-            cavity_radius=(_radius_or(table, "cavity_radius", "cavity_diameter", measured)
-                           if {"cavity_radius", "cavity_diameter"} & {*table, *measured} else None),
+            cavity_radius=(_radius_or(table, f"cavity_{across}", f"cavity_{doubled}", measured)
+                           if {f"cavity_{across}", f"cavity_{doubled}"} & {*table, *measured} else None),
             density=table.optional_quantity("density", "density"),
             profile=profile,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )
         if role == TRANSDUCER:
-            electrodes = _electrodes(table.table("electrodes"), layer.outer_radius)
+            electrodes = _electrodes(table.table("electrodes"), layer.outer_radius, measure)
         if measured and layers and layer.z_top < layers[-1].z_bottom + SAME_LENGTH and isinstance(
                 layers[-1].profile and layers[-1].profile.source, StepPart):
             raise InputError(table.source, table.at("profile"), f"a part that ends at z = {millimetres(layer.z_top)}, "
@@ -122,23 +132,29 @@ def _radius_or(table: FileTable, key: str, diameter: str, measured: Mapping[str,
     return Dimension(measured[key])
 
 
-def _electrodes(table: FileTable, rim: float) -> Electrodes:
-    table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius", "live_diameter",
-                "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
+def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
+    if isinstance(measure, Straight):
+        refuse_round_keys(table)
+        table.only(("live", "live_half_width", "live_inner_half_width", "ground_half_width", "ground_inner_half_width",
+                    "live_width", "live_inner_width", "ground_width", "ground_inner_width"))
+    else:
+        table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius",
+                    "live_diameter", "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = choose(table.text("live", "top"), ("top", "bottom"), source=table.source, field=table.at("live"))
-    return Electrodes("top" if live == "top" else "bottom", _disc(table, "live", rim), _disc(table, "ground", rim))
+    return Electrodes("top" if live == "top" else "bottom", _disc(table, "live", rim, measure), _disc(table, "ground", rim, measure))
 
 
-def _disc(table: FileTable, name: str, rim: float) -> ElectrodeDisc:
-    radius = _optional_radius(table, f"{name}_radius", f"{name}_diameter")
+def _disc(table: FileTable, name: str, rim: float, measure: Measure) -> ElectrodeDisc:
+    across, doubled = f"{name}_{measure.across}", f"{name}_{measure.doubled}"
+    radius = _optional_radius(table, across, doubled)
     if radius is not None and radius.value > rim + SAME_LENGTH:
-        key = f"{name}_radius" if f"{name}_radius" in table else f"{name}_diameter"
-        size = f"radius, {millimetres(rim)}" if key.endswith("radius") else f"diameter, {millimetres(2.0 * rim)}"
+        key = across if across in table else doubled
+        size = f"{key.removeprefix(name)[1:].replace('_', ' ')}, {millimetres(rim if key == across else 2.0 * rim)}"
         raise InputError(table.source, table.at(key), radius.typed, f"at most the transducer's {size}")
     # An electrode as wide as its disc covers the face and follows the disc's radius.
     covers = radius is None or abs(radius.value - rim) <= SAME_LENGTH
     return ElectrodeDisc(None if covers else radius,
-                         _optional_radius(table, f"{name}_inner_radius", f"{name}_inner_diameter"))
+                         _optional_radius(table, f"{name}_inner_{measure.across}", f"{name}_inner_{measure.doubled}"))
 
 
 def read_ports(table: FileTable) -> Ports:

@@ -14,6 +14,9 @@ from workbench.files.tables import FileTable
 SAME_LENGTH = 1e-9
 
 
+#: Ends of the names of distances from the axis of a chip, or from the middle of a straight one.
+ACROSS = ("radius", "half_width")
+
 #: Shapes that may be stated for a layer, and the dimension of each.
 SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length", "dome": "length"}
 

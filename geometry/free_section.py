@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from geometry.curves import Arc
+from geometry.measure import Axisymmetric, Measure
 from geometry.names import AXIS, interface, outside
 from geometry.section import Electrode, Rectangle
 from workbench.files.errors import choose
@@ -53,6 +54,11 @@ class FreeSection:
     rectangles: tuple[Rectangle, ...] = ()
     notes: tuple[str, ...] = ()
     cuts: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    @property
+    def measure(self) -> Measure:
+        """That of a body of revolution: outlines of any shape turn about the axis."""
+        return Axisymmetric()
 
     @cached_property
     def regions(self) -> tuple[str, ...]:

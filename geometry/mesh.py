@@ -20,8 +20,9 @@ import skfem
 from numpy.typing import NDArray
 
 from geometry.free_section import FreeSection
+from geometry.measure import Measure
 from geometry.mesh_size import MeshSize
-from geometry.names import AXIS, TRANSDUCER, parent_place
+from geometry.names import TRANSDUCER, parent_place
 from geometry.panels import Panel, divided
 from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
@@ -75,6 +76,11 @@ class SectionMesh:
             _check_rectangles(self.mesh, self.section)
         else:
             _check_cells(self)
+
+    @property
+    def measure(self) -> Measure:
+        """The measure of its section."""
+        return self.section.measure
 
     @property
     def nodes(self) -> NDArray[np.float64] | None:
@@ -146,16 +152,21 @@ def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
     neighbours = np.append(cells.region, VOID)[mesh.f2t]
     neighbours.sort(axis=0)
     r, z = mesh.p[:, mesh.facets]
-    facets: dict[str, NDArray[np.int64]] = {AXIS: np.flatnonzero((r == 0.0).all(axis=0))}
+    ends = section.measure.ends(section.r_breaks)
+    facets: dict[str, NDArray[np.int64]] = {name: np.flatnonzero((r == place).all(axis=0))
+                                            for name, place in ends.items()}
     between = neighbours[0] != neighbours[1]
-    between[facets[AXIS]] = False
+    for found in facets.values():
+        between[found] = False
     for a, b in np.unique(neighbours[:, between], axis=1).T:
         name = boundary_name(section.regions, int(a), int(b))
         facets[name] = np.flatnonzero(between & (neighbours[0] == a) & (neighbours[1] == b))
     of_transducer = (neighbours == section.regions.index(TRANSDUCER)).any(axis=0)
-    for electrode in section.electrodes:
-        covered = (z == electrode.z) & (r >= electrode.r_inner) & (r <= electrode.r_outer)
-        facets[electrode.name] = np.flatnonzero(of_transducer & covered.all(axis=0))
+    for name in dict.fromkeys(electrode.name for electrode in section.electrodes):
+        pieces = [(z == each.z) & (r >= each.r_inner) & (r <= each.r_outer) for each in section.electrodes
+                  if each.name == name]
+        covered = np.any([piece.all(axis=0) for piece in pieces], axis=0)
+        facets[name] = np.flatnonzero(of_transducer & covered)
     return SectionMesh(mesh.with_subdomains(regions).with_boundaries(facets), order, section)
 
 
@@ -180,7 +191,7 @@ def _check_rectangles(mesh: skfem.MeshQuad, section: Section) -> None:
     if min(widths.min(), heights.min()) <= 0.0:
         raise MeshError("the mesh has an element without area or with its nodes out of order")
     areas = widths * heights
-    _check_measures(mesh, section, areas, math.pi * (r[0] + r[1]) * areas, STRAIGHT_TOLERANCE)
+    _check_measures(mesh, section, areas, section.measure.depth(0.5 * (r[0] + r[1])) * areas, STRAIGHT_TOLERANCE)
 
 
 def _check_cells(mesh: SectionMesh) -> None:

@@ -147,10 +147,12 @@ def _corners(section: Section, refinement: float) -> tuple[dict[float, float], d
     corners = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
     radii = {section.r_breaks[i]: refinement for _, i in corners}
     heights = {section.z_breaks[j]: refinement for j, _ in corners}
-    radii |= {p.r_outer: refinement for p in section.rectangles if role_of(p.region) == COUPLANT}
-    disc = max(p.r_outer for p in section.rectangles if p.region == TRANSDUCER)
+    goes_on = set(section.measure.ends(section.r_breaks).values())
+    for couplant in (p for p in section.rectangles if role_of(p.region) == COUPLANT):
+        radii |= dict.fromkeys({couplant.r_inner, couplant.r_outer} - goes_on, refinement)
+    rims = {r for p in section.rectangles if p.region == TRANSDUCER for r in (p.r_inner, p.r_outer)}
     for electrode in section.electrodes:
-        ends = {electrode.r_inner, electrode.r_outer} - {0.0, disc}
+        ends = {electrode.r_inner, electrode.r_outer} - rims
         radii |= dict.fromkeys(ends, refinement**3)
         heights |= {electrode.z: refinement**3} if ends else {}
     return radii, heights

@@ -151,22 +151,28 @@ def discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str,
     return (ELECTRODE_LIVE, electrodes.live_disc), (ELECTRODE_GROUND, electrodes.ground_disc)
 
 
-def hole_names(layers: Iterable[Layer]) -> dict[str, str]:
-    """Name of the dimension that holds the hole's radius, by region: one name if all holes are equally wide."""
+def hole_names(layers: Iterable[Layer], across: str = "radius") -> dict[str, str]:
+    """Name of the dimension that holds the hole's radius, by region: one name if all holes are equally wide.
+
+    `across` is what the chip calls a radius (`geometry.measure`).
+    """
     holes = {layer.region: layer.inner_radius for layer in layers if layer.cavity_radius is not None}
     if holes and max(holes.values()) - min(holes.values()) < SAME_LENGTH:
-        return dict.fromkeys(holes, f"{CAVITY}.radius")
-    return {region: f"{region}.cavity_radius" for region in holes}
+        return dict.fromkeys(holes, f"{CAVITY}.{across}")
+    return {region: f"{region}.cavity_{across}" for region in holes}
 
 
 def named_dimensions(
-    layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None
+    layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, across: str = "radius"
 ) -> Iterator[tuple[str, Dimension]]:
-    """The lengths of a chip and their names, in the order of the layers; see `geometry.chip.Chip.dimensions`."""
-    shared = hole_names(layers)
+    """The lengths of a chip and their names, in the order of the layers; see `geometry.chip.Chip.dimensions`.
+
+    `across` is what the chip calls a radius (`geometry.measure`).
+    """
+    shared = hole_names(layers, across)
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
-        yield f"{layer.region}.radius", layer.radius
+        yield f"{layer.region}.{across}", layer.radius
         for shape, size in layer.shapes.items():
             yield f"{layer.region}.{shape}", size
         if layer.profile is not None:
@@ -178,9 +184,9 @@ def named_dimensions(
             yield shared[layer.region], layer.cavity_radius
     for name, disc in discs(electrodes):
         if disc.radius is not None:
-            yield f"{name}.radius", disc.radius
+            yield f"{name}.{across}", disc.radius
         if disc.inner_radius is not None:
-            yield f"{name}.inner_radius", disc.inner_radius
+            yield f"{name}.inner_{across}", disc.inner_radius
     if ports is not None:
         yield "ports.diameter", ports.diameter
         if ports.height is not None:

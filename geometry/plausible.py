@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from geometry.dimension import Dimension
+from geometry.dimension import ACROSS, Dimension
 from geometry.names import CAVITY, TRANSDUCER, role_of
 from geometry.parts import Layer, State
 from workbench.files.errors import InputError, choose
@@ -74,14 +74,14 @@ def range_of(name: str) -> Range | None:
     their layers."""
     region, _, what = name.rpartition(".")
     if region.startswith("electrode_"):
-        return ELECTRODE_RADIUS if what == "radius" else None
+        return ELECTRODE_RADIUS if what in ACROSS else None
     if region == "ports":
         return PORT
-    if what == "cavity_radius" or name == f"{CAVITY}.radius":
+    if what.startswith("cavity_") or (region == CAVITY and what in ACROSS):
         return CAVITY_RADIUS
     if what == "thickness":
         return THICKNESSES.get(role_of(region), THICKNESSES["layer"])
-    return RADIUS if what == "radius" else None
+    return RADIUS if what in ACROSS else None
 
 
 def check_plausible(

@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
-from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
+from geometry.measure import Axisymmetric, Measure, Parity, Straight
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
 from geometry.parts import ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
+
+Piece = TypeVar("Piece", "Rectangle", "Electrode")
 
 #: Marks an empty cell of :meth:`Section.grid`.
 VOID = -1
@@ -48,11 +52,27 @@ class Electrode:
 class Section:
     """The half section: rectangles that do not overlap, and electrodes on them.
 
-    Coordinates of one line are the same float (:func:`cut_section` sees to it), so they compare exactly.
+    Coordinates of one line are the same float (:func:`cut_section` sees to it), so they compare exactly. ``measure``
+    says what the section is one of; in a straight one, radii are places x (m), which may be negative, and an electrode
+    may have several pieces of one name.
+
+    Raises:
+        ValueError: an axisymmetric section with negative radii, or a live electrode that reaches a plane of odd
+            symmetry, on which its potential would be zero.
     """
 
     rectangles: tuple[Rectangle, ...]
     electrodes: tuple[Electrode, ...]
+    measure: Measure = field(default_factory=Axisymmetric)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.measure, Axisymmetric) and self.r_breaks[0] < 0.0:
+            raise ValueError(f"an axisymmetric section begins at r = {self.r_breaks[0]:g} m; expected 0 or more")
+        if isinstance(self.measure, Straight):
+            odd = {place for name, place in self.measure.ends(self.r_breaks).items()
+                   if self.measure.planes[name] is Parity.ODD}
+            if any({each.r_inner, each.r_outer} & odd for each in self.electrodes if each.name == ELECTRODE_LIVE):
+                raise ValueError("the live electrode reaches a plane of odd symmetry, where its potential would be zero")
 
     @cached_property
     def regions(self) -> tuple[str, ...]:
@@ -87,7 +107,7 @@ class Section:
         return cells
 
     def area(self, region: str) -> float:
-        """Area of the region in the half plane, m^2.
+        """Area of the region in the section, m^2.
 
         Raises:
             InputError: unknown region.
@@ -95,12 +115,12 @@ class Section:
         return sum((p.r_outer - p.r_inner) * (p.z_top - p.z_bottom) for p in self._pieces(region))
 
     def volume(self, region: str) -> float:
-        """Volume of the region revolved about the axis, m^3.
+        """Volume that the region stands for by the measure, m^3.
 
         Raises:
             InputError: unknown region.
         """
-        return sum(math.pi * (p.r_outer**2 - p.r_inner**2) * (p.z_top - p.z_bottom) for p in self._pieces(region))
+        return sum(self.measure.volume(p.r_inner, p.r_outer, p.z_top - p.z_bottom) for p in self._pieces(region))
 
     def _pieces(self, region: str) -> list[Rectangle]:
         choose(region, self.regions, source="section", field="region")
@@ -114,14 +134,15 @@ class Section:
         """
         # A frame of void around the cells turns every outer edge into an edge between two cells.
         cells = np.pad(self.grid(), 1, constant_values=VOID)
-        on_axis = self.r_breaks[0] == 0.0
+        # Columns of vertical edges by the lines at which the section ends while the device goes on.
+        ends = {self.r_breaks.index(place): name for name, place in self.measure.ends(self.r_breaks).items()}
         names = {electrode.name for electrode in self.electrodes}
         for one, other, vertical in ((cells[:, :-1], cells[:, 1:], True), (cells[:-1], cells[1:], False)):
             for column, (a, b) in zip(
                 np.nonzero(one != other)[1], zip(one[one != other], other[one != other], strict=True), strict=True
             ):
-                if vertical and on_axis and column == 0:
-                    names.add(AXIS)
+                if vertical and column in ends:
+                    names.add(ends[int(column)])
                 else:
                     names.add(boundary_name(self.regions, int(a), int(b)))
         return tuple(sorted(names))
@@ -139,11 +160,16 @@ def cut_section(chip: Chip) -> Section:
 
     Breaks that differ by less than 1 nm, the rounding of sums of thicknesses included, become one.
     """
-    return section_of_layers(chip.layers, chip.electrodes)
+    return section_of_layers(chip.layers, chip.electrodes, chip.measure)
 
 
-def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Section:
-    """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile."""
+def section_of_layers(
+    layers: Sequence[Layer], electrodes: Electrodes, measure: Measure = Axisymmetric()
+) -> Section:
+    """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile.
+
+    A straight section without a plane of symmetry is whole: every piece is mirrored at x = 0.
+    """
     rectangles = [
         Rectangle(layer.region, layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
         for layer in layers
@@ -158,10 +184,13 @@ def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Sectio
         outer = transducer.outer_radius if part.radius is None else part.radius.value
         return Electrode(name, inner, outer, transducer.z_top if on_top else transducer.z_bottom)
 
-    lines = (
+    lines = [
         electrode(ELECTRODE_LIVE, electrodes.live_disc, on_top=top_is_live),
         electrode(ELECTRODE_GROUND, electrodes.ground_disc, on_top=not top_is_live),
-    )
+    ]
+    if isinstance(measure, Straight) and not measure.planes:
+        rectangles = [each for half in rectangles for each in _whole(half)]
+        lines = [each for half in lines for each in _whole(half)]
     pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)
     radii = _merged(r for piece in pieces for r in (piece.r_inner, piece.r_outer))
     heights = _merged(z for rectangle in rectangles for z in (rectangle.z_bottom, rectangle.z_top))
@@ -171,7 +200,15 @@ def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Sectio
             for p in rectangles
         ),
         tuple(Electrode(e.name, radii[e.r_inner], radii[e.r_outer], heights[e.z]) for e in lines),
+        measure,
     )
+
+
+def _whole(half: Piece) -> list[Piece]:
+    """A piece of the right half and its mirror image, from left to right; one piece if they touch."""
+    if half.r_inner == 0.0:
+        return [replace(half, r_inner=-half.r_outer)]
+    return [replace(half, r_inner=-half.r_outer, r_outer=-half.r_inner), half]
 
 
 def _merged(values: Iterable[float]) -> dict[float, float]:

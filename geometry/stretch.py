@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.dimension import SAME_LENGTH, SHAPES
+from geometry.dimension import ACROSS, SAME_LENGTH, SHAPES
 from geometry.mesh import MeshError, SectionMesh
 from geometry.names import COLUMN, LEVEL, part_name
 from geometry.parts import largest_shape
@@ -37,7 +37,8 @@ def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
     if what in SHAPES:
         limit = largest_shape(chip.layer(region), what)
         return -limit, limit
-    breaks = cut_section(chip).r_breaks if name.endswith("radius") else (0.0,)
+    # A straight section without a plane of symmetry has its breaks on both sides of the middle.
+    breaks = sorted({0.0, *map(abs, cut_section(chip).r_breaks)}) if name.endswith(ACROSS) else [0.0]
     return (max(b for b in breaks if b < value - SAME_LENGTH),
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
@@ -73,7 +74,7 @@ def canonical_names(*chips: Chip) -> dict[str, str]:
     move together."""
     first: dict[str, str] = {}
     for chip in chips:
-        known = {name: each.value for name, each in chip.dimensions().items() if name.endswith("radius")}
+        known = {name: each.value for name, each in chip.dimensions().items() if name.endswith(ACROSS)}
         for name, value in known.items():
             alike = [other for other, length in known.items() if abs(length - value) < SAME_LENGTH]
             names = [first[other] for other in alike if other in first] or [name]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from skfem.assembly.dofs import Dofs
 
 from geometry.free_section import FreeSection
+from geometry.measure import Straight
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.acoustics.nodal import NodalMesh, gradient, grid_nodes
@@ -138,14 +139,18 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
         dofs.append(own)
         offset += own.size
     nodal = NodalMesh(np.concatenate(points), np.concatenate(cells), np.concatenate(region), tuple(names),
-                      None if free or mesh.coordinates is None else np.concatenate(straight), free)
+                      None if free or mesh.coordinates is None else np.concatenate(straight), free, mesh.measure)
     return nodal, np.concatenate(dofs)
 
 
 def _strain(mesh: NodalMesh, displacement: Complex, region: str, nodes: NDArray[np.int64]) -> Complex:
-    """Strain (n, 4), rr, tt, zz, 2rz, at the nodes of a region; on the axis u_r / r is its limit, d u_r / d r."""
+    """Strain (n, 4), rr, tt, zz, 2rz, at the nodes of a region; on the axis u_r / r is its limit, d u_r / d r, and in
+    a straight section it is zero."""
     slope = gradient(mesh, displacement, [region])[nodes]  # (n, 2 directions, 2 components)
     r = mesh.points[nodes, 0]
+    if isinstance(mesh.measure, Straight):
+        return np.stack([slope[:, 0, 0], np.zeros_like(slope[:, 0, 0]), slope[:, 1, 1],
+                         slope[:, 1, 0] + slope[:, 0, 1]], axis=1)
     on_axis = r < 1e-9 * mesh.points[:, 0].max()
     hoop = np.where(on_axis, slope[:, 0, 0], displacement[nodes, 0] / np.where(on_axis, 1.0, r))
     return np.stack([slope[:, 0, 0], hoop, slope[:, 1, 1], slope[:, 1, 0] + slope[:, 0, 1]], axis=1)

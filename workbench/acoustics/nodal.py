@@ -2,20 +2,21 @@
 
 A :class:`NodalMesh` holds the part of a finite-element mesh that post-processing and pictures need. Each node belongs
 to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
-axisymmetric.
+axisymmetric, or (x, z) in a straight section.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.measure import Axisymmetric, Measure
 from workbench.acoustics import curved_cells
 from workbench.acoustics.grid import SAME_LINE, CellGrid, cell_grid
 from workbench.fem.elements import gauss_lobatto, lobatto_weights, polynomials
@@ -47,7 +48,7 @@ class NodalMesh(Brief):
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
     and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) are the
     points before they are moved, in rectangles between the lines of one grid; None if they are not moved. ``free``
-    cells are of any shape and layout.
+    cells are of any shape and layout. ``measure`` is that of the section.
 
     Raises:
         ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
@@ -61,6 +62,7 @@ class NodalMesh(Brief):
     regions: tuple[str, ...]
     straight: FloatArray | None = None
     free: bool = False
+    measure: Measure = field(default_factory=Axisymmetric)
 
     def __post_init__(self) -> None:
         points, cells, region = self.flat, self.cells, self.region
@@ -166,7 +168,8 @@ class NodalMesh(Brief):
 
 
 def mesh_of(
-    low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int
+    low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int,
+    measure: Measure = Axisymmetric(),
 ) -> NodalMesh:
     """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of these numbers, with nodes of
     `order`.
@@ -185,7 +188,7 @@ def mesh_of(
     keys = (region[:, None, None] * lines_r + number_r) * lines_z + number_z
     _, first, cells = np.unique(keys, return_index=True, return_inverse=True)
     points = grid_nodes(low, high, order).reshape(-1, 2)[first]
-    return NodalMesh(points, cells.reshape(keys.shape), region, regions)
+    return NodalMesh(points, cells.reshape(keys.shape), region, regions, measure=measure)
 
 
 def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
@@ -199,7 +202,7 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
         points, cells = curved_cells.of_order(mesh.points, mesh.cells[chosen], order)
         return NodalMesh(points, cells, np.zeros(len(chosen), dtype=np.int64), (region,), free=True)
     low, high = (side[chosen] for side in mesh.boxes)
-    flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order)
+    flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order, measure=mesh.measure)
     return flat if mesh.straight is None else replace(flat, points=transfer(mesh, mesh.points, flat),
                                                       straight=flat.points)
 
@@ -327,7 +330,7 @@ def _differentiation(nodes: FloatArray) -> FloatArray:
 
 
 def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
-    """Integral over the revolved volume of `regions`, weight 2 pi r, of nodal `values` (N, ...): shape (...).
+    """Integral by the measure of the section over `regions` of nodal `values` (N, ...): shape (...).
 
     The rule is the Gauss-Lobatto rule of the nodes, exact for the interpolant.
     """
@@ -341,8 +344,8 @@ def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> No
         slope = _differentiation(gauss_lobatto(mesh.order)[None])[0]
         along, across = (np.einsum(form, slope, mesh.points[nodes]) for form in ("ai,mijx->majx", "bj,mijx->mibx"))
         area = (along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) * np.outer(weights, weights)
-    measure = 2.0 * np.pi * mesh.points[nodes, 0] * area
-    return np.tensordot(measure.ravel(), values[nodes.ravel()], axes=(0, 0))
+    weights = mesh.measure.depth(mesh.points[nodes, 0]) * area
+    return np.tensordot(weights.ravel(), values[nodes.ravel()], axes=(0, 0))
 
 
 def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Sequence[str]) -> NodalArray:
@@ -427,7 +430,7 @@ def _pairs(r: FloatArray, z: FloatArray) -> FloatArray:
 
 def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     """Numbers (L,) of the cells whose neighbour on a side has another `label` (M,) or is missing, for each of the four
-    sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing."""
+    sides :data:`SIDES`; the axis, or a plane of symmetry, is left out. Cells labelled -1 count as missing."""
     if mesh.free:
         across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
@@ -441,10 +444,18 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     found = []
     for side, (axis, step) in enumerate(SIDES):
         edge = (labels >= 0) & (grid.beside(labels, axis, step) != labels)
-        if (axis, step) == (0, -1):
-            edge[grid.r[:-1] <= SAME_LINE * grid.r[-1]] = False
+        if axis == 0:
+            edge[_goes_on(mesh, grid.r[:-1] if step < 0 else grid.r[1:])] = False
         found.append((side, grid.cell[edge]))
     return found
+
+
+def _goes_on(mesh: NodalMesh, r: FloatArray) -> NDArray[np.bool_]:
+    """Whether the device goes on beyond upright lines at `r` (n,): they are the axis or a plane of symmetry."""
+    if isinstance(mesh.measure, Axisymmetric):
+        return np.asarray(r <= SAME_LINE * mesh.grid.r[-1])
+    places = np.array([*mesh.measure.ends(tuple(mesh.grid.r)).values()])
+    return np.asarray((np.abs(r[:, None] - places) <= SAME_LINE * np.ptp(mesh.grid.r)).any(axis=1))
 
 
 def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:

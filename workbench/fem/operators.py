@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from skfem import Basis
 
+from geometry.measure import Axisymmetric
 from geometry.mesh import SectionMesh
 from geometry.names import parent_place
 from workbench.fem.coefficients import Coefficients
@@ -26,6 +27,7 @@ from workbench.fem.factorisation import factorisation
 from workbench.fem.forms import combined_matrices
 from workbench.fem.places import Place, place_of
 from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
+from workbench.physics.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
     OPERATORS,
@@ -318,12 +320,16 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     """Tabulate the model on a mesh and number its unknowns. Parameter values are not needed.
 
     Raises:
-        ModelError: a term names a region or boundary the mesh lacks, uses an unknown no term brings in, or there is
-            not exactly one pair of electrodes.
+        ModelError: a term names a region or boundary the mesh lacks, uses an unknown no term brings in, or needs an
+            axis that a straight section has not; or there is not exactly one pair of electrodes.
     """
     integrals = tuple(integral for term in terms for integral in term.integrals())
     unknowns = {pair for term in terms for pair in term.unknowns}
-    conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
+    for term in terms:
+        if term.needs_axis and not isinstance(mesh.measure, Axisymmetric):
+            raise ModelError(f"{term!r} needs an axis, and the section is straight: leave the term out")
+    conditions = conditions_at_ends((condition for term in terms for condition in term.conditions()), mesh.measure,
+                                    mesh.mesh.boundaries)
     named = [i.place for i in integrals] + [i.opposite for i in integrals if i.opposite]
     for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:

@@ -12,6 +12,7 @@ from skfem import Dofs
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefQuad
 
+from geometry.measure import Axisymmetric
 from geometry.mesh import SectionMesh
 from geometry.names import parent_part
 from workbench.fem.elements import Lagrange
@@ -27,8 +28,8 @@ SAME_SHAPE = 1e-9
 class Place:
     """A region or boundary with its basis functions tabulated at the quadrature points.
 
-    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``radius`` (ne, nq)
-    the radii (m) of the points. ``shapes`` maps each operation on a basis function (``value``, ``d_r``, ``d_z``,
+    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold the measure of the section, 2 pi r dr dz or length
+    dx dz (on boundaries with ds), ``radius`` (ne, nq) the radii (m) of the points, or their places x. ``shapes`` maps each operation on a basis function (``value``, ``d_r``, ``d_z``,
     ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells. If
     the integral couples an opposite boundary, its functions are among the nb ones: ``shapes`` has their values under
     ``value_opposite`` and so on, and ``opposite_normal`` is its normal.
@@ -88,6 +89,9 @@ def _degree(mesh: SectionMesh) -> int:
 
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     region, fraction = integral.place, integral.radius_fraction
+    if fraction and not isinstance(mesh.measure, Axisymmetric):
+        raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: only a section that turns about "
+                         "an axis has one")
     cells = np.asarray(mesh.mesh.subdomains[region])
     if not 0.0 <= fraction < 1.0:
         raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: expected a share below 1")
@@ -137,7 +141,7 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
     """The place of some cells, at local points (2, nq) of weights (nq,)."""
     dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
-    return Place(dofs, 2.0 * np.pi * r * areas(slopes) * weights, r, shapes, cells)
+    return Place(dofs, mesh.measure.depth(r) * areas(slopes) * weights, r, shapes, cells)
 
 
 def _tabulated(
@@ -157,7 +161,7 @@ def _tabulated(
     along_r, across_r = (each[:, :, None] for each in (z_across / area, -z_along / area))
     along_z, across_z = (each[:, :, None] for each in (-r_across / area, r_along / area))
     shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along_r * along + across_r * across,
-              "d_z": along_z * along + across_z * across, "over_r": value / r[:, :, None]}
+              "d_z": along_z * along + across_z * across, "over_r": mesh.measure.over_r(value, r[:, :, None])}
     return Dofs(mesh.mesh, element).element_dofs[:, cells], shapes, r, slopes
 
 
@@ -216,7 +220,7 @@ def _opposite_facets(
         both.append((each[order], np.sort(radii[:, order], axis=0)))
     (near, inside), (far, across) = both
     flat = np.concatenate([np.ptp(radii, axis=0) for radii in (inside, across)]).min() > 0.0
-    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * across.max()):
+    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * np.abs(across).max()):
         raise ModelError(f"boundary {integral.place!r} is not faced by {integral.opposite!r} at every radius: "
                          f"{near.size} facets from {inside.min():g} to {inside.max():g} m against {far.size} from "
                          f"{across.min():g} to {across.max():g} m; both must be horizontal, with the same nodes")
@@ -257,7 +261,7 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
         tangent = slopes[:, 1 - fixed]
         length = np.hypot(*tangent)
         normal = left * np.stack([tangent[1], -tangent[0]]) / length
-        parts.append(Place(dofs[kept], 2.0 * np.pi * r * length * weights, r,
+        parts.append(Place(dofs[kept], mesh.measure.depth(r) * length * weights, r,
                            {kind: s[:, :, kept] for kind, s in shapes.items()}, owners[chosen],
                            normal * outwards[chosen][:, None]))
         order.append(chosen)

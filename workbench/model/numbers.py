@@ -23,7 +23,7 @@ from functools import cache, cached_property
 from typing import Literal
 
 from geometry.assumed import LengthUncertainty, length_uncertainty
-from geometry.dimension import SHAPES, Dimension
+from geometry.dimension import ACROSS, SHAPES, Dimension
 from geometry.names import ROLES, role_of
 from materials.entry import KINDS
 from workbench.files.quantities import si_unit
@@ -35,7 +35,8 @@ BENCH = "bench."
 STATE, STATE_END = "[", "]"
 
 #: Ends of the names of dimensions of a chip (`geometry.chip.Chip.dimensions`).
-LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
+LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height", "half_width",
+           "inner_half_width", "cavity_half_width")
 
 
 #: Ends of names of a layer that are no dimensions of it; ``gauge`` is the factor of density, stiffness and
@@ -169,7 +170,8 @@ class ParameterName:
 
     @property
     def is_radius(self) -> bool:
-        return self.is_dimension and self.coefficient.endswith("radius")
+        """Whether it is a distance from the axis, or from the middle of a straight chip."""
+        return self.is_dimension and self.coefficient.endswith(ACROSS)
 
     @property
     def is_thickness(self) -> bool:

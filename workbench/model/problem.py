@@ -207,9 +207,8 @@ def _check_passive_layers(device: FilledChip) -> None:
                if region != TRANSDUCER and isinstance(material, Piezoelectric)]
     if not passive:
         return
-    electrodes = {each.name: each for each in device.section.electrodes}
-    live = electrodes[ELECTRODE_LIVE]
-    touching = {each.region for each in device.section.rectangles if each.r_inner < live.r_outer
+    pieces = [each for each in device.section.electrodes if each.name == ELECTRODE_LIVE]
+    touching = {each.region for each in device.section.rectangles for live in pieces if each.r_inner < live.r_outer
                 and each.r_outer > live.r_inner and live.z in (each.z_bottom, each.z_top)}
     for region in passive:
         if region in touching:

@@ -38,6 +38,10 @@ class DepoledRim(Term):
     material: str
     rim: Rim
 
+    @property
+    def needs_axis(self) -> bool:
+        return True  # The shares of its rings are those of rings about an axis.
+
     def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 

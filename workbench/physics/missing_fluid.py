@@ -41,6 +41,10 @@ class MissingFluid(Term):
     gas: str
     rim: Rim
 
+    @property
+    def needs_axis(self) -> bool:
+        return True  # The shares of its rings are those of rings about an axis.
+
     def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 

@@ -47,6 +47,10 @@ class OpenBond(Term):
     rim: Rim
     skin: float = 0.0
 
+    @property
+    def needs_axis(self) -> bool:
+        return True  # The shares of its rings are those of rings about an axis.
+
     def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 

@@ -43,6 +43,10 @@ class PartialElectrode(Term):
     rim: Rim
     upper: bool
 
+    @property
+    def needs_axis(self) -> bool:
+        return True  # The shares of its rings are those of rings about an axis.
+
     def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 

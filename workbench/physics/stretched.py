@@ -219,6 +219,10 @@ class Stretched(Term):
     def unknowns(self) -> tuple[tuple[str, str], ...]:
         return self.term.unknowns
 
+    @property
+    def needs_axis(self) -> bool:
+        return self.term.needs_axis
+
     def conditions(self) -> tuple[Condition, ...]:
         return self.term.conditions()
 

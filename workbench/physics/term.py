@@ -4,7 +4,8 @@ The whole model is one complex-symmetric system that is affine in its coefficien
 
     A(w, theta) = sum_q g_q(w, theta) A_q ,   A_q real and symmetric, assembled once per mesh,
 
-written for the time factor e^{-i w t} with the weight 2 pi r dr dz. A term states each A_q by its quadratic form, as a
+written for the time factor e^{-i w t} with the weight 2 pi r dr dz, or in a straight section with the weight length
+dx dz and without the parts u_r / r (plane strain). A term states each A_q by its quadratic form, as a
 sum of products of two operators of the unknowns, ``weight * integral(row(x) * column(x))``: the formula in the
 docstring and the declaration in the code are the same thing. From that one declaration the solver takes the matrix, the
 projection on a reduced basis, the derivative of the spectrum, and the map of its effect over the chip.
@@ -34,7 +35,8 @@ COMPONENTS = ("u_r", "u_z", "phi", "p")
 #: the part is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
-#: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
+#: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz); in a straight
+#: section r is x, and value / r is zero.
 _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_r": (("u_r", "value", ""),),
     "u_z": (("u_z", "value", ""),),
@@ -412,6 +414,11 @@ class Term:
     def unknowns(self) -> tuple[tuple[str, str], ...]:
         """(component, region) pairs that this term brings into the model."""
         return ()
+
+    @property
+    def needs_axis(self) -> bool:
+        """Whether the term holds for a section that turns about an axis alone, and not for a straight one."""
+        return False
 
     def integrals(self) -> tuple[Integral, ...]:
         """The integrals g_q A_q of this term."""

@@ -1,0 +1,114 @@
+"""Straight chips: a stack of plates with a channel along it, by its cross-section in plane strain.
+
+The keys of a chip file that say so, and what such a chip may not have yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from geometry.dimension import SAME_LENGTH, SHAPES, dimension_text
+from geometry.measure import Axisymmetric, Measure, Parity, Straight
+from geometry.parts import Electrodes, Layer, Ports, State
+from workbench.files.errors import InputError, choose
+from workbench.files.tables import FileTable
+
+if TYPE_CHECKING:
+    from geometry.chip import Chip
+
+#: Values of the key ``geometry``.
+GEOMETRIES = ("axisymmetric", "straight")
+
+#: Keys of a round chip's layers and electrodes, and the advice for a straight one.
+_OF_ROUND = {"radius": "half_width", "diameter": "width"}
+_NOT_YET = ("nothing here: a straight chip has layers with plane faces and upright sides; profiles and shapes of layers "
+            "are those of round chips so far")
+
+
+def read_measure(head: FileTable) -> Measure:
+    """The measure that the table ``[chip]`` states by its keys ``geometry``, ``length`` and ``symmetry``.
+
+    Raises:
+        InputError: an unknown value, or a key of straight chips in a round one.
+    """
+    geometry = choose(head.text("geometry", "axisymmetric"), GEOMETRIES, source=head.source, field=head.at("geometry"))
+    if geometry == "axisymmetric":
+        for key in ("length", "symmetry"):
+            if key in head:
+                raise head.error(key, f'no {key} in a round chip; a straight one has geometry = "straight"')
+        return Axisymmetric()
+    length = head.optional_quantity("length", "length")
+    if length is not None and not length > 0.0:
+        raise head.error("length", "a length above zero, that of the chip into the paper")
+    symmetry = choose(head.text("symmetry", "even"), [each.value for each in Parity], source=head.source,
+                      field=head.at("symmetry"))
+    return Straight(1.0 if length is None else length, Parity(symmetry))
+
+
+def refuse_round_keys(table: FileTable) -> None:
+    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, with the advice for each."""
+    for key in table:
+        for word, instead in _OF_ROUND.items():
+            if key.casefold().endswith(word):
+                raise InputError(table.source, table.at(key), table.content[key], "no radius or diameter in a straight "
+                                 f"chip: {key[:-len(word)]}{instead}, from the middle of the chip"
+                                 f"{' to either side' if instead == 'width' else ''}")
+        if key in SHAPES or key == "profile":
+            raise InputError(table.source, table.at(key), table.content[key], _NOT_YET)
+
+
+def check_straight(
+    measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, states: Sequence[State],
+    file: str,
+) -> None:
+    """Check that a straight chip has only what such chips may have so far.
+
+    Raises:
+        InputError: ports, a profile or shape of a layer, a particle, planes of symmetry that do not bound the section,
+            or a live electrode across a plane of odd symmetry.
+    """
+    if isinstance(measure, Axisymmetric):
+        return
+    if measure.right is not Parity.NONE and measure.left is Parity.NONE:
+        raise InputError(file, "chip.symmetry", "a plane at the right end alone",
+                         "a plane of symmetry at x = 0, on the left")
+    if ports is not None:
+        raise InputError(file, "cavity.ports", "ports", "no ports: a channel is straight from end to end")
+    for i, layer in enumerate(layers):
+        stated = ["profile"] if layer.profile is not None else [*layer.shapes]
+        if stated:
+            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", _NOT_YET)
+    for state in states:
+        if state.particle is not None:
+            raise InputError(file, f"states.{state.name}.particle", state.particle, "no particle: the traps and beads of "
+                             "a straight chip are not modelled yet; its fields are")
+    gap = electrodes.live_disc.inner_radius
+    if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
+        raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
+                         "above zero where symmetry is odd: half of the gap between the electrodes at +V and -V")
+
+
+def check_axisymmetric(chip: Chip, what: str) -> None:
+    """Check that a chip is round, for what straight chips cannot have yet; `what` names it in the message.
+
+    Raises:
+        InputError: the chip is straight.
+    """
+    if not isinstance(chip.measure, Axisymmetric):
+        raise InputError(chip.file, "chip.geometry", "straight", f'"axisymmetric" for {what}, which is not there for '
+                         "straight chips yet; their impedance, fields and losses are (`workbench simulate`)")
+
+
+def head_keys(measure: Measure) -> Mapping[str, str]:
+    """The keys of ``[chip]`` that say that a chip is straight, but for its length; none for a round one.
+
+    Raises:
+        InputError: a section between two planes of symmetry, which no chip file describes.
+    """
+    if isinstance(measure, Axisymmetric):
+        return {}
+    if measure.right is not Parity.NONE:
+        raise InputError("chip file", "symmetry", f"{measure.left.value}, {measure.right.value}",
+                         "one plane of symmetry or none: a chip file has no row of equal chips")
+    return {"geometry": "straight", "symmetry": measure.left.value}
