@@ -15,7 +15,7 @@ from typing import Any
 from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.dimension import Dimension
-from geometry.measure import Axisymmetric, Measure
+from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
     ElectrodeDisc,
@@ -58,7 +58,7 @@ class Chip:
     source: str = ""
     file: str = "chip"
     unusual: tuple[str, ...] = ()
-    measure: Measure = field(default_factory=Axisymmetric)
+    measure: Measure = ABOUT_AXIS
 
     def __post_init__(self) -> None:
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.states, self.file)
@@ -235,7 +235,8 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         InputError: the content does not describe a chip.
     """
     root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
-    head = root.table("chip").only(("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
+    head = root.table("chip").only(
+        ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure)
     cavity = root.table("cavity").only(("ports",))

@@ -81,7 +81,9 @@ def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict
         found["bottom"] = _length(layer.z_bottom)
     if layer.profile is not None:
         found["profile"] = _profile(layer.profile, folder)
-    return found | ({"electrodes": _electrodes(chip.electrodes, chip.measure.across)} if layer.role == TRANSDUCER else {})
+    if layer.role == TRANSDUCER:
+        found["electrodes"] = _electrodes(chip.electrodes, chip.measure.across)
+    return found
 
 
 def _profile(profile: Profile, folder: Path) -> TomlEntry:

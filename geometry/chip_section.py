@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from geometry import revolution
 from geometry.chip import Chip
 from geometry.free_section import FreeSection
+from geometry.measure import Straight
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer
 from geometry.section import Section, cut_section, section_of_layers
@@ -92,7 +93,7 @@ def volumes(chip: Chip) -> dict[str, float]:
         InputError: as in :func:`chip_section`.
         SolidError: a layer has a profile and CadQuery is not installed.
     """
-    if chip.is_profiled:
+    if chip.is_profiled or isinstance(chip.measure, Straight):
         section = chip_section(chip)
         return {region: section.volume(region) for region in section.regions}
     found: dict[str, float] = {}

@@ -141,7 +141,8 @@ def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
         table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius",
                     "live_diameter", "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = choose(table.text("live", "top"), ("top", "bottom"), source=table.source, field=table.at("live"))
-    return Electrodes("top" if live == "top" else "bottom", _disc(table, "live", rim, measure), _disc(table, "ground", rim, measure))
+    discs = (_disc(table, name, rim, measure) for name in ("live", "ground"))
+    return Electrodes("top" if live == "top" else "bottom", *discs)
 
 
 def _disc(table: FileTable, name: str, rim: float, measure: Measure) -> ElectrodeDisc:

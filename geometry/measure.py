@@ -35,6 +35,10 @@ class Axisymmetric:
 
     #: Names of a distance from the axis, and of twice that, in a chip.
     across, doubled = "radius", "diameter"
+    #: Symbol of the coordinate across the section.
+    symbol = "r"
+    #: Sign of scalar fields in the image on the other side of the axis.
+    mirror = 1
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
@@ -71,6 +75,8 @@ class Straight:
 
     #: Names of a distance from the plane x = 0, and of twice that, in a chip.
     across, doubled = "half_width", "width"
+    #: Symbol of the coordinate across the section.
+    symbol = "x"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.length < math.inf:
@@ -86,6 +92,11 @@ class Straight:
     def copies(self) -> int:
         """Number of images of the section that make up the device."""
         return 2 if len(self.planes) == 1 else 1
+
+    @property
+    def mirror(self) -> int:
+        """Sign of scalar fields in the image on the other side of the left end; 0 if there is no plane there."""
+        return {Parity.EVEN: 1, Parity.ODD: -1, Parity.NONE: 0}[self.left]
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at places `r` (m), its length times the images of the section."""
@@ -105,5 +116,6 @@ class Straight:
         return {name: places[name] for name in self.planes}
 
 
-#: What a section can be.
+#: What a section can be, and what it is unless said.
 Measure = Axisymmetric | Straight
+ABOUT_AXIS = Axisymmetric()

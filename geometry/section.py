@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
-from geometry.measure import Axisymmetric, Measure, Parity, Straight
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Parity, Straight
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
 from geometry.parts import ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
@@ -63,7 +63,7 @@ class Section:
 
     rectangles: tuple[Rectangle, ...]
     electrodes: tuple[Electrode, ...]
-    measure: Measure = field(default_factory=Axisymmetric)
+    measure: Measure = ABOUT_AXIS
 
     def __post_init__(self) -> None:
         if isinstance(self.measure, Axisymmetric) and self.r_breaks[0] < 0.0:
@@ -72,7 +72,7 @@ class Section:
             odd = {place for name, place in self.measure.ends(self.r_breaks).items()
                    if self.measure.planes[name] is Parity.ODD}
             if any({each.r_inner, each.r_outer} & odd for each in self.electrodes if each.name == ELECTRODE_LIVE):
-                raise ValueError("the live electrode reaches a plane of odd symmetry, where its potential would be zero")
+                raise ValueError("the live electrode reaches a plane of odd symmetry, where its potential is zero")
 
     @cached_property
     def regions(self) -> tuple[str, ...]:
@@ -164,7 +164,7 @@ def cut_section(chip: Chip) -> Section:
 
 
 def section_of_layers(
-    layers: Sequence[Layer], electrodes: Electrodes, measure: Measure = Axisymmetric()
+    layers: Sequence[Layer], electrodes: Electrodes, measure: Measure = ABOUT_AXIS
 ) -> Section:
     """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile.
 

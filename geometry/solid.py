@@ -17,6 +17,7 @@ from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
 from geometry.names import CAVITY
 from geometry.parts import Layer
 from geometry.shapes import outlines
+from geometry.straight import check_axisymmetric
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid
@@ -94,6 +95,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
     Raises:
         SolidError: CadQuery is not installed, or a solid is invalid or differs in volume from the chip's arithmetic.
     """
+    check_axisymmetric(chip, "solids, STEP and STL files")
     expected = part_volumes(chip)
     cadquery = cadquery_module()
     channels = _channels(cadquery, chip)

@@ -22,8 +22,8 @@ GEOMETRIES = ("axisymmetric", "straight")
 
 #: Keys of a round chip's layers and electrodes, and the advice for a straight one.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
-_NOT_YET = ("nothing here: a straight chip has layers with plane faces and upright sides; profiles and shapes of layers "
-            "are those of round chips so far")
+_NOT_YET = ("nothing here: a straight chip has layers with plane faces and upright sides; profiles and shapes of "
+            "layers are those of round chips so far")
 
 
 def read_measure(head: FileTable) -> Measure:
@@ -81,8 +81,8 @@ def check_straight(
             raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", _NOT_YET)
     for state in states:
         if state.particle is not None:
-            raise InputError(file, f"states.{state.name}.particle", state.particle, "no particle: the traps and beads of "
-                             "a straight chip are not modelled yet; its fields are")
+            raise InputError(file, f"states.{state.name}.particle", state.particle, "no particle: the traps and beads "
+                             "of a straight chip are not modelled yet; its fields are")
     gap = electrodes.live_disc.inner_radius
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geometry.measure import Axisymmetric
 from workbench.acoustics.nodal import FloatArray, NodalMesh, gradient, integrate, interpolate, raised, transfer
 from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
 from workbench.model.particles import (
@@ -89,6 +90,8 @@ def particle_forces(
         ValueError: unknown region, or a region without pressure.
     """
     mesh = fields.mesh
+    if not isinstance(mesh.measure, Axisymmetric):
+        raise ValueError("the section is straight; forces on a particle are those in a body that turns about its axis")
     if not np.isfinite(fields.pressure[mesh.nodes_of([region])]).all():
         raise ValueError(f"region {region!r} carries no pressure; choose a fluid region")
     if scattering is None:

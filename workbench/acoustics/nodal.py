@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.measure import Axisymmetric, Measure
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure
 from workbench.acoustics import curved_cells
 from workbench.acoustics.grid import SAME_LINE, CellGrid, cell_grid
 from workbench.fem.elements import gauss_lobatto, lobatto_weights, polynomials
@@ -62,7 +62,7 @@ class NodalMesh(Brief):
     regions: tuple[str, ...]
     straight: FloatArray | None = None
     free: bool = False
-    measure: Measure = field(default_factory=Axisymmetric)
+    measure: Measure = ABOUT_AXIS
 
     def __post_init__(self) -> None:
         points, cells, region = self.flat, self.cells, self.region
@@ -169,7 +169,7 @@ class NodalMesh(Brief):
 
 def mesh_of(
     low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int,
-    measure: Measure = Axisymmetric(),
+    measure: Measure = ABOUT_AXIS,
 ) -> NodalMesh:
     """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of these numbers, with nodes of
     `order`.

@@ -29,9 +29,10 @@ class Place:
     """A region or boundary with its basis functions tabulated at the quadrature points.
 
     ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold the measure of the section, 2 pi r dr dz or length
-    dx dz (on boundaries with ds), ``radius`` (ne, nq) the radii (m) of the points, or their places x. ``shapes`` maps each operation on a basis function (``value``, ``d_r``, ``d_z``,
-    ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells. If
-    the integral couples an opposite boundary, its functions are among the nb ones: ``shapes`` has their values under
+    dx dz (on boundaries with ds), ``radius`` (ne, nq) the radii (m) of the points, or their places x. ``shapes`` maps
+    each operation on a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq)
+    is set on boundaries. ``elements`` (ne,) are the mesh cells. If the integral couples an opposite boundary, its
+    functions are among the nb ones: ``shapes`` has their values under
     ``value_opposite`` and so on, and ``opposite_normal`` is its normal.
     """
 
@@ -220,7 +221,8 @@ def _opposite_facets(
         both.append((each[order], np.sort(radii[:, order], axis=0)))
     (near, inside), (far, across) = both
     flat = np.concatenate([np.ptp(radii, axis=0) for radii in (inside, across)]).min() > 0.0
-    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * np.abs(across).max()):
+    near_by = 1e-9 * np.abs(across).max()
+    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=near_by):
         raise ModelError(f"boundary {integral.place!r} is not faced by {integral.opposite!r} at every radius: "
                          f"{near.size} facets from {inside.min():g} to {inside.max():g} m against {far.size} from "
                          f"{across.min():g} to {across.max():g} m; both must be horizontal, with the same nodes")

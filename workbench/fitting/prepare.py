@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import TRANSDUCER
+from geometry.straight import check_axisymmetric
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.files.errors import InputError, choose
@@ -116,6 +117,7 @@ def prepare(
         MeshError: the mesh could not be made.
     """
     choose(kind, KINDS, source="fit", field="kind")
+    check_axisymmetric(chip, "a fit")
     state = chip.state(state).name
     where = free_region(chip, state, kind, region)
     if material is not None:

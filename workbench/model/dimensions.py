@@ -10,6 +10,7 @@ import numpy as np
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH, SHAPES
+from geometry.measure import Straight
 from geometry.mesh import MeshError, SectionMesh
 from geometry.shapes import with_shapes
 from geometry.stretch import Piece, admissible_range, canonical_names, split
@@ -66,6 +67,13 @@ def parametrised(
         MeshError: the mesh is not of this chip, or a shape within its range folds it.
     """
     ranges = _ranges(chip, radii)
+    straight = isinstance(chip.measure, Straight)
+    if straight and ranges and chip.measure.mirror == 0:
+        raise InputError(chip.file, "chip.symmetry", "none", "even or odd where a half width is to be a parameter: "
+                         "then one half is meshed, in which all columns move to one side")
+    if straight and shapes:
+        raise InputError(chip.file, "shapes", ", ".join(shapes), "no shape of a layer of a straight chip: only those "
+                         "of round ones can be moved so far")
     known = chip.dimensions()
     moving = {known[name].value: name for name in ranges}
     mesh, pieces = split(problem.mesh, chip, tuple(moving))
@@ -85,9 +93,10 @@ def parametrised(
             return StretchedPart(piece.name, piece.layer)
         inner, outer = piece.column
         if inner == outer:
-            return StretchedPart(piece.name, piece.layer, MovingRim(radius(inner)))
+            return StretchedPart(piece.name, piece.layer, MovingRim(radius(inner), straight))
         if piece.column not in columns:
-            columns[piece.column] = RadialInterval.between(radius(inner), radius(outer), ranges)
+            columns[piece.column] = RadialInterval.between(radius(inner), radius(outer), ranges,
+                                                             straight=straight)
         return StretchedPart(piece.name, piece.layer, columns[piece.column])
 
     terms: dict[Term, Term] = {}

@@ -11,9 +11,11 @@ A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R 
     one              s                                 one matrix
     u_r^2 / r^2      s r / R = r / (r + d)             d = (b - a) / k - a,  k = B / A - 1
 
-The last is no finite sum; it is interpolated in k between Chebyshev's nodes, with an error below :data:`INTERPOLATION`
-(Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a boundary the same relations hold
-for facets along r and along z; facets at a radius that moves have R / r for the measure.
+In a straight section the measure dx becomes s dx and there is no u_r / r, so the parts of a form have one matrix, by
+s^(1 - derivatives). With an axis the last is no finite sum; it is interpolated in k between Chebyshev's nodes, with an
+error below :data:`INTERPOLATION` (Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a
+boundary the same relations hold for facets along r and along z; facets at a radius that moves have R / r for the
+measure, and 1 in a straight section.
 """
 
 from __future__ import annotations
@@ -54,18 +56,19 @@ Sorted = Iterator[tuple[Kind, Product]]
 @dataclass(frozen=True)
 class RadialInterval:
     """A column of the section between two radii, with `ratios` the nodes of k = outer / inner - 1; none if it begins at
-    the axis."""
+    the axis, or if the section is ``straight``: two places x."""
 
     inner: MovableLength
     outer: MovableLength
     ratios: tuple[float, ...] = ()
+    straight: bool = False
 
     @classmethod
-    def between(cls, inner: MovableLength, outer: MovableLength,
-                ranges: Mapping[str, tuple[float, float]]) -> RadialInterval:
+    def between(cls, inner: MovableLength, outer: MovableLength, ranges: Mapping[str, tuple[float, float]], *,
+                straight: bool = False) -> RadialInterval:
         """The column for radii within `ranges` (m), by parameter."""
-        if inner.nominal == 0.0:
-            return cls(inner, outer)
+        if straight or inner.nominal == 0.0:
+            return cls(inner, outer, straight=straight)
         low, high = (ranges.get(each.parameter, (each.nominal, each.nominal)) for each in (inner, outer))
         return cls(inner, outer, nodes(high[0] / low[1] - 1.0, high[1] / low[0] - 1.0))
 
@@ -73,7 +76,10 @@ class RadialInterval:
         """Pairs of measure and coefficient that a form splits into, by its kind: derivatives along r and divisions by
         r."""
         slopes, divided = kind
-        if not self.ratios:
+        if self.straight:
+            if not divided:
+                yield None, Stretch(self, 1 - slopes)
+        elif not self.ratios:
             power = 2 - slopes - divided
             name, nominal = self.outer.parameter, self.outer.nominal
             yield None, Monomial(nominal**-power, 0, ((name, power),) if power else ())
@@ -90,11 +96,16 @@ class RadialInterval:
 
 @dataclass(frozen=True)
 class MovingRim:
-    """Facets along z at a radius that moves."""
+    """Facets along z at a radius that moves, or in a ``straight`` section at a place x."""
 
     radius: MovableLength
+    straight: bool = False
 
     def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
+        if self.straight:
+            if not kind[1]:
+                yield None, Monomial(1.0, 0)
+            return
         power = 1 - kind[1]
         yield None, Monomial(self.radius.nominal**-power, 0, ((self.radius.parameter, power),) if power else ())
 

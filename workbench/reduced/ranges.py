@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
+from geometry.straight import check_axisymmetric
 from geometry.stretch import admissible_range, canonical_names
 from materials.registry import Registry
 from workbench.fem.operators import assemble
@@ -243,6 +244,7 @@ def range_model(
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
         NotCovered: `limit` solves were not enough; the error carries the model.
     """
+    check_axisymmetric(chip, "a model over ranges of lengths and coefficients, for studies and design")
     model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
     return _last(_growth(model, relative_error, limit, seed, progress))
 

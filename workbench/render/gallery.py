@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
@@ -88,6 +89,8 @@ def _gorkov(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 def _cutaway(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import solids
 
+    if not isinstance(shot.chip.measure, Axisymmetric):
+        return [], "the chip is straight, and a cut-open view is one of a body that turns about an axis"
     path = solids.draw_revolved(shot.fields, folder / f"cutaway_{shot.state}.png")
     return [Picture(path, f"{shot.state}: the chip cut open, coloured by the axial displacement at {_place(shot)}")], ""
 

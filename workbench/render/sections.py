@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure
 from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_raster, interpolate, raster
 from workbench.acoustics.streaming import Streaming
 from workbench.acoustics.traps import TrapReport
@@ -55,21 +56,30 @@ _FLATTEST = 0.08
 
 @dataclass(frozen=True)
 class _Window:
-    """The shown rectangle of the r-z plane in metres, and the factor by which heights are enlarged."""
+    """The shown rectangle of the r-z plane in metres, and the factor by which heights are enlarged.
+
+    ``measure`` is that of the section: it says whether the left half is a mirror image, and with which sign.
+    """
 
     left: float
     right: float
     bottom: float
     top: float
     tall: float = 1.0
+    measure: Measure = ABOUT_AXIS
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the left half is a mirror image of the right one."""
+        return self.measure.mirror != 0
 
 
 def draw_axial_displacement(fields: Fields, path: Path) -> Path:
     """Draw u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
-        fields.mesh, values, path, unit="m", label="axial displacement $u_z$", window=_window(fields.mesh.points),
-        title=phase_title(fields, phase),
+        fields.mesh, values, path, unit="m", label="axial displacement $u_z$",
+        window=_window(fields.mesh, fields.mesh.points), title=phase_title(fields, phase),
     )
 
 
@@ -83,7 +93,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
         pressure[nodes] = fields.pressure[nodes]
     values, phase = at_largest(pressure)
     return _draw_signed(
-        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(shown),
+        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(fields.mesh, shown),
         title=phase_title(fields, phase),
     )
 
@@ -94,7 +104,7 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
     limits = float(np.nanmin(values)), float(np.nanmax(values))
-    window = _window(forces.mesh.points)
+    window = _window(forces.mesh, forces.mesh.points)
     figure, axes, bar = _frame(window, title=(
         f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere "
         f"in the {forces.region}\n"
@@ -118,7 +128,7 @@ def draw_streaming(flow: Streaming, path: Path) -> Path:
     speed = np.linalg.norm(flow.carrier_velocity, axis=1)
     factor, unit = prefixed(flow.largest_speed, "m/s")
     least = _STILL * flow.largest_speed
-    window = _window(flow.mesh.points)
+    window = _window(flow.mesh, flow.mesh.points)
     peclet = "" if flow.peclet is None else f", Peclet number {flow.peclet:.2g}"
     figure, axes, bar = _frame(window, title=(
         f"streaming in the {flow.region}: {factor * flow.rms_speed:.3g} {unit} rms{peclet}; no arrows below "
@@ -148,7 +158,7 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Patch
 
-    window = _window(mesh.points)
+    window = _window(mesh, mesh.points)
     figure, axes, bar = _frame(
         window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} cells with fields of order {mesh.order}")
     colours = [role_colour(name) for name in mesh.regions]
@@ -176,7 +186,7 @@ def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: st
     for name in marked:
         if name not in mesh.regions:
             raise ValueError(f"no region {name!r} to mark; expected one of {', '.join(mesh.regions)}")
-    window = _window(mesh.points)
+    window = _window(mesh, mesh.points)
     figure, axes, bar = _frame(window, title=title)
     colours = [_MARKED if name in marked else _UNMARKED for name in mesh.regions]
     _show(axes, window, cell_raster(mesh, mesh.region, *_raster_points(window)), limits=(0.0, len(colours) - 1.0),
@@ -228,19 +238,20 @@ def _draw_signed(
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
     figure, axes, bar = _frame(window, title=title)
-    _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS)
+    _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS, signed=True)
     _outline(axes, mesh)
     _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=f"{label} ({shown_unit})")
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def _window(points: FloatArray) -> _Window:
-    """The window of all (K, 2) `points` and their mirror images, with a margin."""
-    radius, low, high = points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
+def _window(mesh: NodalMesh, points: FloatArray) -> _Window:
+    """The window of all (K, 2) `points` of a mesh and their mirror images, with a margin."""
+    radius, low, high = np.abs(points[:, 0]).max(), points[:, 1].min(), points[:, 1].max()
     margin = 0.015 * max(2.0 * radius, high - low)
     below = min(margin, 0.1 * (high - low))
     flat = 2.0 * radius * _FLATTEST / (high - low)
-    return _Window(-radius - margin, radius + margin, low - below, high + below, float(max(1, math.ceil(flat))))
+    return _Window(-radius - margin, radius + margin, low - below, high + below, float(max(1, math.ceil(flat))),
+                   mesh.measure)
 
 
 def _extent(window: _Window) -> tuple[float, float, float, float]:
@@ -262,12 +273,13 @@ def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
     axes.set_ylim(window.bottom * 1e3, window.top * 1e3)
     axes.set_aspect(window.tall)
     axes.set_autoscale_on(False)
-    axes.set_xlabel("r (mm)", fontsize=11)
+    axes.set_xlabel(f"{window.measure.symbol} (mm)", fontsize=11)
     axes.set_ylabel("z (mm)", fontsize=11)
     # A place of its own spares the axes measuring everything above them.
     axes.set_title(title, fontsize=12, y=1.0)
-    # A radius has no sign: the left half is the right half again.
-    axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
+    if isinstance(window.measure, Axisymmetric):
+        # A radius has no sign: the left half is the right half again.
+        axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
     return figure, axes, bar
 
 
@@ -286,10 +298,12 @@ def _dots(window: _Window) -> tuple[int, int]:
 
 
 def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
-    """Radii and heights (m) of the points of a picture of `window`, ascending: those at and right of the axis."""
+    """Radii and heights (m) of the points of a picture of `window`, ascending: those at and right of the axis, or all
+    if the section has no mirror image."""
     width, height = _dots(window)
-    across, up = POINTS_PER_DOT * width // 2, POINTS_PER_DOT * height
-    return ((np.arange(across) + 0.5) * window.right / across,
+    across, up = POINTS_PER_DOT * width // (2 if window.is_mirrored else 1), POINTS_PER_DOT * height
+    left = 0.0 if window.is_mirrored else window.left
+    return (left + (np.arange(across) + 0.5) * (window.right - left) / across,
             window.bottom + (np.arange(up) + 0.5) * (window.top - window.bottom) / up)
 
 
@@ -300,19 +314,28 @@ def _nodal(mesh: NodalMesh, values: FloatArray, window: _Window) -> FloatArray:
 
 
 def _show(
-    axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str]
+    axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str],
+    signed: bool = False,
 ) -> None:
     """Draw `values` at the points of :func:`_raster_points` and their mirror images, NaN white; `colours` is the name
-    of a map or one colour for every step between `limits`."""
+    of a map or one colour for every step between `limits`. Beyond a plane of odd symmetry `signed` values have the
+    other sign."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap, Normalize
 
     shades = colormaps[colours] if isinstance(colours, str) else ListedColormap(list(colours))
-    seen = np.ma.masked_invalid(values.T[::-1])
-    coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
-    width, height = _dots(window)
-    right = coloured.reshape(height, POINTS_PER_DOT, width // 2, POINTS_PER_DOT, 3).mean(axis=(1, 3))
-    picture = np.concatenate([right[:, ::-1], right], axis=1).round().astype(np.uint8)
+    _, height = _dots(window)
+
+    def coloured(seen: FloatArray) -> FloatArray:
+        shown = np.ma.masked_invalid(seen.T[::-1])
+        fine = shades.with_extremes(bad="white")(Normalize(*limits)(shown), bytes=True)[:, :, :3]
+        return np.asarray(fine.reshape(height, POINTS_PER_DOT, -1, POINTS_PER_DOT, 3).mean(axis=(1, 3)))
+
+    whole = right = coloured(values)
+    if window.is_mirrored:
+        left = coloured(-values) if signed and window.measure.mirror < 0 else right
+        whole = np.concatenate([left[:, ::-1], right], axis=1)
+    picture = whole.round().astype(np.uint8)
     # Dot for dot: any other interpolation would blur them, and takes as long as all the rest of a picture.
     axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
 
@@ -330,7 +353,7 @@ def region_edges(mesh: NodalMesh) -> list[FloatArray]:
 
 
 def _segments(mesh: NodalMesh, label: NDArray[np.int64]) -> list[FloatArray]:
-    """Edges (2, 2) in mm between cells of different `label` (M,), and their mirror images; each once."""
+    """Edges (2, 2) in mm between cells of different `label` (M,), and their mirror images, if any; each once."""
     ends = mesh.points[border_lines(mesh, label)] * 1e3
     whole = np.unique(ends.round(6).reshape(-1, 4), axis=0).reshape(-1, 2, 2)
-    return list(np.concatenate([whole, whole * [-1.0, 1.0]]))
+    return list(np.concatenate([whole, whole * [-1.0, 1.0]]) if mesh.measure.mirror else whole)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geometry.measure import Axisymmetric
 from workbench.acoustics.nodal import (
     FloatArray,
     IntArray,
@@ -77,6 +78,8 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
     from matplotlib.colors import Normalize
 
     mesh = fields.mesh
+    if not isinstance(mesh.measure, Axisymmetric):
+        raise ValueError("the section is straight; expected one that turns about its axis")
     values, phase = at_largest(fields.displacement[:, 1])
     largest = float(np.nanmax(np.abs(values)))
     factor, unit = prefixed(largest, "m")
