@@ -1,0 +1,158 @@
+"""Straight chips: their files, sections and meshes, and what they are refused."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.chip import Chip, parse_chip, read_chip
+from geometry.chip_file import write_chip
+from geometry.chip_section import volumes
+from geometry.measure import ABOUT_AXIS, Parity, Straight
+from geometry.mesh import mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.section import Electrode, Rectangle, Section, cut_section
+from geometry.solid import chip_solids
+from workbench.files.errors import InputError
+
+CHIP = """
+[chip]
+name = "channel"
+band = ["1.5 MHz", "2.5 MHz"]
+geometry = "straight"
+length = "20 mm"
+symmetry = "even"
+
+[[layers]]
+role = "transducer"
+material = "pzt4/acevedo_2026_fitted"
+thickness = "1 mm"
+width = { value = "5 mm", tolerance = "40 um" }
+electrodes = { live = "bottom", ground_half_width = "2 mm" }
+
+[[layers]]
+role = "bond"
+material = "epoxy"
+thickness = "20 um"
+half_width = "1.5 mm"
+
+[[layers]]
+role = "substrate"
+material = "soda_lime_glass/ono_2020"
+thickness = "0.5 mm"
+half_width = "1.5 mm"
+
+[[layers]]
+role = "sidewall"
+material = "soda_lime_glass/ono_2020"
+thickness = "160 um"
+half_width = "1.5 mm"
+cavity_width = "380 um"
+
+[[layers]]
+role = "superstrate"
+material = "soda_lime_glass/ono_2020"
+thickness = "0.5 mm"
+half_width = "1.5 mm"
+
+[states.filled]
+cavity = "water"
+"""
+
+
+def chip(text: str = CHIP) -> Chip:
+    return parse_chip(tomllib.loads(text), source="chip.toml")
+
+
+def test_a_file_says_length_symmetry_and_widths() -> None:
+    found = chip()
+    assert found.measure == Straight(0.02, Parity.EVEN)
+    known = found.dimensions()
+    assert known["transducer.half_width"].value == pytest.approx(2.5e-3)
+    assert known["transducer.half_width"].tolerance == pytest.approx(20e-6)
+    assert known["cavity.half_width"].value == pytest.approx(190e-6)
+    assert known["electrode_ground.half_width"].value == pytest.approx(2e-3)
+    moved = found.with_dimensions({"cavity.half_width": 2e-4, "electrode_ground.half_width": 1.9e-3})
+    assert moved.layer("sidewall").inner_radius == 2e-4
+    assert moved.dimensions()["electrode_ground.half_width"].value == 1.9e-3
+
+
+def test_per_metre_and_even_unless_said() -> None:
+    text = CHIP.replace('length = "20 mm"\nsymmetry = "even"\n', "")
+    assert chip(text).measure == Straight(1.0, Parity.EVEN)
+
+
+@pytest.mark.parametrize("symmetry", ["even", "odd", "none"])
+def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
+    text = CHIP.replace('"even"', f'"{symmetry}"').replace('live = "bottom"', 'live = "bottom", '
+                                                           'live_inner_half_width = "0.2 mm"')
+    found = replace(chip(text), file=str(tmp_path / "chip.toml"))
+    assert read_chip(write_chip(found, tmp_path / "chip.toml")) == found
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('width = { value = "5 mm", tolerance = "40 um" }', 'radius = "2.5 mm"', "half_width"),
+    ('cavity_width = "380 um"', 'cavity_diameter = "380 um"', "cavity_width"),
+    ('ground_half_width = "2 mm"', 'ground_radius = "2 mm"', "ground_half_width"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "3 deg"', "shapes of layers"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "profiles"),
+    ('length = "20 mm"', 'length = "-1 mm"', "above zero"),
+    ('symmetry = "even"', 'symmetry = "mirror"', "even, none, odd"),
+    ('geometry = "straight"', 'geometry = "axisymmetric"', 'geometry = "straight"'),
+    ('geometry = "straight"', 'geometry = "strait"', "straight"),
+    ('symmetry = "even"', 'symmetry = "odd"', "gap"),
+    ("[states.filled]", '[cavity]\nports = { diameter = "0.1 mm" }\n\n[states.filled]', "no ports"),
+    ('cavity = "water"', 'cavity = "water"\nparticle = "polystyrene"\nparticle_radius = "5 um"', "not modelled yet"),
+])
+def test_mistakes_and_what_is_not_there_yet_are_told(old: str, new: str, words: str) -> None:
+    assert old in CHIP
+    with pytest.raises(InputError, match="(?s)" + words):
+        chip(CHIP.replace(old, new))
+
+
+def test_a_row_of_chips_has_no_file_and_a_plane_on_the_right_alone_is_no_section(tmp_path: Path) -> None:
+    row = replace(chip(), measure=Straight(1.0, Parity.EVEN, Parity.EVEN))
+    with pytest.raises(InputError, match="no row"):
+        write_chip(row, tmp_path / "chip.toml")
+    with pytest.raises(InputError, match="on the left"):
+        replace(chip(), measure=Straight(1.0, Parity.NONE, Parity.EVEN))
+    with pytest.raises(InputError, match="above zero"):
+        Straight(0.0)
+
+
+def test_volumes_are_those_of_the_whole_chip_whatever_is_meshed() -> None:
+    even, whole = chip(), chip(CHIP.replace('"even"', '"none"'))
+    for found in (even, whole):
+        assert volumes(found)["cavity"] == pytest.approx(380e-6 * 160e-6 * 0.02, rel=1e-12)
+        assert volumes(found)["sidewall"] == pytest.approx((3e-3 - 380e-6) * 160e-6 * 0.02, rel=1e-12)
+    assert cut_section(even).area("cavity") == pytest.approx(0.5 * cut_section(whole).area("cavity"), rel=1e-12)
+    with pytest.raises(InputError, match="not there for straight chips"):
+        chip_solids(even)
+
+
+def test_a_mesh_names_the_plane_and_all_pieces_of_an_electrode() -> None:
+    whole = chip(CHIP.replace('"even"', '"none"').replace('live = "bottom"',
+                                                          'live = "bottom", live_inner_half_width = "0.2 mm"'))
+    for found, planes in ((chip(), {"plane_left"}), (whole, set())):
+        section = cut_section(found)
+        mesh = mesh_section(section, MeshSize(dict.fromkeys(section.regions, 1.0), 2500.0, 1.0, 2)).mesh
+        assert {name for name in mesh.boundaries if "plane" in name or name == "axis"} == planes
+        for name in planes:
+            assert (mesh.p[0, mesh.facets[:, mesh.boundaries[name]]] == 0.0).all()
+    ends = mesh.p[0, mesh.facets[:, mesh.boundaries["electrode_live"]]]
+    assert np.ptp(ends, axis=0).sum() == pytest.approx(2.0 * 2.3e-3, rel=1e-12)
+    assert np.abs(ends).min() == pytest.approx(0.2e-3)
+    assert ends.min() == pytest.approx(-2.5e-3)
+
+
+def test_sections_that_make_no_sense_are_refused() -> None:
+    plate = (Rectangle("transducer", 0.0, 1e-3, 0.0, 1e-3),)
+    lines = (Electrode("electrode_live", 0.0, 1e-3, 0.0), Electrode("electrode_ground", 0.0, 1e-3, 1e-3))
+    with pytest.raises(ValueError, match="odd symmetry"):
+        Section(plate, lines, Straight(1.0, Parity.ODD))
+    with pytest.raises(ValueError, match=r"begins at r = -0\.001"):
+        Section((Rectangle("transducer", -1e-3, 1e-3, 0.0, 1e-3),), lines, ABOUT_AXIS)
