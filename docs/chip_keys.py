@@ -32,6 +32,11 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
         "unusual": "names of sizes that are meant although no such part has them, such as `[\"couplant.thickness\"]`; "
                    "see below",
+        "geometry": "`axisymmetric` (if not given): discs and rings about one axis; or `straight`: plates with a "
+                    "channel along them, by their cross-section",
+        "length": "of a straight chip into the paper; 1 m if not given, so that all is per metre",
+        "symmetry": "of a straight chip about its middle, x = 0: `even` (if not given), `odd` for electrodes at +V and "
+                    "-V on both sides of a gap, or `none`: both halves are meshed",
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
@@ -53,6 +58,29 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
+    },
+    "`[[layers]]`, of a straight chip": {
+        "role": "as of a round chip",
+        "material": "as of a round chip",
+        "density": "as of a round chip",
+        "thickness": "of the layer",
+        "half_width": "from the middle of the chip to the side of the layer; it may differ from layer to layer",
+        "width": "twice that, in place of it",
+        "cavity_half_width": "of a channel through the layer, from its middle; channels are in neighbouring layers",
+        "cavity_width": "twice that, in place of it",
+        "bottom": "as of a round chip",
+        "electrodes": "of the transducer alone, see below",
+    },
+    "`electrodes`, of the transducer's layer in a straight chip": {
+        "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
+        "live_half_width": "where that electrode ends, if before the side of the plate",
+        "live_inner_half_width": "where it begins, if there is a gap in the middle: half of the gap",
+        "ground_half_width": "the same of the ground electrode",
+        "ground_inner_half_width": "the same of the ground electrode",
+        "live_width": "twice `live_half_width`, in place of it",
+        "live_inner_width": "twice `live_inner_half_width`, in place of it: the gap",
+        "ground_width": "twice `ground_half_width`, in place of it",
+        "ground_inner_width": "twice `ground_inner_half_width`, in place of it",
     },
     "`electrodes`, of the transducer's layer": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
@@ -119,6 +147,8 @@ READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "dimensio
 
 #: What is read in a way of its own.
 TAKES: Mapping[str, str] = {
+    **dict.fromkeys(("geometry", "symmetry"), "text"),
+    "length": f"text with a unit: {', '.join(dict.fromkeys(UNITS['length']))}",
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
     "band": "a list of two frequencies", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
@@ -128,8 +158,9 @@ TAKES: Mapping[str, str] = {
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
-       for size in ("radius", "diameter")},
-    **{f"{name}{size}": "a length" for name in ("", "cavity_", "particle_") for size in ("radius", "diameter")},
+       for size in ("radius", "diameter", "half_width", "width")},
+    **{f"{name}{size}": "a length" for name in ("", "cavity_", "particle_")
+       for size in ("radius", "diameter", "half_width", "width")},
     "axis": "text, or a list of numbers", "origin": "a list of three lengths", "sector": "an angle",
 }
 

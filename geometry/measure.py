@@ -116,6 +116,6 @@ class Straight:
         return {name: places[name] for name in self.planes}
 
 
-#: What a section can be, and what it is unless said.
+#: The measures of a section, and that of one of which nothing else is said.
 Measure = Axisymmetric | Straight
 ABOUT_AXIS = Axisymmetric()

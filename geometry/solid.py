@@ -16,8 +16,8 @@ from geometry.chip_section import section_faces, volumes
 from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
 from geometry.names import CAVITY
 from geometry.parts import Layer
+from geometry.round_only import check_axisymmetric
 from geometry.shapes import outlines
-from geometry.straight import check_axisymmetric
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid

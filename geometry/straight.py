@@ -6,16 +6,12 @@ The keys of a chip file that say so, and what such a chip may not have yet.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from geometry.dimension import SAME_LENGTH, SHAPES, dimension_text
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
 from geometry.parts import Electrodes, Layer, Ports, State
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
-
-if TYPE_CHECKING:
-    from geometry.chip import Chip
 
 #: Values of the key ``geometry``.
 GEOMETRIES = ("axisymmetric", "straight")
@@ -87,17 +83,6 @@ def check_straight(
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
                          "above zero where symmetry is odd: half of the gap between the electrodes at +V and -V")
-
-
-def check_axisymmetric(chip: Chip, what: str) -> None:
-    """Check that a chip is round, for what straight chips cannot have yet; `what` names it in the message.
-
-    Raises:
-        InputError: the chip is straight.
-    """
-    if not isinstance(chip.measure, Axisymmetric):
-        raise InputError(chip.file, "chip.geometry", "straight", f'"axisymmetric" for {what}, which is not there for '
-                         "straight chips yet; their impedance, fields and losses are (`workbench simulate`)")
 
 
 def head_keys(measure: Measure) -> Mapping[str, str]:

@@ -21,7 +21,7 @@ from workbench.physics.electrodes import ElectrodePotential
 from workbench.physics.fluid import AcousticFluid, PressureRelease, SolidFluidContact
 from workbench.physics.piezoelectric import PiezoelectricSolid
 from workbench.physics.solid import ElasticSolid
-from workbench.physics.term import Integral, ModelError, Monomial, Values
+from workbench.physics.term import Integral, ModelError, Monomial, Term, Values
 
 PZT, ELECTRODES = PiezoelectricSolid("transducer", "pzt"), ElectrodePotential("electrode_live", "electrode_ground")
 
@@ -225,19 +225,14 @@ def test_electrodes_without_a_transducer_are_refused(filled: Problem) -> None:
 
 
 def test_an_operator_of_an_unknown_that_no_term_brings_in_is_refused(filled: Problem) -> None:
-    class Loaded:
+    class Loaded(Term):
         """The inertia of a solid where there is only water."""
-
-        unknowns: tuple[tuple[str, str], ...] = ()
 
         def integrals(self) -> tuple[Integral, ...]:
             return (replace(ElasticSolid("cavity", "pla").integrals()[2]),)
 
-        def conditions(self) -> tuple[object, ...]:
-            return ()
-
     with pytest.raises(ModelError, match="'cavity' has no unknown 'u_r'"):
-        assemble(filled.mesh, (PZT, ELECTRODES, AcousticFluid("cavity", "water"), Loaded()))  # type: ignore[arg-type]
+        assemble(filled.mesh, (PZT, ELECTRODES, AcousticFluid("cavity", "water"), Loaded()))
 
 
 def test_a_missing_parameter_is_named(filled: Problem, filled_operators: FullOperators) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
 from geometry.names import CAVITY
+from geometry.round_only import check_axisymmetric
 from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
@@ -100,6 +101,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
             does not hold the present number, or passes another radius.
     """
+    check_axisymmetric(chip, "the live view")
     first, lengths = canonical_names(chip), chip.dimensions()
     felt = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)

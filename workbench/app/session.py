@@ -22,7 +22,6 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
-from geometry.straight import check_axisymmetric
 from geometry.stretch import admissible_range, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
@@ -114,7 +113,6 @@ class Session:
         Raises:
             InputError: a mistake in the chip, its materials, or the wanted numbers.
         """
-        check_axisymmetric(chip, "the live view")
         self.chip, self.state = chip, chip.state(state).name
         # A simulation of the saved chip gives the shown results.
         self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)

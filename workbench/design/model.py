@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from geometry.stretch import canonical_names, moving_together
 from materials.kinds import Fluid
 from materials.registry import Registry

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from workbench.design.axes import centred_in_ranges, with_materials
 from workbench.design.evaluation import Evaluation
 from workbench.design.model import SWEEP, full_evaluation, of_range_model

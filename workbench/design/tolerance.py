@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from materials.registry import Registry
 from workbench.design.centre import centred_chip
 from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations

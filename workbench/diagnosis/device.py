@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
 from geometry.names import CAVITY, TRANSDUCER
+from geometry.round_only import check_axisymmetric
 from geometry.shapes import possible, with_shapes
-from geometry.straight import check_axisymmetric
 from materials.kinds import Fluid
 from workbench.campaign.campaign import Campaign, DeviceState
 from workbench.campaign.numbers import DeviceNumbers

@@ -27,7 +27,7 @@ from workbench.fem.factorisation import factorisation
 from workbench.fem.forms import combined_matrices
 from workbench.fem.places import Place, place_of
 from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
-from workbench.physics.symmetry import conditions_at_ends
+from workbench.fem.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
     OPERATORS,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import TRANSDUCER
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.files.errors import InputError, choose

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from geometry.stretch import admissible_range, canonical_names
 from materials.registry import Registry
 from workbench.fem.operators import assemble

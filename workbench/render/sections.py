@@ -79,7 +79,7 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
         fields.mesh, values, path, unit="m", label="axial displacement $u_z$",
-        window=_window(fields.mesh, fields.mesh.points), title=phase_title(fields, phase),
+        window=_window(fields.mesh.points, fields.mesh.measure), title=phase_title(fields, phase),
     )
 
 
@@ -93,7 +93,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
         pressure[nodes] = fields.pressure[nodes]
     values, phase = at_largest(pressure)
     return _draw_signed(
-        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(fields.mesh, shown),
+        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(shown, fields.mesh.measure),
         title=phase_title(fields, phase),
     )
 
@@ -104,7 +104,7 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
     limits = float(np.nanmin(values)), float(np.nanmax(values))
-    window = _window(forces.mesh, forces.mesh.points)
+    window = _window(forces.mesh.points, forces.mesh.measure)
     figure, axes, bar = _frame(window, title=(
         f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere "
         f"in the {forces.region}\n"
@@ -128,7 +128,7 @@ def draw_streaming(flow: Streaming, path: Path) -> Path:
     speed = np.linalg.norm(flow.carrier_velocity, axis=1)
     factor, unit = prefixed(flow.largest_speed, "m/s")
     least = _STILL * flow.largest_speed
-    window = _window(flow.mesh, flow.mesh.points)
+    window = _window(flow.mesh.points, flow.mesh.measure)
     peclet = "" if flow.peclet is None else f", Peclet number {flow.peclet:.2g}"
     figure, axes, bar = _frame(window, title=(
         f"streaming in the {flow.region}: {factor * flow.rms_speed:.3g} {unit} rms{peclet}; no arrows below "
@@ -158,7 +158,7 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Patch
 
-    window = _window(mesh, mesh.points)
+    window = _window(mesh.points, mesh.measure)
     figure, axes, bar = _frame(
         window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} cells with fields of order {mesh.order}")
     colours = [role_colour(name) for name in mesh.regions]
@@ -186,7 +186,7 @@ def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: st
     for name in marked:
         if name not in mesh.regions:
             raise ValueError(f"no region {name!r} to mark; expected one of {', '.join(mesh.regions)}")
-    window = _window(mesh, mesh.points)
+    window = _window(mesh.points, mesh.measure)
     figure, axes, bar = _frame(window, title=title)
     colours = [_MARKED if name in marked else _UNMARKED for name in mesh.regions]
     _show(axes, window, cell_raster(mesh, mesh.region, *_raster_points(window)), limits=(0.0, len(colours) - 1.0),
@@ -244,14 +244,14 @@ def _draw_signed(
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def _window(mesh: NodalMesh, points: FloatArray) -> _Window:
-    """The window of all (K, 2) `points` of a mesh and their mirror images, with a margin."""
+def _window(points: FloatArray, measure: Measure = ABOUT_AXIS) -> _Window:
+    """The window of all (K, 2) `points` of a section and their mirror images, with a margin."""
     radius, low, high = np.abs(points[:, 0]).max(), points[:, 1].min(), points[:, 1].max()
     margin = 0.015 * max(2.0 * radius, high - low)
     below = min(margin, 0.1 * (high - low))
     flat = 2.0 * radius * _FLATTEST / (high - low)
     return _Window(-radius - margin, radius + margin, low - below, high + below, float(max(1, math.ceil(flat))),
-                   mesh.measure)
+                   measure)
 
 
 def _extent(window: _Window) -> tuple[float, float, float, float]:

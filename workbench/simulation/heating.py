@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from geometry.names import CAVITY
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.heat import EMPTY, STILL_AIR, Heating, check_peclet, conducted_heat, thermal_influence

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.names import CAVITY
-from geometry.straight import check_axisymmetric
+from geometry.round_only import check_axisymmetric
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.flow_forces import TemperatureSlopes
