@@ -8,7 +8,8 @@ AXISYMMETRIC = "axisymmetric only: every layer is a disc or a ring about one axi
 
 #: Advice for a body that is not round.
 NOT_ROUND = (f"{AXISYMMETRIC}; in place of a rectangular plate state a disc of its thickness and area, radius = "
-             "sqrt(width length / pi), which has its thickness resonances and not its lateral ones")
+             "sqrt(width length / pi), which has its thickness resonances and not its lateral ones; of plates with a "
+             "channel along them state the cross-section, geometry = \"straight\" under [chip]")
 
 CENTRED = (f"{AXISYMMETRIC}; in place of a part beside the axis state it on the axis, or as a ring of its area "
            "at its distance")

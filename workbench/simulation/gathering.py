@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.acoustics.forces import ParticleForces
@@ -45,8 +46,9 @@ class Gathering:
 
 
 def gathering(shot: Snapshot) -> Gathering | None:
-    """The answer whether and where the particles of a state gather; None without a cavity."""
-    if CAVITY not in shot.chip.materials(shot.state):
+    """The answer whether and where the particles of a state gather; None without a cavity, and for a straight chip,
+    which has no particles yet."""
+    if not isinstance(shot.chip.measure, Axisymmetric) or CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
     if not isinstance(fluid, Fluid) or fluid.density < GAS:
