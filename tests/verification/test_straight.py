@@ -24,11 +24,14 @@ from workbench.physics.boundary_layer import ViscousBoundaryLayer
 LENGTH = 0.02
 GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=44e9 - 0.2e9j, shear_modulus=29e9 - 0.3e9j)
 WATER = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
+#: Region, left, right, bottom and top (m) of a rectangle.
+Piece = tuple[str, float, float, float, float]
+
 EVEN, ODD, NONE = Parity.EVEN, Parity.ODD, Parity.NONE
 
 
 def section(
-    pieces: list[tuple[str, float, float, float, float]], measure: Measure, *,
+    pieces: list[Piece], measure: Measure, *,
     live: tuple[tuple[float, float], ...] = (), shift: float = 0.0,
 ) -> Section:
     """A section of rectangles (region, left, right, bottom, top), metres, shifted along x, with the electrodes on the
@@ -160,10 +163,11 @@ def test_a_straight_channel_of_380_by_160_um_has_the_quality_421(
 # A chip: plate, glue, base, walls, channel, lid
 
 #: Left, right, bottom and top (mm) of the right half, for a plate wider than the chip.
-HALF = [("transducer", 0.0, 1.0, 0.0, 0.5), ("bond", 0.0, 0.7, 0.5, 0.55), ("substrate", 0.0, 0.7, 0.55, 0.8),
-        ("cavity", 0.0, 0.19, 0.8, 0.96), ("sidewall", 0.19, 0.7, 0.8, 0.96), ("superstrate", 0.0, 0.7, 0.96, 1.2)]
+HALF: list[Piece] = [
+    ("transducer", 0.0, 1.0, 0.0, 0.5), ("bond", 0.0, 0.7, 0.5, 0.55), ("substrate", 0.0, 0.7, 0.55, 0.8),
+    ("cavity", 0.0, 0.19, 0.8, 0.96), ("sidewall", 0.19, 0.7, 0.8, 0.96), ("superstrate", 0.0, 0.7, 0.96, 1.2)]
 EPOXY = IsotropicSolid(name="epoxy", density=1150.0, bulk_modulus=5e9 - 0.1e9j, shear_modulus=1.6e9 - 60e6j)
-PLACES = [(name, *(1e-3 * each for each in sizes)) for name, *sizes in HALF]
+PLACES: list[Piece] = [(name, 1e-3 * a, 1e-3 * b, 1e-3 * low, 1e-3 * high) for name, a, b, low, high in HALF]
 GAP = 0.3e-3
 
 
@@ -172,7 +176,7 @@ def filled(pzt: Piezoelectric) -> dict[str, Material]:
             "cavity": WATER}
 
 
-def whole() -> list[tuple[str, float, float, float, float]]:
+def whole() -> list[Piece]:
     """Both halves of the chip."""
     return [(name, -right, right if left == 0.0 else -left, low, high) for name, left, right, low, high in PLACES] + [
         piece for piece in PLACES if piece[1] > 0.0]
@@ -209,7 +213,7 @@ def whole_with_one_electrode(
 
 @pytest.mark.parametrize(("pieces", "order"), [(PLACES, 1.0), (whole(), 2.0)], ids=["one half", "whole"])
 def test_a_ring_of_large_radius_tends_to_the_straight_chip(
-    pieces: list[tuple[str, float, float, float, float]], order: float, pzt: Piezoelectric
+    pieces: list[Piece], order: float, pzt: Piezoelectric
 ) -> None:
     # The section turned about an axis at a distance R, per length 2 pi R: off by 1 / R. A section that is its own
     # mirror image cannot tell on which side the axis is, so that only even powers of 1 / R are left.
