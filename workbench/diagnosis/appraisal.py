@@ -170,7 +170,8 @@ def _place(found: Alternative) -> SuspectPlace:
 
 
 def _fit(state: DeviceState, impedance: Complex) -> StateFit:
-    return state_fit(state.name, log_ratio(impedance, state.measured.impedance), impedance, state.noise)
+    return state_fit(state.name, log_ratio(impedance, state.measured.impedance), impedance, state.noise,
+                     data=state.data)
 
 
 def _fits(model: Model, refit: Refitted) -> tuple[StateFit, ...]:

@@ -337,7 +337,7 @@ class Likelihood:
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
         """The states of the recordings."""
-        of = {state.name: state for state in self.model.campaign.states}
+        of = {state.name: state for state in self.model.campaign.recorded}
         return tuple(of[recording.name] for recording in self.objective.recordings)
 
     @cached_property
