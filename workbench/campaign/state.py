@@ -126,6 +126,12 @@ def state_fit(name: str, log: Complex, impedance: Complex, noise: Real, *, data:
                     correlation_length(log / noise), impedance)
 
 
+def rms_of_impedance(states: Sequence[DeviceState], log: Sequence[Complex]) -> float:
+    """The rms of ln(Z / Z_measured) (n,) of some states over all points, observations beside Z left out."""
+    squares = [np.abs(each) ** 2 for state, each in zip(states, log, strict=True) if state.observation is None]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
     """The spectrum of a state as it was fitted."""
     return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
