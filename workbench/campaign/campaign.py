@@ -17,7 +17,7 @@
     held_out = true                 # never fitted, only predicted
     columns = "MAP.toml"            # of the recording, where its headings do not say what they are
 
-    [states.filled.observations]    # beside the impedance, at one frequency and drive (`workbench.campaign.observation`)
+    [states.filled.observations]    # beside the impedance (`workbench.campaign.observation`)
     focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }
 
     [known]                         # standard uncertainties, one number in all states

@@ -20,8 +20,8 @@ from workbench.campaign.numbers import DeviceNumbers
 from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.catalogue.effect import Device, Effect
 from workbench.diagnosis.inhomogeneity import waves
-from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.diagnosis.observed import FieldObservable
+from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
     Parameter,

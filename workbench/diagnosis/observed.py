@@ -6,7 +6,7 @@ same system, and the chain rule does the rest: lengths act through the places of
 liquid through force, weight and drag. Shapes that deform the cavity act through the pressure alone.
 
 - focusing time: seconds from 90 to 10 % of a quarter wavelength above the deepest trap
-  (`workbench.acoustics.traps.focus_time`);
+  (`workbench.acoustics.traps.focus_time`), also where that begins a little above the lid;
 - temperature rate: K/s of the mean of the whole chip at switch-on, the electrical input power over the heat capacity.
 """
 
@@ -44,6 +44,12 @@ Complex = NDArray[np.complex128]
 FIGURES = {FOCUSING_TIME: "focus_time", TEMPERATURE_RATE: "power"}
 
 
+#: Share of the cavity's height by which the way that is timed may begin above the lid, where the force goes on along
+#: its tangent. Without it the time would end at a height of nine tenths of half a wavelength, which a search has to
+#: cross. Doubled, the tangent would be followed for a fifth of the height.
+BEYOND_LID = 0.1
+
+
 class NotObservable(ValueError):
     """A field in which there is nothing to observe, such as a particle that does not get to the trap."""
 
@@ -77,7 +83,8 @@ class FieldObservable:
         # The derivatives by real parts, then those by imaginary parts.
         question = Question((figure,), (*keys, *(key + LOSS for key in keys)), values,
                             Operation(observation.drive, observation.frequency), cavity, "there is no fluid",
-                            None if cavity is None else self._pressure(cavity, None if self.full else model.basis))
+                            None if cavity is None else self._pressure(cavity, None if self.full else model.basis),
+                            BEYOND_LID)
         system = FullSystem(model.full, values) if self.full else ReducedSystem(model.operators, values)
         found = answer(question, system, np.zeros(0), np.zeros(0, dtype=complex))
         if figure not in found.figures:
@@ -92,9 +99,10 @@ class FieldObservable:
     def _pressure(cavity: Cavity, basis: Real | None) -> Callable[[Complex], Complex]:
         """The pressure at the cavity's nodes of full states (size, k), or of states (r, k) on a basis (size, r)."""
         if basis is None:
-            return lambda states: np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows]
+            return lambda states: np.asarray(np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows],
+                                             dtype=np.complex128)
         rows = cavity.pressure_rows(basis)
-        return lambda states: rows @ states
+        return lambda states: np.asarray(rows @ states, dtype=np.complex128)
 
     def _cavity(self, operators: FullOperators, values: Mapping[str, complex]) -> Cavity:
         for mesh, names, cavity in self.known:

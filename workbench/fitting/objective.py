@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from geometry.stretch import canonical_names
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fitting.fit_recording import OF_STATES
+from workbench.fitting.fit_recording import CORNERS, OF_STATES
 from workbench.fitting.fit_recording import FitRecording as FitRecording
 from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
@@ -162,6 +162,8 @@ class Objective:
                 within = min(tolerance, OF_STATES)
             made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]), moves,
                                tolerance=within, draws=len(moves) if observes else DRAWS)
+            if observes:
+                made = made.neumann_enriched(_corners(made.values, moves), within)
             return made if enriches else made.without_factors()
 
         own = self if only is None else self._acting(x, only)
@@ -471,6 +473,13 @@ def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], know
     like = known[key]
     return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
                                               values={**like.values, **problem.values}))
+
+
+def _corners(values: Mapping[str, complex], moves: Mapping[str, float]) -> list[dict[str, complex]]:
+    """Some places where all values have moved by as much as is expected, in directions that are drawn."""
+    signs = np.random.default_rng(1).choice([-1.0, 1.0], (CORNERS, len(moves)))
+    return [{**values, **{name: values[name] + sign * moves[name] for sign, name in zip(row, moves, strict=True)}}
+            for row in signs]
 
 
 def _keys(moved: Sequence[tuple[int, Parameter, str]], scaled: Sequence[tuple[int, str, float]]) -> tuple[str, ...]:

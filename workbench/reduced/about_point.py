@@ -105,8 +105,8 @@ def local_basis(
 
     From full solves at `nodes` of Chebyshev's frequencies, and then where the estimated error about `values` is
     largest: the states with their neighbours in frequency, and how so many `draws` of the `moves` of the complex
-    parameters, as many as there are at most, change them. It is truncated to what an error of Z of `tolerance` (relative) needs. Whether that is enough
-    elsewhere, :meth:`ReducedModel.error` says.
+    parameters, as many as there are at most, change them. It is truncated to what an error of Z of `tolerance`
+    (relative) needs. Whether that is enough elsewhere, :meth:`ReducedModel.error` says.
 
     Raises:
         NotConverged: a full solve that failed, or an unknown without any energy.

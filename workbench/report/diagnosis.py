@@ -127,13 +127,15 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         provisional.append(("Provisional", ["What explains best of what was looked at. What was not may explain as "
                                             "much, or more.", established_table(so_far)]))
     cut = "" if so_far is None else ", as far as it went"
+    observations: list[tuple[str, Sequence[Block]]] = []
+    if any(state.observation for state in found.states):
+        observations.append(("Observed beside the impedance", ["Each is one datum with its stated uncertainty, weighed "
+                                                               "like a recording.", observations_table(found)]))
     sections: Sequence[tuple[str, Sequence[Block]]] = [
         ("What was found" if so_far is None else "Not finished", first), *rest, *provisional,
         ("Before and after", [f"{LEFT[0].upper()}{LEFT[1:]}.", *_beyond(found), remainder_table(found),
                               *_pictures(found, folder)]),
-        *([("Observed beside the impedance", ["Each is one datum with its stated uncertainty, weighed like a "
-                                              "recording.", observations_table(found)])]
-          if any(state.observation for state in found.states) else []),
+        *observations,
         ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
                                      _taken(found.campaign)]),
         (f"Odds of the hypotheses{cut}", [
