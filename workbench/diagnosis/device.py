@@ -20,6 +20,7 @@ from workbench.campaign.numbers import DeviceNumbers
 from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.catalogue.effect import Device, Effect
 from workbench.diagnosis.inhomogeneity import waves
+from workbench.diagnosis.observed import FieldObservable
 from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
@@ -254,8 +255,14 @@ def _recordings(
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
-    return [FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured, chip)
-            for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)]
+    found = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured,
+                                      chip)
+             for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
+    # An observation is one more recording of the problem of its state.
+    observed = [(state, each) for state in campaign.recorded if (each := state.observation) is not None]
+    return [*found.values(), *(replace(
+        found[each.state], name=state.name, measured=state.measured, state=each.state,
+        observable=FieldObservable(each, state.device)) for state, each in observed)]
 
 
 def _lines(

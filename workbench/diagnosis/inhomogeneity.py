@@ -63,6 +63,10 @@ def predicted_recordings(objective: Objective, x: Real) -> list[PredictedRecordi
     found: list[PredictedRecording] = []
     known: list[tuple[Prediction, FullOperators, Complex]] = []
     for k in range(len(objective.predictors)):
+        if objective.recordings[k].observable is not None:
+            found.append(PredictedRecording(objective.recordings[k].measured.frequency, objective.predictors[k].every,
+                                            np.zeros((3, 0, 1), dtype=complex)))
+            continue
         _, _, prediction = objective.predict(x, k, ())
         same = next((each for each in known if each[0].solution is prediction.solution), None)
         if same is None:
@@ -118,6 +122,9 @@ def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -
     columns: dict[Key, Complex] = {}
     ends = np.cumsum([0, *sizes]).tolist()
     for each, recording, low, high in zip(every, objective.recordings, ends[:-1], ends[1:], strict=True):
+        if recording.observable is not None:
+            # Its stated uncertainty is far above the changes of a field by parts that are nearly homogeneous.
+            continue
         frequency = recording.measured.frequency
         found = dict(_of_recording(each, recording.problem.materials, float(np.mean(frequency[[0, -1]]))))
         slopes = np.stack(list(found.values()), axis=1)

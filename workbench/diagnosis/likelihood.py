@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.campaign.state import DeviceState, data_rows
+from workbench.campaign.state import DeviceState, data_rows, rms_of_impedance
 from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_over_blocks, over_scales
@@ -294,7 +294,7 @@ class Explanation:
     @property
     def rms(self) -> float:
         """The rms of ln(Z_model / Z_measured) over all points."""
-        return float(np.sqrt(np.mean(np.abs(np.concatenate(self.log_ratio)) ** 2)))
+        return rms_of_impedance(self.weighting.states, self.log_ratio)
 
     @property
     def chi_square(self) -> float:
@@ -337,7 +337,7 @@ class Likelihood:
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
         """The states of the recordings."""
-        of = {state.name: state for state in self.model.campaign.states}
+        of = {state.name: state for state in self.model.campaign.recorded}
         return tuple(of[recording.name] for recording in self.objective.recordings)
 
     @cached_property

@@ -226,5 +226,7 @@ def _bodies(objective: Objective, count: int) -> list[list[int]]:
     """The first `count` recordings, by index, of each body."""
     bodies: dict[object, list[int]] = {}
     for index, predictor in enumerate(objective.predictors[:count]):
-        bodies.setdefault(predictor, []).append(index)
+        # A mode is one of the admittance: what was observed beside it has none.
+        if objective.recordings[index].observable is None:
+            bodies.setdefault(predictor, []).append(index)
     return list(bodies.values())
