@@ -190,14 +190,21 @@ def device_model(
                  dict(enumerate(uneven, first)))
 
 
+def inhomogeneities(campaign: Campaign) -> tuple[float, ...]:
+    """The sizes of the inhomogeneity that are averaged over, ascending: the one that the campaign states, if it does.
+    """
+    stated = campaign.inhomogeneity
+    return tuple(map(float, INHOMOGENEITIES)) if stated is None else (stated,)
+
+
 def _waves(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
     """The waves in the transducer, each with its amplitude, of the largest inhomogeneity that is averaged over."""
-    if campaign.inhomogeneity == 0.0:
+    size = inhomogeneities(campaign)[-1]
+    if not size:
         return {}
-    size = campaign.inhomogeneity or float(INHOMOGENEITIES[-1])
-    highest = max(campaign.states, key=lambda state: float(np.mean(state.measured.frequency[[0, -1]])))
+    middle, highest = max((float(np.mean(state.measured.frequency[[0, -1]])), state.name) for state in campaign.states)
     found = {}
-    for wave, deviation in waves(problems[highest.name], float(np.mean(highest.measured.frequency[[0, -1]]))):
+    for wave, deviation in waves(problems[highest], middle):
         own = size * deviation
         found[wave] = Parameter(wave.amplitude, 0.0, -REACH * own, REACH * own, Stated(own), "1", nuisance=True)
     return found

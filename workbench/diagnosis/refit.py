@@ -96,7 +96,8 @@ def _with_states_held_out(
     found = replace(found, local=replace(found.local, parts=parts[:found.local.residual.size]))
     refitted = Refitted(found)
     if held is not None:
-        there = held if found.x is found.likeliest else _held_out(models, found, found.x) or held
+        there = held if found.x is found.likeliest else _held_out(models, found, found.x)
+        assert there is not None
         refitted = Refitted(found, with_held_out(held, found, parts), tuple(there.impedances(found.x)))
     if found.weighting.largest > CONSPICUOUS and not is_behind:
         refitted = replace(refitted, alternatives=tuple(alternatives(every, found, uneven)))

@@ -233,12 +233,9 @@ class System:
         groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
+    @cached_property
     def group_matrices(self) -> list[sparse.csr_matrix]:
         """Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
-        return self._matrices
-
-    @cached_property
-    def _matrices(self) -> list[sparse.csr_matrix]:
         pattern = self.operators.pattern
         return [sparse.csr_matrix((entries, pattern.indices[where], np.searchsorted(where, pattern.indptr)),
                                   shape=pattern.shape) for where, entries in self._entries]

@@ -71,7 +71,7 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     """
     factors = system.factors(np.array([frequency]))[:, 0]
     total = sparse.csr_matrix(system.operators.pattern.shape)
-    for factor, matrix in zip(factors, system.group_matrices(), strict=True):
+    for factor, matrix in zip(factors, system.group_matrices, strict=True):
         sign, row = np.sign((factor * matrix.diagonal()).real), np.repeat(
             np.arange(matrix.shape[0]), np.diff(matrix.indptr))
         alike = sign[matrix.indices] == sign[row]

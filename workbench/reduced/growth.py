@@ -141,7 +141,7 @@ class TrialBasis:
         left = np.column_stack([before, lift, new, self.model.test]).T
         old, count = before.shape[1], new.shape[1]
         order = np.r_[:old, old + 1 : old + 1 + count, old]
-        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.group_matrices()])
+        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.group_matrices])
         cross, own_part, seen = np.split(images, [old + 1, old + 1 + count], axis=1)
         inner = np.concatenate([np.concatenate([self.inner, cross], axis=2),
                                 np.concatenate([cross.transpose(0, 2, 1), own_part], axis=2)], axis=1)
