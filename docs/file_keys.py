@@ -103,6 +103,8 @@ CAMPAIGN: Mapping[str, Mapping[str, str]] = {
         "held_out": "`true`: never fitted, only predicted",
         "columns": "a column map, where the recording's headings do not say what they are",
         "known": "what this state alone adds, by name as in `[known]`",
+        "observations": "beside the impedance, by name: `focusing_time` (s), `temperature_rate` (K/s at switch-on, of "
+                        "the whole chip), each with `value`, `uncertainty` (relative), `drive` and `frequency`",
     },
     "`[known]`, `[states.NAME.known]`": {},
     "`[between]`": {

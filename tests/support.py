@@ -5,16 +5,19 @@ from __future__ import annotations
 import copy
 import io
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.special import j0, j1
 
 from geometry.chip import Chip
 from geometry.dimension import Dimension
@@ -22,6 +25,7 @@ from geometry.mesh import SectionMesh
 from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.acoustics.nodal import NodalMesh, mesh_of
 from workbench.commands.terminal import table_parts
 from workbench.design.uncertainty import Uncertainty
 from workbench.fem.operators import FullOperators
@@ -29,6 +33,7 @@ from workbench.fem.solve import Solution, System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import Number
+from workbench.model.particles import compressibility
 from workbench.physics.term import Condition, Term
 from workbench.report.page import TextTable
 
@@ -79,6 +84,15 @@ role = "superstrate"
 material = "pmma"
 thickness = "1 mm"
 radius = "3 mm"
+"""
+#: Such a chip about the half wave of its cavity, with a particle in water.
+CELL = DISC.replace("small disc", "small cell").replace('"300 kHz", "450 kHz"', '"0.9 MHz", "1.1 MHz"') + (
+    CAVITY_LAYERS) + """
+[states.filled]
+cavity = "water"
+temperature = "20 degC"
+particle = "polystyrene"
+particle_radius = "5 um"
 """
 
 
@@ -275,3 +289,23 @@ def with_fields(value: Any, **changes: Any) -> Any:
     found = copy.copy(value)
     found.__dict__.update(changes)
     return found
+
+
+def standing_wave(mesh: NodalMesh, fluid: FluidState, *, k_z: float, radial: float, p0: float) -> Any:
+    """What particle_forces reads of a Fields: p = p0 J0(k_r r) cos(k_z z), with k_r = `radial`, on a mesh of fluid."""
+    omega = math.hypot(k_z, radial) * fluid.sound_speed
+    r, z = mesh.points.T
+    slope = np.stack([-radial * j1(radial * r) * np.cos(k_z * z), -k_z * j0(radial * r) * np.sin(k_z * z)], axis=1)
+    pressure = p0 * (j0(radial * r) * np.cos(k_z * z)).astype(complex)
+    velocity = p0 * slope / (1j * omega * fluid.density)
+    kinetic = fluid.density * (np.abs(velocity) ** 2).sum(axis=1) / 4
+    return SimpleNamespace(
+        mesh=mesh, frequency=omega / (2 * math.pi), voltage=2.5 + 0j, drive="test drive", pressure=pressure,
+        velocity=velocity, energy_density=np.abs(pressure) ** 2 * compressibility(fluid) / 4 + kinetic)
+
+
+def block_mesh(r_lines: Any, z_lines: Any, order: int) -> NodalMesh:
+    """The nodes of a cavity of rectangular cells between lines (m) along r and z."""
+    low, high = (np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+                 for r, z in ((r_lines[:-1], z_lines[:-1]), (r_lines[1:], z_lines[1:])))
+    return mesh_of(low, high, np.zeros(len(low), int), ("cavity",), order=order)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import CAVITY_LAYERS, DISC, check_report, standard_json
+from support import CELL, check_report, standard_json
 
 import workbench as wb
 from workbench.acoustics.trajectories import Fate
@@ -20,15 +20,6 @@ from workbench.render import beads
 from workbench.simulation.beads import carrier_of, trajectories, with_particle
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
-
-CELL = DISC.replace("small disc", "small cell").replace('"300 kHz", "450 kHz"', '"0.9 MHz", "1.1 MHz"') + (
-    CAVITY_LAYERS) + """
-[states.filled]
-cavity = "water"
-temperature = "20 degC"
-particle = "polystyrene"
-particle_radius = "5 um"
-"""
 
 
 @pytest.fixture(autouse=True)

@@ -40,7 +40,7 @@ SMALL, LARGE = (Effect(name, "bench", "bench", "", (Parameter(name, 0.0, -1.0, 1
                 for name in ("small", "large"))
 PARAMETERS = (*SMALL.parameters, *LARGE.parameters)
 #: The one state: twenty points of unit noise.
-STATE: Any = SimpleNamespace(name="disc", noise=np.ones(20))
+STATE: Any = SimpleNamespace(name="disc", noise=np.ones(20), observation=None)
 MODEL: Any = SimpleNamespace(
     effects=(SMALL, LARGE), parameters=PARAMETERS, known=0, hypotheses=4, index=[p.name for p in PARAMETERS].index,
     campaign=SimpleNamespace(fitted=(STATE,)), free=lambda _effects: ([0, 1], []),

@@ -126,7 +126,7 @@ def test_an_alternative_beside_an_explanation_gains_what_it_was_said_to() -> Non
 
 def test_weights_are_the_information_of_each_row() -> None:
     """Twice the noise, and five neighbours to one: a twentieth of the information, whatever it was before."""
-    state: Any = SimpleNamespace(name="disc", noise=np.full(DATA // 2, 0.01))
+    state: Any = SimpleNamespace(name="disc", noise=np.full(DATA // 2, 0.01), observation=None)
     weighting = Weighting((state,), np.array([2.0]), np.array([5.0]))
     local = random_problem(0)
     found = made_explanation(local, np.zeros(local.offset.size), states=(state,)).weighted(weighting)

@@ -19,7 +19,8 @@ NOISE = 0.003
 
 def states(*points: int) -> tuple[Any, ...]:
     """States of so many points each."""
-    return tuple(SimpleNamespace(name=f"state {k}", noise=np.full(count, NOISE)) for k, count in enumerate(points))
+    return tuple(SimpleNamespace(name=f"state {k}", noise=np.full(count, NOISE), observation=None)
+                 for k, count in enumerate(points))
 
 
 def left(points: int, times: float = 1.0, *, correlation: float = 0.0, seed: int = 0) -> Complex:

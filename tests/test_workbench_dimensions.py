@@ -80,7 +80,7 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
 
 @pytest.fixture(scope="module")
 def problem(chip: Chip) -> Problem:
-    found = build(fill(chip, "filled", Registry()), accuracy=quadratic(3.0))
+    found = build(fill(chip, "filled", Registry(inviscid=True)), accuracy=quadratic(3.0))
     water = found.materials["cavity"]
     walls = [b for b in found.mesh.section.boundary_names() if "cavity" in b.split("|")]
     layers = tuple(ViscousBoundaryLayer(wall, next(side for side in wall.split("|") if side != "cavity"), "cavity",

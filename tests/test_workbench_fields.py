@@ -40,7 +40,7 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
     fine = Discretisation(4, elements, corner_refinement=0.1, growth=3.0)
-    problem = build(fill(chip, chip.states[-1].name, Registry()), accuracy=fine)
+    problem = build(fill(chip, chip.states[-1].name, Registry(inviscid=True)), accuracy=fine)
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 

@@ -7,22 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support import CAVITY_LAYERS, DISC
+from support import CELL
 
 import workbench as wb
 from geometry.chip import parse_chip
 from workbench.acoustics import heat
 from workbench.files.errors import InputError
 from workbench.simulation.liquid_motion import liquid_motion
-
-CELL = DISC.replace("small disc", "small cell").replace('"300 kHz", "450 kHz"', '"0.9 MHz", "1.1 MHz"') + (
-    CAVITY_LAYERS) + """
-[states.filled]
-cavity = "water"
-temperature = "20 degC"
-particle = "polystyrene"
-particle_radius = "5 um"
-"""
 
 
 @cache

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import j0, j1
-from support import FluidState
+from support import FluidState, block_mesh, standing_wave
 
 from materials import Fluid
 from workbench.acoustics.forces import ParticleForces, axial_focus_time, force_at, particle_forces
-from workbench.acoustics.nodal import NodalMesh, gradient, interpolate, mesh_of
+from workbench.acoustics.nodal import gradient, interpolate
 from workbench.acoustics.radiation import (
     acoustic_energy_density,
     gorkov_potential,
@@ -47,12 +47,6 @@ def bead(radius: float = 5e-6) -> Particle:
     return Particle(name="polystyrene", radius=radius, density=1050.0, compressibility=KAPPA)
 
 
-def block(r_lines: Any, z_lines: Any, order: int) -> NodalMesh:
-    low, high = (np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
-                 for r, z in ((r_lines[:-1], z_lines[:-1]), (r_lines[1:], z_lines[1:])))
-    return mesh_of(low, high, np.zeros(len(low), int), ("cavity",), order=order)
-
-
 def cylinder_mode(
     cells_across: int = 3, *, half_waves: int = 1, radial: float = 666.0, p0: float = 1e5, order: int = 4
 ) -> Any:
@@ -60,18 +54,8 @@ def cylinder_mode(
 
     By default there are six cells to a wavelength of sound along z.
     """
-    mesh = block(np.linspace(0.0, 4e-3, 5 * cells_across), np.linspace(0.0, HEIGHT, cells_across + 1), order)
-    k_z = half_waves * math.pi / HEIGHT
-    omega = math.hypot(k_z, radial) * WATER.sound_speed
-    r, z = mesh.points.T
-    slope = np.stack([-radial * j1(radial * r) * np.cos(k_z * z), -k_z * j0(radial * r) * np.sin(k_z * z)], axis=1)
-    pressure = p0 * (j0(radial * r) * np.cos(k_z * z)).astype(complex)
-    velocity = p0 * slope / (1j * omega * WATER.density)
-    kinetic = WATER.density * (np.abs(velocity) ** 2).sum(axis=1) / 4
-    return SimpleNamespace(
-        mesh=mesh, frequency=omega / (2 * math.pi), voltage=2.5 + 0j, drive="test drive", pressure=pressure,
-        velocity=velocity, energy_density=np.abs(pressure) ** 2 * compressibility(WATER) / 4 + kinetic,
-    )
+    mesh = block_mesh(np.linspace(0.0, 4e-3, 5 * cells_across), np.linspace(0.0, HEIGHT, cells_across + 1), order)
+    return standing_wave(mesh, WATER, k_z=half_waves * math.pi / HEIGHT, radial=radial, p0=p0)
 
 
 def forces_in(fields: Any, particle: Particle | None = None, **changes: Any) -> ParticleForces:

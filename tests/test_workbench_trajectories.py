@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.special import j0, j1
 from scipy.stats import kstest
-from support import FluidState
+from support import FluidState, block_mesh, standing_wave
 
 from materials import Registry
 from workbench.acoustics import motion, rosenbrock
@@ -20,14 +18,14 @@ from workbench.acoustics.captures import Window, arrived_share, capture_statisti
 from workbench.acoustics.curved_cells import of_order
 from workbench.acoustics.forces import ParticleForces, particle_forces
 from workbench.acoustics.interpolant import Interpolant
-from workbench.acoustics.nodal import NodalMesh, interpolate, mesh_of
+from workbench.acoustics.nodal import NodalMesh, interpolate
 from workbench.acoustics.particle_velocity import particle_velocity
 from workbench.acoustics.starts import draw_starts
 from workbench.acoustics.trajectories import Fate, Trajectories, follow, record_times
 from workbench.acoustics.traps import TrapReport, find_traps
 from workbench.acoustics.walls import walls_of
 from workbench.files.errors import InputError
-from workbench.model.particles import Particle, compressibility, drag_coefficient, net_weight, particle_from
+from workbench.model.particles import Particle, drag_coefficient, net_weight, particle_from
 
 WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
 KAPPA = 3.0 * (1.0 - 0.35) / ((1.0 + 0.35) * 1050.0 * 2350.0**2)
@@ -44,23 +42,12 @@ NEUTRAL = bead(997.0)
 
 def block(across: int, up: int, order: int = 4) -> NodalMesh:
     r, z = np.linspace(0.0, RADIUS, across + 1), np.linspace(0.0, HEIGHT, up + 1)
-    low, high = (np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
-                 for a, b in ((r[:-1], z[:-1]), (r[1:], z[1:])))
-    return mesh_of(low, high, np.zeros(len(low), int), ("cavity",), order=order)
+    return block_mesh(r, z, order)
 
 
 def half_wave(mesh: NodalMesh, *, radial: float = 0.0, p0: float = 1e5) -> Any:
     """What particle_forces reads of a Fields: p = p0 J0(k_r r) cos(pi z / h), a pressure node at mid-height."""
-    k_z = math.pi / HEIGHT
-    omega = math.hypot(k_z, radial) * WATER.sound_speed
-    r, z = mesh.points.T
-    slope = np.stack([-radial * j1(radial * r) * np.cos(k_z * z), -k_z * j0(radial * r) * np.sin(k_z * z)], axis=1)
-    pressure = p0 * (j0(radial * r) * np.cos(k_z * z)).astype(complex)
-    velocity = p0 * slope / (1j * omega * WATER.density)
-    kinetic = WATER.density * (np.abs(velocity) ** 2).sum(axis=1) / 4
-    energy = np.abs(pressure) ** 2 * compressibility(WATER) / 4 + kinetic
-    return SimpleNamespace(mesh=mesh, frequency=omega / (2 * math.pi), voltage=2.5 + 0j, drive="test drive",
-                           pressure=pressure, velocity=velocity, energy_density=energy)
+    return standing_wave(mesh, WATER, k_z=math.pi / HEIGHT, radial=radial, p0=p0)
 
 
 def report_of(particle: Particle, *, across: int = 14, up: int = 6, **wave: float) -> TrapReport:

@@ -35,6 +35,9 @@ ALONG = (0.12 - 0.20j, 0.10 + 0.15j, -0.15 + 0.05j)
 #: Length in m that the resolved side counts in, since the mesh's own maps are solved to an absolute tolerance. With
 #: velocities in m/s, times are in units of it too.
 UNIT = 1e-4
+#: Order of the resolved velocity. The drift in the layer is 500 times as fast as the flow that is compared: with order
+#: 5 on as many unknowns a tenth of the flow is error.
+ORDER = 7
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -56,13 +59,13 @@ def wall_motion(points: Real) -> Complex:
 
 def towards(low: float, high: float, layer: float, coarse: int, *, both: bool) -> Real:
     """Lines from `low` to `high` that close in on the upper end, or on both."""
-    near = np.cumsum([0.0, 0.35, 0.5, 0.8, 1.2, 2.0, 3.5, 7.0, 14.0]) * layer
+    near = np.cumsum([0.0, 0.4, 0.8, 1.3, 2.0, 3.2, 6.0, 12.0]) * layer
     inner = np.linspace(low + (near[-1] if both else 0.0), high - near[-1], coarse + 1)
     return np.concatenate([low + near[:-1] if both else [], inner, high - near[-2::-1]])
 
 
 class Resolved:
-    """The viscous liquid on a mesh that reaches into the layers: velocity of order 5, pressure of order 4."""
+    """The viscous liquid on a mesh that reaches into the layers: velocity of :data:`ORDER`, pressure of one less."""
 
     def __init__(self, fluid: Fluid, layer: float, coarse: int = 5) -> None:
         self.fluid = fluid
@@ -74,8 +77,9 @@ class Resolved:
         assert fluid.shear_viscosity is not None
         assert fluid.bulk_viscosity is not None
         self.shear, self.bulk = fluid.shear_viscosity / UNIT, fluid.bulk_viscosity / UNIT
-        self.u, self.p = (skfem.Basis(mesh, Lagrange(k), intorder=16) for k in (5, 4))
-        self._at_nodes = skfem.Basis(mesh, Lagrange(5), quadrature=(Lagrange(5).doflocs.T, np.ones(36)))
+        self.u, self.p = (skfem.Basis(mesh, Lagrange(k), intorder=3 * ORDER + 1) for k in (ORDER, ORDER - 1))
+        self._at_nodes = skfem.Basis(mesh, Lagrange(ORDER), quadrature=(Lagrange(ORDER).doflocs.T,
+                                                                          np.ones((ORDER + 1)**2)))
         r, z = self.u.doflocs * UNIT
         self.wall = (r > RADIUS - 1e-12) | (z < 1e-12) | (z > HEIGHT - 1e-12)
         self.axis = r < 1e-12
@@ -139,15 +143,20 @@ class Resolved:
     def _second_order(self) -> Real:
         """The mean velocity of the liquid itself, flow plus drift (2, N)."""
         viscous, divergence = self._operators()
-        v = [self.u.interpolate(component) for component in self.velocity]
-        v = [np.asarray(each) for each in v]
+        v = [np.asarray(self.u.interpolate(component)) for component in self.velocity]
+        # The pressure of the mean flow is little more than that of the sound alone, -potential. What the elements leave
+        # of it would drive a flow, so that it is taken off exactly.
+        parts = [self.p.interpolate(part) for part in (self.pressure.real, self.pressure.imag)]
+        potential = sum(0.25 * (np.asarray(part.grad)**2).sum(axis=0) / (DENSITY * self.omega**2)
+                        - 0.25 * np.asarray(part)**2 / (DENSITY * SPEED**2) for part in parts)
         load = []
         for i in range(2):
-            flux = [0.5 * DENSITY * np.real(v[j].conj() * v[i]) for j in range(2)]
-            load.append(skfem.LinearForm(lambda w, x, f=flux: (f[0] * grad(w)[0] + f[1] * grad(w)[1]) * x.x[0])
-                        .assemble(self.u))
+            flux = [0.5 * DENSITY * np.real(v[j].conj() * v[i]) - potential * (i == j) for j in range(2)]
+            hoop = -potential if i == 0 else 0.0 * potential
+            load.append(skfem.LinearForm(lambda w, x, f=flux, h=hoop: (
+                f[0] * grad(w)[0] + f[1] * grad(w)[1]) * x.x[0] + h * w).assemble(self.u))
         # div <rho1 v>, of which rho1 div v is a quarter of a period off.
-        slopes = [self.p.interpolate(part).grad / SPEED**2 for part in (self.pressure.real, self.pressure.imag)]
+        slopes = [part.grad / SPEED**2 for part in parts]
         outflow = sum(0.5 * np.real((slopes[0][i] - 1j * slopes[1][i]) * v[i]) for i in range(2)) / DENSITY
         source = -skfem.LinearForm(lambda q, x: outflow * q * x.x[0]).assemble(self.p)
         drift = self._drift()
@@ -188,20 +197,28 @@ def with_slip(resolved: Resolved, order: int = 8) -> Streaming:
     return acoustic_streaming(made, fluid=resolved.fluid, region="cavity")
 
 
-def difference(layer: float) -> tuple[float, float]:
-    """Root mean square difference in the bulk relative to the flow, and the flow (m/s)."""
+def difference(layer: float) -> float:
+    """Root mean square difference of the flow outside the layers, relative to the flow."""
     resolved = Resolved(liquid(layer), layer)
     found = with_slip(resolved)
-    r = np.linspace(0.02, 0.98, 25) * (RADIUS - 6.0 * layer)
-    z = 6.0 * layer + np.linspace(0.02, 0.98, 25) * (HEIGHT - 12.0 * layer)
+    edge = 15.0 * LAYERS[0]
+    r, z = (edge * start + np.linspace(0.02, 0.98, 25) * (size - edge * (1 + start))
+            for start, size in ((0, RADIUS), (1, HEIGHT)))
     points = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
     expected = resolved.carried(points)
     actual = interpolate(found.mesh, found.carrier_velocity, points, ["cavity"])
-    scale = float(np.sqrt((expected**2).mean()))
-    return float(np.sqrt(((actual - expected)**2).mean())) / scale, scale
+    return float(np.sqrt(((actual - expected)**2).mean() / (expected**2).mean()))
+
+
+#: Thicknesses of the layer in m: 0.27 and 0.13 % of the height. In the chips of the package it is 0.07 %.
+LAYERS = (1.6e-6, 0.8e-6)
 
 
 @pytest.mark.slow
 def test_the_flow_is_that_of_a_resolved_layer() -> None:
-    errors = [difference(layer)[0] for layer in (4e-6, 2e-6, 1e-6)]
-    print(errors)
+    errors = [difference(layer) for layer in LAYERS]
+    print("difference " + ", ".join(f"{100.0 * error:.2f} % with a layer of {1e6 * layer:.2g} um"
+                                    for layer, error in zip(LAYERS, errors, strict=True)))
+    # To leading order in layer over height: 3.7 and 1.85 %.
+    assert errors[1] < 0.02
+    assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.15)

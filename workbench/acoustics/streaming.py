@@ -23,6 +23,7 @@ from workbench.acoustics.fields import Fields
 from workbench.acoustics.flow_forces import TemperatureSlopes, absorption_force, thermoacoustic_force
 from workbench.acoustics.flow_walls import FlowBorder, WallSlip, flow_border, raised_edges
 from workbench.acoustics.forces import Excitation, excitation_of
+from workbench.acoustics.heat import peclet_number
 from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, gradient, integrate, raised, transfer
 from workbench.acoustics.slip import WallEdges, slip_velocity, stokes_drift, wall_edges, wall_fields
 from workbench.acoustics.stokes import StokesSolver
@@ -98,8 +99,7 @@ class Streaming(Brief):
         fluid = self.fluid
         if fluid.thermal_conductivity is None or fluid.heat_capacity is None:
             return None
-        diffusivity = fluid.thermal_conductivity / (fluid.density * fluid.heat_capacity)
-        return self.largest_speed * self.height / diffusivity
+        return peclet_number(fluid, self.largest_speed, self.height)
 
     def __str__(self) -> str:
         parts = ", ".join(f"{name} {1e6 * self.rms_of(each):.3g}" for name, each in self.causes.items())

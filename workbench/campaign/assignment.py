@@ -25,7 +25,8 @@ def check_assignment(campaign: Campaign, stated: Sequence[StateFit]) -> None:
     Raises:
         InputError: two are exchanged; it gives the residuals of both states, as they are and exchanged.
     """
-    for one, other in itertools.combinations(zip(campaign.fitted, stated, strict=True), 2):
+    recordings = [each for each in zip(campaign.fitted, stated, strict=True) if each[0].observation is None]
+    for one, other in itertools.combinations(recordings, 2):
         # Of the recording of `other`, and of that of `one`.
         crossed = _rms(*one, other[0]), _rms(*other, one[0])
         if crossed[0] < EXCHANGED * other[1].rms and crossed[1] < EXCHANGED * one[1].rms:

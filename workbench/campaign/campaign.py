@@ -17,6 +17,9 @@
     held_out = true                 # never fitted, only predicted
     columns = "MAP.toml"            # of the recording, where its headings do not say what they are
 
+    [states.filled.observations]    # beside the impedance (`workbench.campaign.observation`)
+    focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }
+
     [known]                         # standard uncertainties, one number in all states
     "pla/acevedo_2026.shear_modulus" = "3 %"
     "couplant.thickness" = "5 um"
@@ -150,13 +153,20 @@ class Campaign(Brief):
                 found[chosen] = (*found.get(chosen, ()), name)
         return found
 
-    @property
-    def fitted(self) -> tuple[DeviceState, ...]:
-        return tuple(state for state in self.states if not state.held_out)
+    @cached_property
+    def recorded(self) -> tuple[DeviceState, ...]:
+        """The states with their recordings, and after them those that stand for an observation of one of them."""
+        return (*self.states, *(each for state in self.states for each in state.observed))
 
-    @property
+    @cached_property
+    def fitted(self) -> tuple[DeviceState, ...]:
+        """Those of :attr:`recorded` that are fitted."""
+        return tuple(state for state in self.recorded if not state.held_out)
+
+    @cached_property
     def held_out(self) -> tuple[DeviceState, ...]:
-        return tuple(state for state in self.states if state.held_out)
+        """Those of :attr:`recorded` that are predicted only."""
+        return tuple(state for state in self.recorded if state.held_out)
 
 
 def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Campaign:

@@ -16,6 +16,7 @@ from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
+from workbench.campaign.observation import Observation, read_observations
 from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
@@ -25,13 +26,15 @@ from workbench.model.device_numbers import bench_number, device_numbers
 from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
+from workbench.results.observed_value import ObservedValue
 from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Keys of a state in a campaign file; ``known`` is read together with that of the other states.
-STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known")
+STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known",
+              "observations")
 
 
 #: Relative standard deviation of a point above which a recording says nothing of a device, and something else is meant.
@@ -46,7 +49,9 @@ class DeviceState:
     ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
     electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
     point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
-    does).
+    does). ``observations`` are its observations beside the impedance. A state that stands for one of these has it as
+    ``observation``, its value as ``measured`` and the uncertainty as ``noise``, which is the state's whose name
+    the observation has.
     """
 
     name: str
@@ -57,12 +62,27 @@ class DeviceState:
     drive: float | None = None
     temperature: float | None = None
     held_out: bool = False
+    observations: tuple[Observation, ...] = ()
+    observation: Observation | None = None
+
+    @cached_property
+    def observed(self) -> tuple[DeviceState, ...]:
+        """The states that stand for its observations."""
+        return tuple(
+            replace(self, name=each.name, measured=ObservedValue(np.array([each.frequency]), np.array([each.value])),
+                    noise=np.array([each.uncertainty]), stated=True, drive=None, observations=(), observation=each)
+            for each in self.observations)
 
     @cached_property
     def numbers(self) -> Mapping[str, Number]:
         """The numbers of the device in this state and of the bench, by each of their names."""
         found = (*device_numbers(self.chip, self.materials.values()).values(), *map(bench_number, BENCH_ELEMENTS))
         return {name: each for each in found for name in each.names}
+
+    @property
+    def data(self) -> int:
+        """The real data of one point: the two parts of Z, or the one value of an observation."""
+        return 2 if self.observation is None else 1
 
     @property
     def chip(self) -> Chip:
@@ -100,9 +120,16 @@ def data_rows(states: Sequence[DeviceState]) -> list[slice]:
     return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
-def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:
-    return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / 2.0), float(np.sqrt(np.mean(np.abs(log) ** 2))),
+def state_fit(name: str, log: Complex, impedance: Complex, noise: Real, *, data: int = 2) -> StateFit:
+    """A state whose ln(Z_model / Z_measured) (n,) is `log`, each point of so many real `data` (`DeviceState.data`)."""
+    return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / data), float(np.sqrt(np.mean(np.abs(log) ** 2))),
                     correlation_length(log / noise), impedance)
+
+
+def rms_of_impedance(states: Sequence[DeviceState], log: Sequence[Complex]) -> float:
+    """The rms of ln(Z / Z_measured) (n,) of some states over all points, observations beside Z left out."""
+    squares = [np.abs(each) ** 2 for state, each in zip(states, log, strict=True) if state.observation is None]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
@@ -146,7 +173,9 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     if drive is not None and not drive > 0.0:
         raise table.error("drive", "a voltage above zero")
     found = DeviceState(name, device, measured, noise, stated,
-                        None if drive is None else 0.5 * drive, temperature, held_out)
+                        None if drive is None else 0.5 * drive, temperature, held_out,
+                        read_observations(table, name, device, (float(measured.frequency[0]),
+                                                                float(measured.frequency[-1]))))
     if set(device.materials) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
         check_device(in_band(whole, chip, None, name=recording), chip, device.materials, name=recording)

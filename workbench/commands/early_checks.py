@@ -71,7 +71,7 @@ def check_early(options: argparse.Namespace) -> None:
 
 
 def check_motion(options: argparse.Namespace) -> None:
-    """See that `particles` is given a drive, a time and a number of particles, and sizes above zero.
+    """See that `particles` is given a drive, a time and a number of particles, and sizes and convection above zero.
 
     Raises:
         InputError: anything else.
@@ -83,9 +83,11 @@ def check_motion(options: argparse.Namespace) -> None:
         raise InputError("command line", "--minutes", options.minutes, "a time above zero, such as 30")
     if options.count < 1:
         raise InputError("command line", "--count", options.count, "at least one particle, such as 200")
-    for field, text in (("--window", options.window), ("--particle-radius", options.particle_radius)):
-        if text is not None and not parse_quantity(text, "length", source="command line", field=field) > 0.0:
-            raise InputError("command line", field, text, "a length above zero")
+    for field, text, dimension, example in (
+            ("--window", options.window, "length", ""), ("--particle-radius", options.particle_radius, "length", ""),
+            ("--convection", options.convection, "heat transfer coefficient", ', such as "10 W/(m^2 K)"')):
+        if text is not None and not parse_quantity(text, dimension, source="command line", field=field) > 0.0:
+            raise InputError("command line", field, text, f"a {dimension} above zero{example}")
 
 
 def check_diagnosed(options: argparse.Namespace) -> None:

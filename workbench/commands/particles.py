@@ -15,7 +15,7 @@ from workbench.acoustics.trajectories import Trajectories
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import run_state, simulated
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import choose
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.report.page import Picture
@@ -43,12 +43,12 @@ WINDOW = 0.5
 
 def run_particles(options: argparse.Namespace, console: Console) -> int:
     """``workbench particles``: the trajectories of the particles of a state, their pictures, and the report."""
-    radius = _length(options.particle_radius, "--particle-radius")
+    radius = _quantity(options.particle_radius, "length", "--particle-radius")
     chip = with_particle(read_chip(options.chip), options.state, particle=options.particle, radius=radius)
     model = model_options(options, chip)
     device = carrier_of(chip, options.state, model.registry)
-    outer = _length(options.window, "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
-    convection = _convection(options.convection)
+    outer = _quantity(options.window, "length", "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
+    convection = _quantity(options.convection, "heat transfer coefficient", "--convection") or STILL_AIR
     if options.holder is not None:
         choose(options.holder, chip_section(chip).boundary_names(), source="command line", field="--holder")
     window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
@@ -83,20 +83,9 @@ def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
                     accuracy=model.accuracy, progress=partial(simulated, show, name))
 
 
-def _convection(text: str | None) -> float:
-    """The heat transfer coefficient (W/(m^2 K)) that an option states; that of still air without the option."""
-    if text is None:
-        return STILL_AIR
-    found = parse_quantity(text, "heat transfer coefficient", source="command line", field="--convection")
-    if not found > 0.0:
-        raise InputError("command line", "--convection", text, 'a heat transfer coefficient above zero, such as '
-                         '"10 W/(m^2 K)"')
-    return found
-
-
-def _length(text: str | None, field: str) -> float | None:
-    """A length (m) that an option states; None without the option."""
-    return None if text is None else parse_quantity(text, "length", source="command line", field=field)
+def _quantity(text: str | None, dimension: str, field: str) -> float | None:
+    """A quantity (SI) that an option states; None without the option."""
+    return None if text is None else parse_quantity(text, dimension, source="command line", field=field)
 
 
 def _drawn(

@@ -74,7 +74,7 @@ class Question:
 
     ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
     all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states (size,
-    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
+    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why; ``beyond`` as of `trap_focus_time`.
     """
 
     figures: tuple[str, ...]
@@ -84,6 +84,7 @@ class Question:
     cavity: Cavity | None
     reason: str
     pressure: Callable[[Complex], Complex] | None
+    beyond: float = 0.0
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -274,7 +275,7 @@ class _Operating:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
         elif of_trap:
             try:
-                _trap_figures(find_trap(field_there), square, found, missing)
+                _trap_figures(find_trap(field_there), square, found, missing, self.question.beyond)
             except NoTrap as error:
                 missing.update(dict.fromkeys(of_trap, str(error)))
 
@@ -297,12 +298,14 @@ class _Operating:
         return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], surroundings, change, moving)
 
 
-def _trap_figures(trap: FoundTrap, square: Dual, found: dict[str, Dual], missing: dict[str, str]) -> None:
+def _trap_figures(
+    trap: FoundTrap, square: Dual, found: dict[str, Dual], missing: dict[str, str], beyond: float
+) -> None:
     found["trap_height"], found["trap_radius"] = trap.height, trap.radius
     found["trap_offset"] = trap.height - trap.field.around.height * 0.5
     found["trap_depth"] = trap.depth * square
     found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
     try:
-        found["focus_time"] = trap_focus_time(trap, square)
+        found["focus_time"] = trap_focus_time(trap, square, beyond=beyond)
     except NoTrap as error:
         missing["focus_time"] = str(error)

@@ -103,12 +103,14 @@ def find_trap(field: CavityField) -> FoundTrap:
                      moved(0, 2) / around.height**2.0)
 
 
-def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
+def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float = 0.0) -> Dual:
     """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.acoustics.traps.focus_time` has
     them.
 
+    The way may begin above the lid, up to `beyond` as a share of the height: the force goes on there along its tangent.
+
     Raises:
-        NoTrap: the way leaves the cavity, or the force does not lead down all of it.
+        NoTrap: the way leaves the cavity by more, or the force does not lead down all of it.
     """
     field = trap.field
     particle, around = field.cavity.particle, field.around
@@ -116,14 +118,17 @@ def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
     quarter = around.fluid["sound_speed"] / around.frequency * 0.25
     points, weights = leggauss(RULE)
     share = 0.5 * (FROM + TO) + 0.5 * (FROM - TO) * points
-    if trap.height.value + FROM * quarter.value > around.height.value:
+    if trap.height.value + FROM * quarter.value > (1.0 + beyond) * around.height.value:
         raise NoTrap("a quarter wavelength above the deepest trap there is a wall")
     # Weight less buoyancy, as `particles.net_weight`.
     weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY)
     # The shares of the height (points,) and (points, k) of their derivatives.
     base, rise = trap.height / around.height, quarter / around.height
     eta, by_number = base.value + share * rise.value, base.gradient + np.outer(share, rise.gradient)
-    along_xi, along_eta = _along_xi(trap.place[0], field), _along_eta(eta, field)
+    inside = np.minimum(eta, 1.0)
+    along_xi, along_eta = _along_xi(trap.place[0], field), _along_eta(inside, field)
+    # The polynomials and their first derivative along the tangent above the lid.
+    along_eta = np.stack([along_eta[0] + (eta - inside)[:, None] * along_eta[1], along_eta[1]])
     force, gradient = field.coefficients[FORCE], field.gradient[FORCE]
     here = along_xi[0] @ force @ along_eta[0].T
     slopes = np.einsum("n,nmk,pm->pk", along_xi[0], gradient, along_eta[0], optimize=True)

@@ -170,7 +170,8 @@ def _place(found: Alternative) -> SuspectPlace:
 
 
 def _fit(state: DeviceState, impedance: Complex) -> StateFit:
-    return state_fit(state.name, log_ratio(impedance, state.measured.impedance), impedance, state.noise)
+    return state_fit(state.name, log_ratio(impedance, state.measured.impedance), impedance, state.noise,
+                     data=state.data)
 
 
 def _fits(model: Model, refit: Refitted) -> tuple[StateFit, ...]:
@@ -183,7 +184,7 @@ def _fits(model: Model, refit: Refitted) -> tuple[StateFit, ...]:
 def _remainder(
     best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria
 ) -> Remainder:
-    noise = np.concatenate([state.noise for state in best.weighting.states])
+    noise = np.concatenate([state.noise for state in best.weighting.states if state.observation is None])
     evident = [place.region for place in location[:1] if place.evidence > math.log(criteria.accepted)]
     return Remainder(best.rms, math.sqrt(2.0 * float(np.mean(noise**2))), best.weighting.largest,
                      best.scales.inhomogeneity, evident[0] if evident else "")

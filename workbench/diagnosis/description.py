@@ -161,7 +161,7 @@ def _rms(log: Complex) -> float:
 
 
 def _of_state(state: DeviceState, log: Complex, impedance: Complex, share: float | None) -> StateRemainder:
-    fit = state_fit(state.name, log, impedance, state.noise)
+    fit = state_fit(state.name, log, impedance, state.noise, data=state.data)
     return StateRemainder(state.name, fit.rms, math.sqrt(fit.reduced), share)
 
 

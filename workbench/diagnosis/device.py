@@ -21,6 +21,7 @@ from workbench.campaign.numbers import DeviceNumbers
 from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.catalogue.effect import Device, Effect
 from workbench.diagnosis.inhomogeneity import waves
+from workbench.diagnosis.observed import FieldObservable
 from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
@@ -192,14 +193,21 @@ def device_model(
                  dict(enumerate(uneven, first)))
 
 
+def inhomogeneities(campaign: Campaign) -> tuple[float, ...]:
+    """The sizes of the inhomogeneity that are averaged over, ascending: the one that the campaign states, if it does.
+    """
+    stated = campaign.inhomogeneity
+    return tuple(map(float, INHOMOGENEITIES)) if stated is None else (stated,)
+
+
 def _waves(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
     """The waves in the transducer, each with its amplitude, of the largest inhomogeneity that is averaged over."""
-    if campaign.inhomogeneity == 0.0:
+    size = inhomogeneities(campaign)[-1]
+    if not size:
         return {}
-    size = campaign.inhomogeneity or float(INHOMOGENEITIES[-1])
-    highest = max(campaign.states, key=lambda state: float(np.mean(state.measured.frequency[[0, -1]])))
+    middle, highest = max((float(np.mean(state.measured.frequency[[0, -1]])), state.name) for state in campaign.states)
     found = {}
-    for wave, deviation in waves(problems[highest.name], float(np.mean(highest.measured.frequency[[0, -1]]))):
+    for wave, deviation in waves(problems[highest], middle):
         own = size * deviation
         found[wave] = Parameter(wave.amplitude, 0.0, -REACH * own, REACH * own, Stated(own), "1", nuisance=True)
     return found
@@ -257,8 +265,14 @@ def _recordings(
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
-    return [FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured, chip)
-            for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)]
+    found = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured,
+                                      chip)
+             for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
+    # An observation is one more recording of the problem of its state.
+    observed = [(state, each) for state in campaign.recorded if (each := state.observation) is not None]
+    return [*found.values(), *(replace(
+        found[each.state], name=state.name, measured=state.measured, state=each.state,
+        observable=FieldObservable(each, state.device)) for state, each in observed)]
 
 
 def _lines(

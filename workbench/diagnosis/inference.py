@@ -306,7 +306,8 @@ class DiagnosisSearch:
         over_prior = self.models.over_prior
         end = over_prior.solve(over_prior.search(Hypothesis()), STAGE, x)
         residual = math.sqrt(2.0 * end.cost)
-        left = [float(np.mean(np.abs(log) ** 2)) for log in end.residual.data.log_ratio]
+        left = [float(np.mean(np.abs(log) ** 2)) if state.observation is None else 0.0
+                for state, log in zip(over_prior.states, end.residual.data.log_ratio, strict=True)]
         worst = over_prior.states[int(np.argmax(left))].name
         effects = [each.effect for each in ranked_at_level(self.model, tangents, self.model.campaign.fitted, LEVELS[0])
                    if each.most > residual]

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from skfem import MeshQuad
 
 from geometry.names import TRANSDUCER, parent_place
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
@@ -63,6 +64,10 @@ def predicted_recordings(objective: Objective, x: Real) -> list[PredictedRecordi
     found: list[PredictedRecording] = []
     known: list[tuple[Prediction, FullOperators, Complex]] = []
     for k in range(len(objective.predictors)):
+        if objective.recordings[k].observable is not None:
+            found.append(PredictedRecording(objective.recordings[k].measured.frequency, objective.predictors[k].every,
+                                            np.zeros((3, 0, 1), dtype=complex)))
+            continue
         _, _, prediction = objective.predict(x, k, ())
         same = next((each for each in known if each[0].solution is prediction.solution), None)
         if same is None:
@@ -96,10 +101,9 @@ def waves(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, flo
     material, mesh = problem.materials.get(TRANSDUCER), problem.mesh.mesh
     if not isinstance(material, Piezoelectric):
         return
-    corners = mesh.p[:, mesh.t[:, mesh.subdomains[TRANSDUCER]]]
-    integrals = PiezoelectricSolid(TRANSDUCER, material.name).integrals()
-    radius, thickness = float(corners[0].max()), float(np.ptp(corners[1]))
-    for (i, k), deviation in cosines(np.array([radius, thickness]), 0.25 * _slowest(material) / frequency):
+    size = _rectangle(mesh, mesh.subdomains[TRANSDUCER])[1]
+    integrals, radius = PiezoelectricSolid(TRANSDUCER, material.name).integrals(), float(size[0])
+    for (i, k), deviation in cosines(size, _correlation_length(material, frequency)):
         if k == 0:
             for uneven in UnevenProperty:
                 yield UnevenSolid.of(integrals, uneven, i, radius, problem.values), deviation
@@ -113,11 +117,13 @@ def wave_keys(acting: Iterable[UnevenSolid]) -> set[Key]:
 
 def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -> Inhomogeneity:
     """The inhomogeneity of the device at x (p,), the parts without those that are `acting` as parameters."""
-    every = predicted_recordings(objective.thinned(POINTS), x)
-    sizes = [recording.measured.frequency.size for recording in objective.recordings]
+    # The stated uncertainty of an observable is far above the changes of a field by parts that are nearly homogeneous.
+    spectra = [(k, recording) for k, recording in enumerate(objective.recordings) if recording.observable is None]
+    every = predicted_recordings(objective.thinned(POINTS).among({recording.name for _, recording in spectra}), x)
     columns: dict[Key, Complex] = {}
-    ends = np.cumsum([0, *sizes]).tolist()
-    for each, recording, low, high in zip(every, objective.recordings, ends[:-1], ends[1:], strict=True):
+    ends = np.cumsum([0, *(recording.measured.frequency.size for recording in objective.recordings)]).tolist()
+    for each, (k, recording) in zip(every, spectra, strict=True):
+        low, high = ends[k], ends[k + 1]
         frequency = recording.measured.frequency
         found = dict(_of_recording(each, recording.problem.materials, float(np.mean(frequency[[0, -1]]))))
         slopes = np.stack(list(found.values()), axis=1)
@@ -148,12 +154,8 @@ def _of_recording(
         # A layer's part of a region, or one that holds nothing in this state.
         if parent_place(region) != region or region not in materials:
             continue
-        corners = mesh.p[:, mesh.t[:, cells]]
-        low, high = corners.min(axis=(1, 2)), corners.max(axis=(1, 2))
-        low[0] = 0.0
-        share = (corners.mean(axis=1) - low[:, None]) / (high - low)[:, None]
-        length = 0.25 * _slowest(materials[region]) / frequency
-        for (i, k), weight in cosines(high - low, length):
+        share, size = _rectangle(mesh, cells)
+        for (i, k), weight in cosines(size, _correlation_length(materials[region], frequency)):
             shape = weight * np.cos(np.pi * i * share[0]) * np.cos(np.pi * k * share[1])
             for row, slopes in enumerate(found.slopes[:, cells]):
                 if slopes.any():
@@ -175,6 +177,20 @@ def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
     mean = np.outer(np.where(np.arange(counts[0]) > 0, 0.5, 1.0), np.where(np.arange(counts[1]) > 0, 0.5, 1.0))
     amplitude = np.sqrt(variance / mean / variance.sum())
     return [((i, j), float(amplitude[i, j])) for i, j in np.argwhere(variance > LEFT_OUT).tolist()]
+
+
+def _rectangle(mesh: MeshQuad, cells: NDArray[np.int64]) -> tuple[Real, Real]:
+    """The middles (2, cells) of some cells as shares of the rectangle around them, which begins at the axis, and its
+    size (2,) in m."""
+    corners = mesh.p[:, mesh.t[:, cells]]
+    low, high = corners.min(axis=(1, 2)), corners.max(axis=(1, 2))
+    low[0] = 0.0
+    return (corners.mean(axis=1) - low[:, None]) / (high - low)[:, None], high - low
+
+
+def _correlation_length(material: Material, frequency: float) -> float:
+    """A quarter of the shortest wavelength (m) in a material at a frequency (Hz)."""
+    return 0.25 * _slowest(material) / frequency
 
 
 def _slowest(material: Material) -> float:

@@ -44,6 +44,8 @@ def contributions(found: Diagnosis) -> list[Contribution]:
     objective = model.fitted.near(x, {}, UNNEEDED, only=(), enriches=False)
     rows = []
     for index, (state, recording) in enumerate(zip(found.campaign.fitted, objective.recordings, strict=True)):
+        if state.observation is not None:
+            continue
         values = {**recording.problem.values, **objective.settings(x, index)[0]}
         for effect, constant in KNOWN_PHYSICS.items():
             name = "" if state.fluid is None else f"{state.fluid.name}.{constant}"

@@ -26,12 +26,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.campaign.state import DeviceState, data_rows
+from workbench.campaign.state import DeviceState, data_rows, rms_of_impedance
 from workbench.catalogue.effect import Effect
-from workbench.diagnosis.device import Model
+from workbench.diagnosis.device import Model, inhomogeneities
 from workbench.diagnosis.evidence import Average, LinearisedProblem, averaged_over_blocks, over_scales
 from workbench.diagnosis.modes import Mode, columns
-from workbench.diagnosis.odds import INHOMOGENEITIES, REGION_SIZES, TERM
+from workbench.diagnosis.odds import REGION_SIZES, TERM
 from workbench.diagnosis.weighting import Weighting
 from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective, Residual
@@ -294,7 +294,7 @@ class Explanation:
     @property
     def rms(self) -> float:
         """The rms of ln(Z_model / Z_measured) over all points."""
-        return float(np.sqrt(np.mean(np.abs(np.concatenate(self.log_ratio)) ** 2)))
+        return rms_of_impedance(self.weighting.states, self.log_ratio)
 
     @property
     def chi_square(self) -> float:
@@ -337,7 +337,7 @@ class Likelihood:
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
         """The states of the recordings."""
-        of = {state.name: state for state in self.model.campaign.states}
+        of = {state.name: state for state in self.model.campaign.recorded}
         return tuple(of[recording.name] for recording in self.objective.recordings)
 
     @cached_property
@@ -386,12 +386,12 @@ class Likelihood:
     def linearised(self, hypothesis: Hypothesis, search: FitSearch, x: Real, data: Residual) -> LocalProblem:
         """The problem linearised at x (p,), where the `data` are, with the weights of the stated noise."""
         free = search.free
-        parameters, stated = [self.model.parameters[i] for i in free], self.model.campaign.inhomogeneity
+        parameters = [self.model.parameters[i] for i in free]
         waves = list(self.model.uneven)
         return LocalProblem(
             data.jacobian[:, free], data.vector - data.jacobian[:, waves] @ x[waves],
             data.jacobian[:, waves] * self._unit_waves, np.zeros((self.noise.size, 0)), self._outside(hypothesis),
-            self._term_errors(hypothesis, data, x), tuple(INHOMOGENEITIES) if stated is None else (stated,),
+            self._term_errors(hypothesis, data, x), inhomogeneities(self.model.campaign),
             np.ones(self.noise.size), search.precision[free], (x - search.centre)[free],
             np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
                       for i, p in zip(free, parameters, strict=True)]),
@@ -401,7 +401,7 @@ class Likelihood:
     @cached_property
     def _unit_waves(self) -> Real:
         """Deviations (w,) of the amplitudes of the waves in an inhomogeneity of a relative size of one."""
-        largest = self.model.campaign.inhomogeneity or float(INHOMOGENEITIES[-1])
+        largest = inhomogeneities(self.model.campaign)[-1]
         return np.array([self.model.parameters[i].scale / largest for i in self.model.uneven])
 
     def _outside(self, hypothesis: Hypothesis) -> Real:

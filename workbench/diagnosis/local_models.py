@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.campaign.state import rms_of_impedance
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smallest_body
 from workbench.diagnosis.levels import replaced
@@ -149,7 +150,7 @@ class LocalModels:
                      for each in (model.fitted, model.held_out) if each is not None]
             found = [Likelihood(model, each) for each in parts]
             data = found[0].data(Hypothesis(), model.stated)
-            left = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
+            left = rms_of_impedance(found[0].states, data.log_ratio)
             if left > FAR_OFF or model is self.model:
                 break
         return [impedance for each in found for impedance in each.impedances(model.stated)], left

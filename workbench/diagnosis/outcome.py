@@ -364,9 +364,10 @@ class Diagnosis(Shown):
         rows += [(each.name, each.in_words) for every in self.established for each in every.estimates]
         rows += [("finding", text) for text in self.findings]
         rows += [("next", self.next_measurement)] if self.next_measurement else []
-        measured = {f"{state.name}, measured": state.measured for state in self.campaign.fitted}
-        fitted = {f"{state.name}, fitted": fitted_spectrum(fit, state)
-                  for fit, state in zip(self.best, self.campaign.fitted, strict=False)}
+        recordings = [(fit, state) for fit, state in zip(self.best, self.campaign.fitted, strict=False)
+                      if state.observation is None]
+        measured = {f"{state.name}, measured": state.measured for _, state in recordings}
+        fitted = {f"{state.name}, fitted": fitted_spectrum(fit, state) for fit, state in recordings}
         return Summary(f"Diagnosis: {self.campaign.name}", tuple(rows), {**measured, **fitted}, tuple(measured))
 
     def to_xarray(self) -> xarray.Dataset:

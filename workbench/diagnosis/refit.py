@@ -96,7 +96,8 @@ def _with_states_held_out(
     found = replace(found, local=replace(found.local, parts=parts[:found.local.residual.size]))
     refitted = Refitted(found)
     if held is not None:
-        there = held if found.x is found.likeliest else _held_out(models, found, found.x) or held
+        there = held if found.x is found.likeliest else _held_out(models, found, found.x)
+        assert there is not None
         refitted = Refitted(found, with_held_out(held, found, parts), tuple(there.impedances(found.x)))
     if found.weighting.largest > CONSPICUOUS and not is_behind:
         refitted = replace(refitted, alternatives=tuple(alternatives(every, found, uneven)))
@@ -226,5 +227,7 @@ def _bodies(objective: Objective, count: int) -> list[list[int]]:
     """The first `count` recordings, by index, of each body."""
     bodies: dict[object, list[int]] = {}
     for index, predictor in enumerate(objective.predictors[:count]):
-        bodies.setdefault(predictor, []).append(index)
+        # A mode is one of the admittance: what was observed beside it has none.
+        if objective.recordings[index].observable is None:
+            bodies.setdefault(predictor, []).append(index)
     return list(bodies.values())

@@ -5,7 +5,9 @@ is diagonal: it can make points worth less, but it cannot take the shape of a sp
 squares leaves, and an evidence what is left by correlated deviations too: counted before, the inhomogeneity of parts
 would count twice, in the deviations and as points that carry the information of one. Of each recording, points
 deviate by s times the stated noise, s >= 1, and n neighbouring points carry the information of one (Sokal 1997). Where
-that leaves few points, s is that of all recordings rather than of one.
+that leaves few points, s is that of all recordings rather than of one. An observation beside Z is one datum whose
+uncertainty is stated: nobody can tell from one datum how far it scatters, and a bead that is timed knows nothing of the
+misfit of a spectrum. Its s and n are one, and it has no part in those of the recordings.
 Estimates are those of least squares with these deviations; evidences and intervals count the points as n times fewer.
 """
 
@@ -56,8 +58,11 @@ class Weighting:
         squares = np.array([0.5 * np.mean(np.abs(each) ** 2) for each in residuals])
         points = np.array([correlation_length(each) for each in residuals])
         independent = np.array([each.size for each in residuals]) / points
-        squares = (independent * squares + POOLED * np.mean(squares)) / (independent + POOLED)
-        return cls(tuple(states), np.sqrt(np.maximum(1.0, squares)), points)
+        stated = np.array([state.observation is not None for state in states])
+        pooled = np.mean(squares[~stated]) if not stated.all() else 1.0
+        squares = (independent * squares + POOLED * pooled) / (independent + POOLED)
+        inflation = np.where(stated, 1.0, np.sqrt(np.maximum(1.0, squares)))
+        return cls(tuple(states), inflation, np.where(stated, 1.0, points))
 
     def deviations(self, level: float = 0.0) -> list[Real]:
         """Relative standard deviation (n,) of the points of every recording, with a further deviation `level`."""

@@ -186,7 +186,7 @@ class FullSystem:
             electrode = whole @ np.append(np.zeros(whole.shape[0] - 1), 1.0)
             x, residual = factor.solve(-electrode[free])
             state = np.append(x, 1.0)
-            images = np.stack([matrix @ state for matrix in self._system.group_matrices()])
+            images = np.stack([matrix @ state for matrix in self._system.group_matrices])
             slopes, change = slope_columns(operators, frequency, self.values, names)
             by_parameter, by_both = np.split(operators.images(state, np.hstack([slopes, change])), 2, axis=1)
             forces = _Forces(first @ images, second @ images, by_parameter, by_both)

@@ -224,16 +224,21 @@ class System:
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         groups = operators.coefficients.groups(np.ones(1), values)
-        self._entries = np.stack([operators.matrix(constants) for _, constants in groups])
+        every = [operators.matrix(constants) for _, constants in groups]
+        #: Indices of the entries of every group that are not zero, and these: groups of boundaries have few.
+        self._entries = [(where, entries[where]) for entries in every for where in (np.flatnonzero(entries),)]
 
     def factors(self, frequencies: Real) -> Complex:
         """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
         groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
+    @cached_property
     def group_matrices(self) -> list[sparse.csr_matrix]:
         """Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
-        return [self._stored(entries) for entries in self._entries]
+        pattern = self.operators.pattern
+        return [sparse.csr_matrix((entries, pattern.indices[where], np.searchsorted(where, pattern.indptr)),
+                                  shape=pattern.shape) for where, entries in self._entries]
 
     def matrix(self, frequency: float) -> sparse.csr_matrix:
         """The matrix A(w) (size, size), complex symmetric, electrode included."""
@@ -245,7 +250,10 @@ class System:
 
     def _at(self, frequency: float) -> Complex:
         """The stored entries of A(w)."""
-        return np.asarray(self.factors(np.array([frequency]))[:, 0] @ self._entries)
+        total = np.zeros(self.operators.pattern.nnz, dtype=complex)
+        for factor, (where, entries) in zip(self.factors(np.array([frequency]))[:, 0], self._entries, strict=True):
+            total[where] += factor * entries
+        return total
 
     def _stored(self, entries: Complex) -> sparse.csr_matrix:
         # A symmetric matrix is the same by rows and by columns; products are faster by rows.

@@ -20,43 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.chip import Chip
 from geometry.stretch import canonical_names
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fitting.fit_recording import CORNERS, OF_STATES
+from workbench.fitting.fit_recording import FitRecording as FitRecording
 from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
 from workbench.model.problem import Problem
-from workbench.reduced.about_point import TERMS, LocalBasis, local_basis
+from workbench.reduced.about_point import DRAWS, TERMS, LocalBasis, local_basis
 from workbench.reduced.predictor import Prediction, Predictor
-from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-
-@dataclass(frozen=True, eq=False)
-class FitRecording:
-    """A measured spectrum and the problem that is to explain it; the chip where its dimensions may be moved."""
-
-    name: str
-    problem: Problem
-    measured: Spectrum
-    chip: Chip | None = None
-
-    def step(self, points: int) -> int:
-        """The step through its points that leaves about `points` of them."""
-        return max(1, round(self.measured.frequency.size / points))
-
-    def thinned(self, points: int) -> FitRecording:
-        """The recording with at most about `points` of its points, evenly; itself where it has no more."""
-        measured, every = self.measured, self.step(points)
-        if every == 1:
-            return self
-        uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
-        thin = replace(measured, frequency=measured.frequency[::every], impedance=measured.impedance[::every],
-                       uncertainty=uncertainty)
-        return replace(self, measured=thin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +106,11 @@ class Objective:
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
         flexed: dict[Any, Problem] = {}
-        acting = [p for p in parameters if any(map(p.acts_in, names))]
+        acting = [p for p in parameters if any(p.acts_in(r.owner) for r in recordings)]
         recordings = [_with_lengths(r, acting, flexed) for r in recordings]
         parts = []
         for r in recordings:
-            own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(r.name)]
+            own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(r.owner)]
             moved = sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
                            key=lambda each: each[1].offset)
             scaled = [(column, key, power) for column, p in own for key, power in p.powers if key in r.problem.values]
@@ -180,8 +157,13 @@ class Objective:
         more than that takes. Unless they are to be `neumann_enriched`, the factors of the full solves are let go.
         """
         def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
-            made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
-                               self._moves_about(x, indices, reach), tolerance=tolerance)
+            moves, within = self._moves_about(x, indices, reach), tolerance
+            if observes := self.recordings[indices[0]].observable is not None:
+                within = min(tolerance, OF_STATES)
+            made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]), moves,
+                               tolerance=within, draws=len(moves) if observes else DRAWS)
+            if observes:
+                made = made.neumann_enriched(_corners(made.values, moves), within)
             return made if enriches else made.without_factors()
 
         own = self if only is None else self._acting(x, only)
@@ -239,7 +221,8 @@ class Objective:
         def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
             assert predictor.local is not None  # one of `near`
             there = self._relative(predictor.local, indices[0], x, places)
-            return predictor.local.neumann_enriched(there, tolerance, terms)
+            observes = self.recordings[indices[0]].observable is not None
+            return predictor.local.neumann_enriched(there, min(tolerance, OF_STATES) if observes else tolerance, terms)
 
         own = self._acting(x, only)
         return own._on_bases(local, own._sharing().items())
@@ -257,7 +240,9 @@ class Objective:
         """A copy for x (p,) alone, on models that give the derivatives by every parameter there."""
         made = {predictor: predictor.with_every([self.settings(x, index)[0] for index in indices])
                 for predictor, indices in self._sharing().items()}
-        return self.predicted_by([made[predictor] for predictor in self.predictors])
+        views = [view if (observable := view.recording.observable) is None else replace(
+            view, recording=replace(view.recording, observable=observable.by_full_solves())) for view in self.views]
+        return replace(self, views=tuple(views)).predicted_by([made[predictor] for predictor in self.predictors])
 
     def _values(self, x: Real, index: int) -> dict[str, complex]:
         """All values of the problem of the recording of that index at x (p,)."""
@@ -391,14 +376,21 @@ class Objective:
         scaled = [each for each in view.scaled if free is None or each[0] in free]
         keys = _keys(moved, scaled)
         values, bench = self.settings(x, index)
-        prediction = predictor({**problem.values, **values}, bench.get(CLOCK, 0.0), known)
-        omega = prediction.solution.omega
-        seen, device, elements = through_bench(prediction.impedance, omega, bench, lambda: prediction.frequency_slope)
-        gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
+        observable, elements = view.recording.observable, dict[str, Complex]()
+        if observable is None:
+            prediction = predictor({**problem.values, **values}, bench.get(CLOCK, 0.0), known)
+            omega = prediction.solution.omega
+            seen, device, elements = through_bench(
+                prediction.impedance, omega, bench, lambda: prediction.frequency_slope)
+            slopes = np.conj(prediction.logarithmic_gradient(keys))
+        else:
+            prediction = predictor({**problem.values, **values}, 0.0, known)
+            value, by_value = observable(prediction, keys)
+            seen, device, slopes = np.array([value + 0j]), np.ones(1, dtype=complex), np.conj(by_value)[None]
+        gradient = np.zeros((seen.size, len(self.parameters)), dtype=complex)
         for column, p in view.bench:
-            if free is None or column in free:
+            if elements and (free is None or column in free):
                 gradient[:, column] = elements[p.parsed.key]
-        slopes = np.conj(prediction.logarithmic_gradient(keys))
         for column, p, key in moved:
             slope = slopes[:, keys.index(key)] * self._scale(x, index, key)
             # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
@@ -407,7 +399,7 @@ class Objective:
         for column, key, power in scaled:
             by_number = power * np.conj(values[key]) / (1.0 + float(x[column]))
             gradient[:, column] += device * slopes[:, keys.index(key)] * by_number
-        return seen, gradient, prediction
+        return seen, gradient if observable is None else gradient.real.astype(complex), prediction
 
     def __call__(
         self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
@@ -429,7 +421,7 @@ class Objective:
             predictions.append(prediction)
             logs.append(log_ratio(impedance, measured))
             seen.append(impedance)
-            if smoothing > 0.0:
+            if smoothing > 0.0 and recording.observable is None:
                 weights = lorentzian(recording.measured.frequency, smoothing)
                 admittance = weights @ (1.0 / impedance)
                 gradient = (weights @ (gradient / impedance[:, None])) / admittance[:, None]
@@ -451,11 +443,15 @@ def _shared(
     """
     alike = [(id(r.problem.mesh), r.problem.terms, r.measured.frequency.tobytes()) for r in recordings]
     found: dict[Any, Predictor] = {}
+    assembled: dict[Any, FullOperators] = {}
     for r, key in zip(recordings, alike, strict=True):
         if key not in found:
             tangents = dict.fromkeys(name for names, other in zip(moved, alike, strict=True) if other == key
                                      for name in names if name in r.problem.values)
-            found[key] = Predictor(r.problem, r.measured.frequency, tolerance=tolerance, tangents=tuple(tangents))
+            if key[:2] not in assembled:
+                assembled[key[:2]] = assemble(r.problem.mesh, r.problem.terms)
+            found[key] = Predictor(r.problem, r.measured.frequency, tolerance=tolerance, tangents=tuple(tangents),
+                                   every=assembled[key[:2]])
     return tuple(found[key] for key in alike)
 
 
@@ -477,6 +473,13 @@ def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], know
     like = known[key]
     return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
                                               values={**like.values, **problem.values}))
+
+
+def _corners(values: Mapping[str, complex], moves: Mapping[str, float]) -> list[dict[str, complex]]:
+    """Some places where all values have moved by as much as is expected, in directions that are drawn."""
+    signs = np.random.default_rng(1).choice([-1.0, 1.0], (CORNERS, len(moves)))
+    return [{**values, **{name: values[name] + sign * moves[name] for sign, name in zip(row, moves, strict=True)}}
+            for row in signs]
 
 
 def _keys(moved: Sequence[tuple[int, Parameter, str]], scaled: Sequence[tuple[int, str, float]]) -> tuple[str, ...]:

@@ -99,14 +99,14 @@ class LocalBasis:
 
 def local_basis(
     operators: FullOperators, frequencies: Real, values: Values, moves: Mapping[str, float], *, tolerance: float,
-    nodes: int = NODES, depth: int = NODE_DEPTH,
+    nodes: int = NODES, depth: int = NODE_DEPTH, draws: int = DRAWS,
 ) -> LocalBasis:
     """The local reduced basis for parameters that move by about so much each about `values`.
 
     From full solves at `nodes` of Chebyshev's frequencies, and then where the estimated error about `values` is
-    largest: the states with their neighbours in frequency, and how draws of the `moves` of the complex parameters
-    change them. It is truncated to what an error of Z of `tolerance` (relative) needs. Whether that is enough
-    elsewhere, :meth:`ReducedModel.error` says.
+    largest: the states with their neighbours in frequency, and how so many `draws` of the `moves` of the complex
+    parameters, as many as there are at most, change them. It is truncated to what an error of Z of `tolerance`
+    (relative) needs. Whether that is enough elsewhere, :meth:`ReducedModel.error` says.
 
     Raises:
         NotConverged: a full solve that failed, or an unknown without any energy.
@@ -118,9 +118,9 @@ def local_basis(
     with one_thread():
         system = System(operators, values)
         while wanted.size:
-            draws = [white.standard_normal((len(moves), min(len(moves), DRAWS))) for _ in wanted]
+            drawn = [white.standard_normal((len(moves), min(len(moves), draws))) for _ in wanted]
             found = [sample(system, float(frequency), depth, moves, draw, keeps_factor=True)
-                     for frequency, draw in zip(wanted, draws, strict=True)]
+                     for frequency, draw in zip(wanted, drawn, strict=True)]
             samples += found
             if trial is None:
                 trial = TrialBasis.of(lifted(system, frequencies, found[0].state), system, looked_at)

@@ -70,14 +70,14 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     displacements, for potentials and for pressures. Couplings between these are left out.
     """
     factors = system.factors(np.array([frequency]))[:, 0]
-    pattern = system.operators.pattern
-    column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-    entries = np.zeros(pattern.nnz)
-    for factor, matrix in zip(factors, system.group_matrices(), strict=True):
-        sign = np.sign((factor * matrix.diagonal()).real)
-        alike = sign[pattern.indices] == sign[column]
-        entries += np.where(alike, sign[column] * (factor * matrix.data).real, 0.0)
-    return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)[:-1, :-1]
+    total = sparse.csr_matrix(system.operators.pattern.shape)
+    for factor, matrix in zip(factors, system.group_matrices, strict=True):
+        sign, row = np.sign((factor * matrix.diagonal()).real), np.repeat(
+            np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+        alike = sign[matrix.indices] == sign[row]
+        entries = np.where(alike, sign[row] * (factor * matrix.data).real, 0.0)
+        total = total + sparse.csr_matrix((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
+    return total[:-1, :-1]
 
 
 def estimated_error(residual: Complex, charge: Complex) -> Real:

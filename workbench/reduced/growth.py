@@ -141,7 +141,7 @@ class TrialBasis:
         left = np.column_stack([before, lift, new, self.model.test]).T
         old, count = before.shape[1], new.shape[1]
         order = np.r_[:old, old + 1 : old + 1 + count, old]
-        images = np.stack([left @ _image(matrix, new) for matrix in self.system.group_matrices()])
+        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.group_matrices])
         cross, own_part, seen = np.split(images, [old + 1, old + 1 + count], axis=1)
         inner = np.concatenate([np.concatenate([self.inner, cross], axis=2),
                                 np.concatenate([cross.transpose(0, 2, 1), own_part], axis=2)], axis=1)
@@ -183,6 +183,15 @@ class TrialBasis:
 
 #: Parts of states that are smaller than this, relative to the largest, are rounding.
 DEEPEST = 1e-7
+
+
+def _projected_image(left: Real, matrix: sparse.csr_matrix, columns: Real) -> Complex:
+    """left (n, size) times a complex matrix times real columns (size, k); only rows of the matrix that are not empty
+    count."""
+    rows = np.flatnonzero(np.diff(matrix.indptr))
+    if 2 * rows.size > matrix.shape[0]:
+        return np.asarray(left @ _image(matrix, columns))
+    return np.asarray(left[:, rows] @ _image(matrix[rows], columns))
 
 
 def _image(matrix: sparse.csr_matrix, columns: Real) -> Complex:

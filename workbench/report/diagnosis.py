@@ -60,13 +60,25 @@ def remainder_table(found: Diagnosis) -> TextTable:
     within their uncertainties, and with the effects; those held out last."""
     rows = []
     for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
-        noise = 100.0 * math.sqrt(2.0 * float((state.noise**2).mean()))
+        noise = 100.0 * math.sqrt(state.data * float((state.noise**2).mean()))
         cells = [number_text(100.0 * fit.rms, 3) for fit in fits]
         rows.append((_state_name(found, state), number_text(noise, 3), *(cells if found.established else cells[:2])))
     known = "known numbers, some beyond their uncertainties" if _beyond(found) else (
         "known numbers within their uncertainties")
     columns = ("state", "noise alone (%)", "as stated (%)", f"{known} (%)", "with what was found (%)")
     return TextTable(columns if found.established else columns[:-1], tuple(rows))
+
+
+def observations_table(found: Diagnosis) -> TextTable:
+    """Observations beside the impedance: as measured, and as predicted before and after."""
+    columns = ("observation", "measured", "uncertainty (%)", "as stated", "with the known numbers fitted",
+               "with what was found", "unit")
+    rows = []
+    for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
+        if (own := state.observation) is not None:
+            rows.append((_state_name(found, state), number_text(own.value, 4), number_text(100.0 * own.uncertainty, 3),
+                         *(number_text(float(fit.impedance[0].real), 4) for fit in fits), own.unit))
+    return TextTable(columns, tuple(rows))
 
 
 def unexplained_tables(found: Description) -> list[Block]:
@@ -115,10 +127,15 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         provisional.append(("Provisional", ["What explains best of what was looked at. What was not may explain as "
                                             "much, or more.", established_table(so_far)]))
     cut = "" if so_far is None else ", as far as it went"
+    observations: list[tuple[str, Sequence[Block]]] = []
+    if any(state.observation for state in found.states):
+        observations.append(("Observed beside the impedance", ["Each is one datum with its stated uncertainty, weighed "
+                                                               "like a recording.", observations_table(found)]))
     sections: Sequence[tuple[str, Sequence[Block]]] = [
         ("What was found" if so_far is None else "Not finished", first), *rest, *provisional,
         ("Before and after", [f"{LEFT[0].upper()}{LEFT[1:]}.", *_beyond(found), remainder_table(found),
                               *_pictures(found, folder)]),
+        *observations,
         ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
                                      _taken(found.campaign)]),
         (f"Odds of the hypotheses{cut}", [
@@ -133,7 +150,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         ("Effects with known constants", [
             "They are part of the model and never fitted; this is what each changes.",
             _known_physics(known)]),
-        ("The recordings", [block for state in found.states
+        ("The recordings", [block for state in found.states if state.observation is None
                             for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
     title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
     return write_report(folder / "report.html", f"{title}: {found.campaign.name}", sections)
@@ -162,7 +179,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
               else ("before: as stated", "after: known numbers fitted"))
     states = [StatePicture(_state_name(found, state), state.measured.frequency, state.measured.impedance,
                            before.impedance, after.impedance, state.noise)
-              for state, before, after in zip(found.states, first, last, strict=True)]
+              for state, before, after in zip(found.states, first, last, strict=True) if state.observation is None]
     pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
                                      "Every state as recorded, before and after, and below the difference, "
                                      "|ln(Z_model / Z_measured)|")]
@@ -270,6 +287,8 @@ def _known_physics(known: Sequence[Contribution]) -> TextTable:
 def _merit(found: Diagnosis) -> TextTable:
     rows = []
     for state, stated, base, best in zip(found.states, found.stated, found.base, found.best, strict=True):
+        if state.observation is not None:
+            continue
         rows.append((state.name, "measured", *_merit_cells(measured_figures(state.measured)[0]), ""))
         fits = {"as stated": stated, "known parameters": base}
         if found.established:
@@ -342,6 +361,9 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
 
 def _state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
     """A state as it was fitted, for a JSON file."""
+    if state.observation is not None:
+        return {"value": float(fit.impedance[0].real), "measured": state.observation.value,
+                "unit": state.observation.unit, "log_residual": fit.rms, "reduced_chi_square": fit.reduced}
     spectrum = fitted_spectrum(fit, state)
     figures, _ = measured_figures(spectrum)
     return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,

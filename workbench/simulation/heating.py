@@ -19,8 +19,6 @@ from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.heat import EMPTY, STILL_AIR, Heating, check_peclet, conducted_heat, thermal_influence
 from workbench.fem.linearised import FullSystem, curvature, frequency_slope, mixed_slopes
-from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import Solution, solve_full
 from workbench.files.errors import InputError, expect
 from workbench.model.fluid_slopes import fluid_slopes
 from workbench.results.merit import NoResonance
@@ -66,7 +64,7 @@ def heating(
     empty: str | None = EMPTY,
     flow_speed: float = 0.0,
 ) -> Heating:
-    """The steady temperatures of a simulated chip, at the frequency and under the drive of its fields: one full solve.
+    """The steady temperatures of a simulated chip, at the frequency and under the drive of its fields.
 
     Args:
         result: what `simulate` or `snapshot` returned.
@@ -85,8 +83,7 @@ def heating(
     liquid = result.problem.materials.get(CAVITY)
     if flow_speed and isinstance(liquid, Fluid):
         check_peclet(liquid, flow_speed, cavity_height(result))
-    solution = _solution(result)
-    return conducted_heat(result.problem, solution, abs(result.fields.voltage), drive=result.fields.drive,
+    return conducted_heat(result.problem, result.solution, abs(result.fields.voltage), drive=result.fields.drive,
                           convection=convection, holder=holder, empty=empty)
 
 
@@ -107,7 +104,7 @@ def thermal_resistances(
         InputError: as :func:`heating`; an unknown part.
     """
     expect(result, Snapshot, reader="read_chip", source="thermal resistances", field="result")
-    return thermal_influence(result.problem, _solution(result), part=part, convection=convection, holder=holder,
+    return thermal_influence(result.problem, result.solution, part=part, convection=convection, holder=holder,
                              empty=empty)
 
 
@@ -169,11 +166,3 @@ def _resonance_slope(
         frequency += step
     raise NoResonance("the full model has no resonance near that of its spectrum", frequency=result.figures.f0,
                       impedance=result.figures.z_min)
-
-
-def _solution(result: Snapshot) -> Solution:
-    """The full solution behind the fields of a result."""
-    problem = result.problem
-    operators: FullOperators = (result.operators if isinstance(result, Simulation)
-                                else assemble(problem.mesh, problem.terms))
-    return solve_full(operators, np.array([result.fields.frequency]), problem.values)

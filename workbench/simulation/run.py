@@ -80,7 +80,8 @@ class Snapshot(Brief):
 
     ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
     ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
-    ``findings`` are sentences on assumptions about the materials, and on failed solves.
+    ``findings`` are sentences on assumptions about the materials, and on failed solves. ``solution`` is the full one
+    behind the fields, at 1 V.
     """
 
     chip: Chip
@@ -92,6 +93,7 @@ class Snapshot(Brief):
     traps: TrapReport | None
     residual: float
     findings: tuple[str, ...]
+    solution: Solution
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -268,7 +270,7 @@ def simulate(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
         no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
-        capacitance=capacitance(operators, problem.values), left_out=left_out,
+        capacitance=capacitance(operators, problem.values), left_out=left_out, solution=shot.solution,
         findings=(*_left_out(device, left_out, frequencies.size), *_unresolved(spectrum, merit), *shot.findings),
     )
 
@@ -384,7 +386,7 @@ def _snapshot(
         findings = (f"the fields are of {found.frequency / 1e6:.8g} MHz, because the solve at "
                     f"{frequency / 1e6:.8g} MHz did not converge. {_undamped(device)}", *findings)
     return Snapshot(device.chip, device.state.name, problem, found, losses, closure, _traps(device, found),
-                    float(solution.residual[0]), findings)
+                    float(solution.residual[0]), findings, solution)
 
 
 def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -> Solution:

@@ -1,0 +1,170 @@
+"""Observables beside Z as functionals of the first-order field, with their exact derivatives.
+
+An observable is a figure of the field at one frequency and drive (`workbench.design.evaluation`), of the state that a
+prediction of the recording's problem is made of. The derivative of the state by a parameter is one more solve of the
+same system, and the chain rule does the rest: lengths act through the places of the cavity too, properties of the
+liquid through force, weight and drag. Shapes that deform the cavity act through the pressure alone.
+
+- focusing time: seconds from 90 to 10 % of a quarter wavelength above the deepest trap
+  (`workbench.acoustics.traps.focus_time`), also where that begins a little above the lid;
+- temperature rate: K/s of the mean of the whole chip at switch-on, the electrical input power over the heat capacity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.chip_section import volumes
+from geometry.mesh import SectionMesh
+from geometry.names import CAVITY
+from geometry.stretch import moving_together
+from materials.kinds import Fluid
+from workbench.acoustics.heat import thermal_constants
+from workbench.campaign.observation import FOCUSING_TIME, TEMPERATURE_RATE, Observation
+from workbench.design.cavity import Cavity, NoCavity, cavity_of
+from workbench.design.dual import Dual, dual_derivative
+from workbench.design.evaluation import Operation, Question, answer
+from workbench.fem.linearised import FullSystem, ReducedSystem
+from workbench.fem.operators import FullOperators
+from workbench.files.errors import InputError
+from workbench.model.numbers import LOSS, ParameterName
+from workbench.model.problem import FilledChip
+from workbench.reduced.predictor import Prediction
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: The figure of the field that each observable is, or rests on.
+FIGURES = {FOCUSING_TIME: "focus_time", TEMPERATURE_RATE: "power"}
+
+
+#: Share of the cavity's height by which the way that is timed may begin above the lid, where the force goes on along
+#: its tangent. Without it the time would end at a height of nine tenths of half a wavelength, which a search has to
+#: cross. Doubled, the tangent would be followed for a fifth of the height.
+BEYOND_LID = 0.1
+
+
+class NotObservable(ValueError):
+    """A field in which there is nothing to observe, such as a particle that does not get to the trap."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldObservable:
+    """An ``observation`` of a ``device`` as a functional of the field; see `fitting.fit_recording.Observable`.
+
+    ``full`` makes derivatives by full solves. ``known`` holds the cavity on the mesh that it was asked for on.
+    """
+
+    observation: Observation
+    device: FilledChip
+    full: bool = False
+    known: list[tuple[SectionMesh, tuple[str, ...], Cavity]] = field(default_factory=list)
+
+    def by_full_solves(self) -> FieldObservable:
+        return replace(self, full=True)
+
+    def __call__(self, prediction: Prediction, names: Sequence[str]) -> tuple[float, Complex]:
+        """The value, and its logarithmic derivatives; see `fitting.fit_recording.Observable`.
+
+        Raises:
+            InputError: the cavity has no field of this kind.
+            NotObservable: the particle does not get to the trap.
+        """
+        observation, model, values = self.observation, prediction.model, prediction.values
+        figure = FIGURES[observation.kind]
+        keys = tuple(names)
+        cavity = self._cavity(model.full, values) if observation.kind == FOCUSING_TIME else None
+        # The derivatives by real parts, then those by imaginary parts.
+        question = Question((figure,), (*keys, *(key + LOSS for key in keys)), values,
+                            Operation(observation.drive, observation.frequency), cavity, "there is no fluid",
+                            None if cavity is None else self._pressure(cavity, None if self.full else model.basis),
+                            BEYOND_LID)
+        system = FullSystem(model.full, values) if self.full else ReducedSystem(model.operators, values)
+        found = answer(question, system, np.zeros(0), np.zeros(0, dtype=complex))
+        if figure not in found.figures:
+            raise NotObservable(f"{observation.name}: {found.missing[figure]}")
+        value = found.figures[figure]
+        if observation.kind == TEMPERATURE_RATE:
+            value = value / self._heat_capacity(question)
+        by_real, by_imaginary = np.split(value.gradient / value.value, 2)
+        return value.value, by_real - 1j * by_imaginary
+
+    @staticmethod
+    def _pressure(cavity: Cavity, basis: Real | None) -> Callable[[Complex], Complex]:
+        """The pressure at the cavity's nodes of full states (size, k), or of states (r, k) on a basis (size, r)."""
+        if basis is None:
+            return lambda states: np.asarray(np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows],
+                                             dtype=np.complex128)
+        rows = cavity.pressure_rows(basis)
+        return lambda states: np.asarray(rows @ states, dtype=np.complex128)
+
+    def _cavity(self, operators: FullOperators, values: Mapping[str, complex]) -> Cavity:
+        for mesh, names, cavity in self.known:
+            if mesh is operators.mesh and names == tuple(values):
+                return cavity
+        device, fluid = self.device, self.device.materials[CAVITY]
+        assert isinstance(fluid, Fluid)
+        try:
+            found = cavity_of(operators, device.chip, fluid, device.particle, self._lengths(operators, values),
+                              self.observation.frequency)
+        except NoCavity as error:
+            raise InputError(device.chip.file, self.observation.name, "this chip", f"a cavity that is a cylinder: "
+                             f"{error}") from error
+        self.known[:] = [(operators.mesh, tuple(values), found)]
+        return found
+
+    def _lengths(self, operators: FullOperators, values: Mapping[str, complex]) -> list[str]:
+        """The parameters that are lengths of the chip, without those that deform cells of the cavity."""
+        deforming = {name for each in operators.integrals if each.variant for name in each.coefficient.parameters}
+        return [name for name in values if name in self.device.chip.dimensions() and name not in deforming]
+
+    def _heat_capacity(self, question: Question) -> Dual:
+        """The heat capacity (J/K) of all parts; that of empty regions does not count."""
+        values, materials = question.values, self.device.materials
+        lengths = _lengths_of(self.device.chip, values)
+        stated = {region: thermal_constants(material) for region, material in materials.items()}
+
+        def capacity(moved: Mapping[str, float], densities: Mapping[str, float]) -> float:
+            chip = self.device.chip
+            changed = {other: value for name, value in moved.items() for other in moving_together(chip, name)
+                       if value != chip.dimensions()[name].value}
+            sizes = region_volumes(chip.with_dimensions(changed) if changed else chip)
+            return sum(sizes[region] * densities[material.name] * stated[region].heat_capacity
+                       for region, material in materials.items())
+
+        here = {material.name: complex(values.get(f"{material.name}.density", material.density)).real
+                for material in materials.values()}
+        gradient = np.zeros(len(question.names))
+        for index, name in enumerate(question.names):
+            parsed = ParameterName.parse(name)
+            if name in lengths:
+                gradient[index] = dual_derivative(
+                    lambda x, name=name: np.array(capacity({**lengths, name: x}, here)), lengths[name])  # type: ignore[misc]
+            elif parsed.coefficient == "density" and not parsed.is_loss and parsed.owner in here:
+                own = {other: float(other == parsed.owner) for other in here}
+                gradient[index] = capacity(lengths, own)
+        return Dual(capacity(lengths, here), gradient)
+
+
+def region_volumes(chip: Chip) -> dict[str, float]:
+    """Volumes (m^3) as of `geometry.chip_section.volumes`; of discs and rings of rectangular section in closed form, a
+    thousand times as fast, since an objective asks for them at every step."""
+    if any(layer.profile is not None or layer.shapes for layer in chip.layers):
+        return volumes(chip)
+    found = {layer.region: math.pi * (layer.outer_radius**2 - layer.inner_radius**2) * layer.thickness.value
+             for layer in chip.layers}
+    if chip.holes:
+        found[CAVITY] = sum(math.pi * hole.inner_radius**2 * hole.thickness.value for hole in chip.holes)
+    return found
+
+
+def _lengths_of(chip: Chip, values: Mapping[str, complex]) -> dict[str, float]:
+    """The lengths of a chip (m) that are parameters, by name; shapes are lengths too."""
+    known = chip.dimensions()
+    return {name: complex(values[name]).real for name in values if name in known}
