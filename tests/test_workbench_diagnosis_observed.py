@@ -15,6 +15,7 @@ from geometry.chip_section import volumes
 from workbench.acoustics.heat import conducted_heat
 from workbench.acoustics.traps import focus_time
 from workbench.campaign.campaign import Campaign
+from workbench.campaign.observation import Cooling
 from workbench.campaign.state import data_rows
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
@@ -51,6 +52,9 @@ FREQUENCY = 1.01e6
 FOCUSING = 'focusing_time = { value = "2 s", uncertainty = "10 %", drive = "20 Vpp", frequency = "1.01 MHz" }'
 WARMING = ('temperature_rate = { value = "50 mK/s", uncertainty = "20 %", drive = "20 Vpp @ 50 ohm", '
            'frequency = "1.01 MHz" }')
+RISING = ('temperature_rise = { value = "4 K", uncertainty = "20 %", drive = "20 Vpp", frequency = "1.01 MHz", '
+          'holder = "transducer|outside" }')
+RINGS = 'ring_radii = { value = ["0.4 mm"], uncertainty = "3 %", frequency = "1.01 MHz" }'
 CAMPAIGN = f"""
 [states.filled]
 chip = "chip.toml"
@@ -61,6 +65,8 @@ recording = "filled.csv"
 [states.filled.observations]
 {FOCUSING}
 {WARMING}
+{RISING}
+{RINGS}
 [known]
 "couplant.thickness" = "1 um"
 "sidewall.thickness" = "20 um"
@@ -85,6 +91,7 @@ recording = "empty.csv"
 [states.empty.known]
 "couplant.thickness" = "1 um"
 '''
+OBSERVED = ("focusing time", "temperature rate", "temperature rise", "ring 1")
 #: Error of Z that meshes are made for. Times on two of them differ by a few thousandths.
 ACCURACY = 2e-3
 
@@ -131,12 +138,16 @@ def observed(objective: Objective, x: Real, index: int) -> float:
 def test_an_observation_is_one_more_recording_of_its_state(model: Model) -> None:
     campaign = model.campaign
     assert [state.name for state in campaign.states] == ["filled"]
-    assert [state.name for state in campaign.fitted] == ["filled", "filled, focusing time", "filled, temperature rate"]
-    time, rate = (each.observation for each in campaign.fitted[1:])
+    assert [state.name for state in campaign.fitted] == ["filled", *(f"filled, {each}" for each in OBSERVED)]
+    time, rate, rise, ring = (each.observation for each in campaign.fitted[1:])
     assert time is not None
     assert rate is not None
+    assert rise is not None
+    assert ring is not None
     assert (time.value, time.uncertainty, time.frequency, time.unit) == (2.0, 0.1, FREQUENCY, "s")
     assert (rate.value, rate.unit, rate.drive) == (0.05, "K/s", GeneratorDrive(20.0, 50.0))
+    assert (rise.value, rise.unit, rise.cooling) == (4.0, "K", Cooling("cavity", 10.0, "transducer|outside"))
+    assert (ring.value, ring.unit, ring.number) == (0.4e-3, "m", 1)
     assert [each.name for each in model.whole.recordings] == [each.name for each in campaign.fitted]
 
 
@@ -155,9 +166,13 @@ def test_values_are_those_of_a_simulation(model: Model) -> None:
     assert direct.traps is not None
     # Gradients recovered on two meshes of this accuracy.
     assert observed(stated, model.stated, 1) == pytest.approx(focus_time(direct.traps), rel=0.01)
+    assert observed(stated, model.stated, 4) == pytest.approx(direct.traps.traps[0].radius, rel=2e-3)
+    warm = conducted_heat(direct.problem, direct.solution, abs(direct.fields.voltage), holder="transducer|outside")
+    # Two meshes of this accuracy.
+    assert observed(stated, model.stated, 3) == pytest.approx(warm.parts["cavity"].mean, rel=5e-3)
 
 
-@pytest.mark.parametrize("index", [1, 2])
+@pytest.mark.parametrize("index", [1, 2, 3, 4])
 def test_derivatives_are_those_of_the_value(model: Model, near: Objective, point: Real, index: int) -> None:
     found = near.predict(point, index, range(model.known))[1][0]
     assert found.dtype == np.complex128
@@ -165,16 +180,17 @@ def test_derivatives_are_those_of_the_value(model: Model, near: Objective, point
     moved = 0
     for i, p in enumerate(model.parameters[:model.known]):
         step = np.zeros(point.size)
-        step[i] = 1e-3 * p.scale
+        step[i] = 3e-4 * p.scale
         exact = np.log(observed(near, point + step, index) / observed(near, point - step, index)) / (2.0 * step[i])
-        # The square of the step, of a thousandth of an uncertainty.
+        # The square of the step, of a part of an uncertainty that a ring's radius moves by a multiple of itself for.
         assert found[i].real * p.scale == pytest.approx(exact * p.scale, rel=1e-5, abs=1e-8), p.name
         moved += exact != 0.0
-        assert (exact != 0.0) == (not p.is_bench), p.name  # no bench is between a bead and its chip
+        # No bench is between a bead and its chip.
+        assert (exact != 0.0) == (not p.is_bench), p.name
     assert moved > 10
 
 
-@pytest.mark.parametrize("index", [1, 2])
+@pytest.mark.parametrize("index", [1, 2, 3, 4])
 def test_derivatives_are_those_of_full_solves(model: Model, near: Objective, point: Real, index: int) -> None:
     full = near.with_every(point)
     found = near.predict(point, index, range(model.known))
@@ -194,7 +210,7 @@ def test_what_one_state_adds_to_a_number_acts_in_its_observations(read: Callable
     near = two.fitted.near(two.stated, {p.name: p.prior or 0.0 for p in two.parameters[:two.known]}, 1e-3,
                            only=range(two.known), enriches=False)
     assert [each.name for each in near.recordings] == [
-        "filled", "empty", "filled, focusing time", "filled, temperature rate"]
+        "filled", "empty", *(f"filled, {each}" for each in OBSERVED)]
     slopes = near.predict(two.stated, 2, range(two.known))[1][0]
     assert slopes[two.index("couplant.thickness[filled]")] == slopes[two.index("couplant.thickness")] != 0.0
     assert slopes[two.index("couplant.thickness[empty]")] == 0.0
@@ -208,7 +224,7 @@ def test_a_reduced_model_reaches_as_far_as_parameters_are_expected_to_move(
     signs = np.random.default_rng(3).choice([-1.0, 1.0], scale.size)
     there = point + scale * signs
     full = near.with_every(there)
-    for index in (1, 2):
+    for index in (1, 2, 3, 4):
         assert abs(observed(near, there, index) / observed(near, point, index) - 1.0) > 0.01
         assert observed(near, there, index) == pytest.approx(observed(full, there, index), rel=0.01)
 
@@ -244,8 +260,8 @@ def test_a_stated_uncertainty_neither_inflates_nor_counts_in_an_inflation(model:
     for off in (0.0, 10.0):
         others = [np.asarray(off * state.noise, dtype=np.complex128) for state in states[1:]]
         found = Weighting.left(states, [spectrum, *others])
-        assert found.inflation == pytest.approx([alone.inflation[0], 1.0, 1.0])
-        assert found.points == pytest.approx([alone.points[0], 1.0, 1.0])
+        assert found.inflation == pytest.approx([alone.inflation[0], 1.0, 1.0, 1.0, 1.0])
+        assert found.points == pytest.approx([alone.points[0], 1.0, 1.0, 1.0, 1.0])
     assert alone.inflation[0] > 2.0
 
 
@@ -264,6 +280,13 @@ def test_a_stated_uncertainty_neither_inflates_nor_counts_in_an_inflation(model:
     ('drive = "20 Vpp"', 'drive = "20 V"', "focusing_time.drive", "10 Vpp"),
     ('frequency = "1.01 MHz"', 'frequency = "1.2 MHz"', "focusing_time.frequency", 'nearest is "1.04 MHz"'),
     ('value = "2 s"', 'value = "2 s", height = "1 mm"', "focusing_time.height", "unknown"),
+    ('value = ["0.4 mm"]', 'value = "0.4 mm"', "ring_radii.value", 'such as ["1.6 mm", "3.1 mm"]'),
+    ('value = ["0.4 mm"]', 'value = ["0.4 mm", "0.4 mm"]', "ring_radii.value", "each once"),
+    ('value = ["0.4 mm"]', 'value = ["0.4 mm", "2 mm"]', "ring_radii.value", "below that of the cavity, 1.6 mm"),
+    ('value = ["0.4 mm"]', 'value = ["0.4"]', "ring_radii.value[0]", "mm"),
+    ('holder = "transducer|outside"', 'holder = "transducer|outsid"', "temperature_rise.holder", "transducer|outside"),
+    ('holder = "transducer|outside"', 'part = "bond"', "temperature_rise.part", "substrate"),
+    ('holder = "transducer|outside"', 'convection = "0 W/(m^2 K)"', "temperature_rise.convection", "above zero"),
 ])
 def test_a_mistake_is_named(read: Callable[[str], Campaign], old: str, new: str, field: str, said: str) -> None:
     text = CAMPAIGN.replace(old, new, 1)
@@ -295,7 +318,7 @@ def test_states_held_out_hold_out_their_observations(read: Callable[[str], Campa
     campaign = read((CAMPAIGN + EMPTY).replace('recording = "filled.csv"', 'recording = "filled.csv"\nheld_out = true'))
     assert [state.name for state in campaign.fitted] == ["empty"]
     assert [state.name for state in campaign.held_out] == [
-        "filled", "filled, focusing time", "filled, temperature rate"]
+        "filled", *(f"filled, {each}" for each in OBSERVED)]
 
 
 @pytest.mark.parametrize(("frequency", "value"), [(1e6, -1.0), (1e6, 0.0), (np.inf, 1.0), (1e6, 1j), (1e6, [1.0, 2.0])])

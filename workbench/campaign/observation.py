@@ -3,8 +3,10 @@
     [states.filled.observations]
     focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }
     temperature_rate = { value = "0.16 K/s", uncertainty = "10 %", drive = "10 Vpp @ 50 ohm", frequency = "1.03 MHz" }
+    temperature_rise = { value = "4 K", uncertainty = "20 %", drive = "10 Vpp", frequency = "1.03 MHz" }
+    ring_radii = { value = ["1.6 mm", "3.1 mm"], uncertainty = "3 %", frequency = "1.03 MHz" }
 
-``uncertainty`` is the standard one, relative to the value. ``drive`` is as of `workbench simulate`.
+``uncertainty`` is the standard one, relative to the value. ``drive`` is as of `workbench simulate`; rings have none.
 """
 
 from __future__ import annotations
@@ -12,30 +14,55 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from geometry.chip_section import chip_section
 from geometry.names import CAVITY
 from materials.kinds import Fluid
+from workbench.acoustics.heat import STILL_AIR
 from workbench.files.errors import choose
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.drive import Drive, parse_drive
+from workbench.model.drive import Drive, VoltageDrive, parse_drive
 from workbench.model.problem import FilledChip
 
-FOCUSING_TIME, TEMPERATURE_RATE = "focusing_time", "temperature_rate"
+FOCUSING_TIME, TEMPERATURE_RATE, TEMPERATURE_RISE, RING_RADII = (
+    "focusing_time", "temperature_rate", "temperature_rise", "ring_radii")
 
 #: The dimension of each observable, and its unit.
 OBSERVABLES: Mapping[str, tuple[str, str]] = {
-    FOCUSING_TIME: ("time", "s"), TEMPERATURE_RATE: ("temperature rate", "K/s")}
+    FOCUSING_TIME: ("time", "s"), TEMPERATURE_RATE: ("temperature rate", "K/s"),
+    TEMPERATURE_RISE: ("temperature difference", "K"), RING_RADII: ("length", "m")}
 
-#: The keys of an observation, all of them required.
+#: Observables of a particle in a liquid.
+OF_PARTICLE = (FOCUSING_TIME, RING_RADII)
+
+#: The keys of every observation, all of them required but for the drive of rings, which stand where they stand at any
+#: drive, and examples of their values; the keys of a temperature rise besides, all of them with defaults.
 OBSERVATION_KEYS = ("value", "uncertainty", "drive", "frequency")
+OF_RISE = ("part", "convection", "holder")
 
 #: Relative standard uncertainty above which an observation says nothing. Doubled, a factor of e passes for one of it.
 VAGUEST = 0.5
 
 
+@dataclass(frozen=True)
+class Cooling:
+    """The part whose mean temperature rises, and the way its heat leaves the chip.
+
+    ``convection`` in W/(m^2 K), and the boundary ``holder`` at ambient temperature, if there is one.
+    """
+
+    part: str
+    convection: float = STILL_AIR
+    holder: str | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """A value of an observable of the ``kind`` in a ``state``: ``value`` (SI) with its relative standard
-    ``uncertainty``, under a ``drive`` at a ``frequency`` (Hz)."""
+    ``uncertainty``, under a ``drive`` at a ``frequency`` (Hz).
+
+    ``number`` counts several of one kind from 1; 0 is the only one. ``cooling`` is that of a temperature rise.
+    """
 
     kind: str
     state: str
@@ -43,11 +70,14 @@ class Observation:
     uncertainty: float
     drive: Drive
     frequency: float
+    number: int = 0
+    cooling: Cooling | None = None
 
     @property
     def name(self) -> str:
         """The state and the observable, in words."""
-        return f"{self.state}, {self.kind.replace('_', ' ')}"
+        words = f"ring {self.number}" if self.kind == RING_RADII else self.kind.replace("_", " ")
+        return f"{self.state}, {words}"
 
     @property
     def unit(self) -> str:
@@ -69,17 +99,22 @@ def read_observations(
     listed = table.table("observations")
     for kind in listed:
         choose(kind, OBSERVABLES, source=table.source, field=listed.at(kind))
-    return tuple(_read(listed.table(kind, expected="a table with " + ", ".join(OBSERVATION_KEYS)), kind, state, device,
-                       band) for kind in listed)
+    expected = "a table with " + ", ".join(OBSERVATION_KEYS)
+    return tuple(each for kind in listed
+                 for each in _read(listed.table(kind, expected=expected), kind, state, device, band))
 
 
-def _read(table: FileTable, kind: str, state: str, device: FilledChip, band: tuple[float, float]) -> Observation:
-    table.only(OBSERVATION_KEYS)
-    for key, example in zip(OBSERVATION_KEYS, (f"1 {OBSERVABLES[kind][1]}", "10 %", "10 Vpp", "1 MHz"), strict=True):
-        table.required(key, f'the {key} of the observation, such as "{example}"')
-    value, frequency = table.quantity("value", OBSERVABLES[kind][0]), table.quantity("frequency", "frequency")
+def _read(
+    table: FileTable, kind: str, state: str, device: FilledChip, band: tuple[float, float]
+) -> list[Observation]:
+    table.only((*OBSERVATION_KEYS, *(OF_RISE if kind == TEMPERATURE_RISE else ())))
+    example = f"1 {OBSERVABLES[kind][1]}"
+    for key, text in zip(OBSERVATION_KEYS, (example, "10 %", "10 Vpp", "1 MHz"), strict=True):
+        if (kind, key) != (RING_RADII, "drive"):
+            table.required(key, f'the {key} of the observation, such as "{text}"')
+    values, frequency = _values(table, kind), table.quantity("frequency", "frequency")
     uncertainty = table.quantity("uncertainty", "share")
-    if not value > 0.0:
+    if not min(values) > 0.0:
         raise table.error("value", "a value above zero")
     if not 0.0 < uncertainty <= VAGUEST:
         raise table.error("uncertainty", f"a relative standard uncertainty above zero and at most {VAGUEST:.0%}")
@@ -88,22 +123,57 @@ def _read(table: FileTable, kind: str, state: str, device: FilledChip, band: tup
         raise table.error("frequency", f"a frequency in the band of the recording, {band[0] / 1e6:.6g} to "
                           f"{band[1] / 1e6:.6g} MHz, in which the model is right; the nearest is "
                           f'"{nearest / 1e6:.6g} MHz"')
-    given = table.content["drive"]
+    given = table.content.get("drive", VoltageDrive())
     drive = given if isinstance(given, Drive) else parse_drive(table.text("drive"), source=table.source,
                                                                field=table.at("drive"))
-    if kind == FOCUSING_TIME:
-        if not isinstance(device.materials.get(CAVITY), Fluid):
-            raise table.error("value", "an observation of a state with a liquid in its cavity")
-        if device.particle is None:
-            raise table.error("value", f"a state that names its particle; {device.chip.file} needs lines such as "
-                              f'particle = "polystyrene" and particle_radius = "5 um" in [states.{device.state.name}]')
+    if kind in OF_PARTICLE:
+        _check_particle(table, kind, values, device)
     else:
-        _check_heat(table, device)
-    return Observation(kind, state, value, uncertainty, drive, frequency)
+        _check_heat(table, kind, device)
+    cooling = _cooling(table, device) if kind == TEMPERATURE_RISE else None
+    return [Observation(kind, state, value, uncertainty, drive, frequency, number if kind == RING_RADII else 0, cooling)
+            for number, value in enumerate(values, 1)]
 
 
-def _check_heat(table: FileTable, device: FilledChip) -> None:
+def _values(table: FileTable, kind: str) -> list[float]:
+    """The one value of an observation, or all radii of rings."""
+    dimension = OBSERVABLES[kind][0]
+    if kind != RING_RADII:
+        return [table.quantity("value", dimension)]
+    expected = 'the radii of one ring or more, such as ["1.6 mm", "3.1 mm"]'
+    entries = table.entries("value", expected=expected)
+    found = [parse_quantity(each, dimension, source=table.source, field=f"{table.at('value')}[{i}]")
+             for i, each in enumerate(entries)]
+    if not found or len(set(found)) < len(found):
+        raise table.error("value", expected + ", each once")
+    return found
+
+
+def _cooling(table: FileTable, device: FilledChip) -> Cooling:
+    regions = [*device.materials]
+    part = table.choice("part", regions, CAVITY if CAVITY in regions else None)
+    holder = table.choice("holder", chip_section(device.chip).boundary_names()) if "holder" in table else None
+    convection = table.quantity("convection", "heat transfer coefficient", STILL_AIR)
+    if not convection >= 0.0 or (convection == 0.0 and holder is None):
+        raise table.error("convection", "a heat transfer coefficient above zero, or a holder that takes the heat")
+    return Cooling(part, convection, holder)
+
+
+def _check_particle(table: FileTable, kind: str, values: list[float], device: FilledChip) -> None:
+    if not isinstance(device.materials.get(CAVITY), Fluid):
+        raise table.error("value", "an observation of a state with a liquid in its cavity")
+    if device.particle is None:
+        raise table.error("value", f"a state that names its particle; {device.chip.file} needs lines such as "
+                          f'particle = "polystyrene" and particle_radius = "5 um" in [states.{device.state.name}]')
+    widest = max(hole.inner_radius for hole in device.chip.holes)
+    if kind == RING_RADII and not max(values) < widest:
+        raise table.error("value", f"radii below that of the cavity, {1e3 * widest:.6g} mm")
+
+
+def _check_heat(table: FileTable, kind: str, device: FilledChip) -> None:
     for material in device.materials.values():
         if material.heat_capacity is None:
             raise table.error("value", f"materials with a heat_capacity, which {material.name} does not state: the "
                               "rate is the power over the heat capacity")
+        if kind == TEMPERATURE_RISE and material.thermal_conductivity is None:
+            raise table.error("value", f"materials with a thermal_conductivity, which {material.name} does not state")

@@ -74,7 +74,8 @@ class Question:
 
     ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
     all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states (size,
-    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why; ``beyond`` as of `trap_focus_time`.
+    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why; ``beyond`` as of `trap_focus_time`,
+    ``near`` as of `find_trap`.
     """
 
     figures: tuple[str, ...]
@@ -85,6 +86,7 @@ class Question:
     reason: str
     pressure: Callable[[Complex], Complex] | None
     beyond: float = 0.0
+    near: float | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -275,7 +277,7 @@ class _Operating:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
         elif of_trap:
             try:
-                _trap_figures(find_trap(field_there), square, found, missing, self.question.beyond)
+                _trap_figures(find_trap(field_there, self.question.near), square, found, missing, self.question.beyond)
             except NoTrap as error:
                 missing.update(dict.fromkeys(of_trap, str(error)))
 

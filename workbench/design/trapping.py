@@ -70,8 +70,9 @@ def largest_square(field: CavityField) -> Dual:
     return _at(field, SQUARE, along_xi[i], along_eta[j])
 
 
-def find_trap(field: CavityField) -> FoundTrap:
-    """The lowest place of the potential, and what follows from it.
+def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
+    """The lowest place of the potential, or the minimum that the way down from the lowest place at a radius `near` (m)
+    leads to, and what follows from it.
 
     Raises:
         NoTrap: the potential is so flat there that no place is the lowest.
@@ -79,7 +80,11 @@ def find_trap(field: CavityField) -> FoundTrap:
     along_xi, along_eta = _raster(field)
     values = along_xi @ field.coefficients[POTENTIAL] @ along_eta.T
     (i, j), (k, m) = (np.unravel_index(int(each), values.shape) for each in (np.argmin(values), np.argmax(values)))
-    place, free = _minimum(field, np.array([i, j]) / (np.array(values.shape) - 1.0))
+    start = np.array([i, j]) / (np.array(values.shape) - 1.0)
+    if near is not None:
+        column = min(round(near / field.around.radius.value * (len(values) - 1)), len(values) - 1)
+        start = np.array([column, np.argmin(values[column])]) / (np.array(values.shape) - 1.0)
+    place, free = _minimum(field, start)
     along = _at_place(place, field)
 
     def derivative(in_xi: int, in_eta: int) -> Dual:

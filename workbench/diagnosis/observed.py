@@ -7,7 +7,10 @@ liquid through force, weight and drag. Shapes that deform the cavity act through
 
 - focusing time: seconds from 90 to 10 % of a quarter wavelength above the deepest trap
   (`workbench.acoustics.traps.focus_time`), also where that begins a little above the lid;
-- temperature rate: K/s of the mean of the whole chip at switch-on, the electrical input power over the heat capacity.
+- temperature rate: K/s of the mean of the whole chip at switch-on, the electrical input power over the heat capacity;
+- temperature rise: K of the mean of a part in the steady state, the losses by region and interface times thermal
+  resistances. These are of the chip as stated, with the losses distributed as they are there;
+- ring: the radius of the trap that a particle at the observed radius is led to.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,29 +29,42 @@ from geometry.mesh import SectionMesh
 from geometry.names import CAVITY
 from geometry.stretch import moving_together
 from materials.kinds import Fluid
-from workbench.acoustics.heat import thermal_constants
-from workbench.campaign.observation import FOCUSING_TIME, TEMPERATURE_RATE, Observation
+from workbench.acoustics.heat import thermal_constants, thermal_influence
+from workbench.campaign.observation import (
+    FOCUSING_TIME,
+    OF_PARTICLE,
+    RING_RADII,
+    TEMPERATURE_RATE,
+    TEMPERATURE_RISE,
+    Observation,
+)
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.dual import Dual, dual_derivative
 from workbench.design.evaluation import Operation, Question, answer
 from workbench.fem.linearised import FullSystem, ReducedSystem
-from workbench.fem.operators import FullOperators
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
 from workbench.model.numbers import LOSS, ParameterName
-from workbench.model.problem import FilledChip
+from workbench.model.problem import FilledChip, build
 from workbench.reduced.predictor import Prediction
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: The figure of the field that each observable is, or rests on.
-FIGURES = {FOCUSING_TIME: "focus_time", TEMPERATURE_RATE: "power"}
+FIGURES = {FOCUSING_TIME: "focus_time", TEMPERATURE_RATE: "power", TEMPERATURE_RISE: "heating",
+           RING_RADII: "trap_radius"}
 
 
 #: Share of the cavity's height by which the way that is timed may begin above the lid, where the force goes on along
 #: its tangent. Without it the time would end at a height of nine tenths of half a wavelength, which a search has to
 #: cross. Doubled, the tangent would be followed for a fifth of the height.
 BEYOND_LID = 0.1
+
+
+#: Error of Z of the mesh that the losses are distributed on. Doubled, a mean temperature changes by a thousandth.
+OF_LOSSES = 5e-3
 
 
 class NotObservable(ValueError):
@@ -74,17 +91,18 @@ class FieldObservable:
 
         Raises:
             InputError: the cavity has no field of this kind.
-            NotObservable: the particle does not get to the trap.
+            NotObservable: the particle does not get to the trap, or there is no ring.
         """
         observation, model, values = self.observation, prediction.model, prediction.values
         figure = FIGURES[observation.kind]
         keys = tuple(names)
-        cavity = self._cavity(model.full, values) if observation.kind == FOCUSING_TIME else None
+        cavity = self._cavity(model.full, values) if observation.kind in OF_PARTICLE else None
         # The derivatives by real parts, then those by imaginary parts.
         question = Question((figure,), (*keys, *(key + LOSS for key in keys)), values,
-                            Operation(observation.drive, observation.frequency), cavity, "there is no fluid",
+                            Operation(observation.drive, observation.frequency,
+                                      _thermal_resistances(observation, self.device)), cavity, "there is no fluid",
                             None if cavity is None else self._pressure(cavity, None if self.full else model.basis),
-                            BEYOND_LID)
+                            BEYOND_LID, observation.value if observation.kind == RING_RADII else None)
         system = FullSystem(model.full, values) if self.full else ReducedSystem(model.operators, values)
         found = answer(question, system, np.zeros(0), np.zeros(0, dtype=complex))
         if figure not in found.figures:
@@ -92,6 +110,9 @@ class FieldObservable:
         value = found.figures[figure]
         if observation.kind == TEMPERATURE_RATE:
             value = value / self._heat_capacity(question)
+        if not value.value > 0.0:
+            raise NotObservable(f"{observation.name}: particles {1e3 * observation.value:.4g} mm from the axis are led "
+                                "to it")
         by_real, by_imaginary = np.split(value.gradient / value.value, 2)
         return value.value, by_real - 1j * by_imaginary
 
@@ -150,6 +171,18 @@ class FieldObservable:
                 own = {other: float(other == parsed.owner) for other in here}
                 gradient[index] = capacity(lengths, own)
         return Dual(capacity(lengths, here), gradient)
+
+
+@lru_cache(maxsize=32)
+def _thermal_resistances(observation: Observation, device: FilledChip) -> Mapping[str, float]:
+    """The thermal resistances (K/W) of the part whose temperature rises; none for other observables."""
+    cooling = observation.cooling
+    if cooling is None:
+        return {}
+    problem = build(device, accuracy=OF_LOSSES)
+    solution = solve_full(assemble(problem.mesh, problem.terms), np.array([observation.frequency]), problem.values)
+    return thermal_influence(problem, solution, part=cooling.part, convection=cooling.convection,
+                             holder=cooling.holder)
 
 
 def region_volumes(chip: Chip) -> dict[str, float]:
