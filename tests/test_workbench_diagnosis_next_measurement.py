@@ -30,7 +30,7 @@ PARAMETERS = (Parameter("bench.gain[two]", 0.0, -0.5, 0.5, Stated(0.1), "1", rec
 
 
 def model() -> Any:
-    states = tuple(SimpleNamespace(name=name, noise=np.ones(POINTS), drive=1.0, observation=None)
+    states = tuple(SimpleNamespace(name=name, noise=np.ones(POINTS), drive=1.0, observation=None, fluid=None)
                    for name in ("one", "two"))
     return SimpleNamespace(campaign=SimpleNamespace(fitted=states), parameters=PARAMETERS, stated=np.zeros(3),
                            index=[p.name for p in PARAMETERS].index)

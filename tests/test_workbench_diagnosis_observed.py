@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_explanations import made_explanation, made_problem
 from numpy.typing import NDArray
 from own_recordings import any_recordings
 
@@ -19,6 +20,7 @@ from workbench.campaign.observation import Cooling
 from workbench.campaign.state import data_rows
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.observed import NotObservable, region_volumes
 from workbench.diagnosis.weighting import Weighting
 from workbench.fem.operators import assemble
@@ -245,6 +247,36 @@ def test_lengths_move_the_heat_capacity(model: Model) -> None:
         found, exact = region_volumes(each), volumes(each)
         assert set(found) == set(exact)
         assert [found[name] for name in exact] == pytest.approx(list(exact.values()), rel=1e-9)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Next measurements
+
+
+def test_observations_that_are_not_there_yet_are_offered(read: Callable[[str], Campaign]) -> None:
+    """The distance between two explanations is that of the logarithms of their times, over the uncertainty."""
+    kept = CAMPAIGN.replace(RISING, "").replace(RINGS, "").replace(WARMING, "")
+    without = device_model(read(kept.replace("[states.filled.observations]", "").replace(FOCUSING, "")), accuracy=0.02)
+    state = without.campaign.fitted[0]
+    lowest = state.measured.frequency[np.argmin(np.abs(state.measured.impedance))]
+    known = device_model(read(kept.replace('"20 Vpp"', '"10 Vpp"').replace('"1.01 MHz"', f'"{lowest / 1e6:.12g} MHz"')),
+                         accuracy=0.02)
+    own, rows = without.index("sidewall.thickness"), 2 * state.noise.size
+    places = [without.stated, without.stated]
+    places[1] = places[1] + 20e-6 * (np.arange(places[1].size) == own)
+    alive = [made_explanation(made_problem(np.zeros(rows), np.zeros((rows, 1)), np.array([1e9])), x, free=(own,))
+             for x in places]
+    found = {each.name: each for each in options(without, [(each, 0.0) for each in alive], 20.0)}
+    offered = found["time how beads focus in filled to 10%"]
+    times = [observed(known.fitted.near(x, {}, 1e-3, only=(), enriches=False), x, 1) for x in places]
+    distance = (np.log(times[1] / times[0]) / 0.1) ** 2
+    assert distance > 0.1
+    assert offered.share == pytest.approx((np.log(2.0) - np.log1p(np.exp(-distance / 8.0))) / np.log(2.0), rel=1e-3)
+    assert "measure how warm the liquid gets in filled to 20%" in found
+    # What is observed is not offered again.
+    again = options(known, [(replace(each, local=made_problem(np.zeros(rows + 2), np.zeros((rows + 2, 1)), np.array(
+        [1e9]))), 0.0) for each in alive], 20.0)
+    assert not [each for each in again if each.name.startswith("time how")]
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -7,26 +7,35 @@ region from the recordings there are. With
     D_ij^2 = (m_i - m_j)^T ((C_i + C_j) / 2)^-1 (m_i - m_j),   I = -sum_i p_i ln sum_j p_j exp(-D_ij^2 / 8),
 
 I is a lower bound of the information about which is true (Kolchinsky and Tracey 2017, Entropy 19, 361), and D_ij^2 / 2
-the logarithm of the odds expected between two. All is linear about the explanations found.
+the logarithm of the odds expected between two. All is linear about the explanations found. Observations beside Z that a
+state could have, and has not, are predicted by full solves at each of them.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.campaign.state import data_rows
+from geometry.names import CAVITY
+from workbench.campaign.observation import FOCUSING_TIME, TEMPERATURE_RISE, Cooling, Observation
+from workbench.campaign.state import DeviceState, data_rows
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.observed import FieldObservable, NotObservable
+from workbench.files.errors import InputError
 from workbench.fitting.covariance import Covariance
+from workbench.fitting.fit_recording import OF_STATES
+from workbench.fitting.objective import Objective
+from workbench.model.drive import VoltageDrive
 from workbench.model.numbers import BENCH
 from workbench.physics.softening import DRIVE_SQUARED
+from workbench.results.observed_value import ObservedValue
 
 Real = NDArray[np.float64]
 
@@ -37,6 +46,10 @@ TIMES, DRIVES = (1, 2, 4, 8, 16, 32, 64), (0.5, 2.0)
 #: at 1 MHz and 0.2 pF against 1 Mohm, and instruments to 0.2 %.
 STANDARDS = {"series_resistance": 0.02, "series_inductance": 3e-9, "parallel_capacitance": 2e-13, "gain": 2e-3,
              "phase": 2e-3}
+
+#: Relative standard uncertainties of observations that are looked at: of a time that some hundred beads take, and of a
+#: temperature in the steady state, of which convection alone leaves as much.
+UNCERTAINTIES = {FOCUSING_TIME: 0.1, TEMPERATURE_RISE: 0.2}
 
 #: Measurements that need predictions which a diagnosis does not make.
 NOT_COMPARED = "another temperature of the liquid, a wider band, the states held out"
@@ -114,6 +127,74 @@ def _predictions(model: Model, alive: Sequence[Explanation]) -> Iterator[tuple[s
              and p.name.removeprefix(BENCH) in STANDARDS and any(i in each.free for each in alive)]
     if bench:
         yield "measure open, short and load of the leads", partial(_bench, model, bench)
+    # Changes in a region, which are not those of a material, say nothing of the field there.
+    if not any(each.hypothesis.is_outside for each in alive):
+        for observation, words in _observations(model):
+            # The uncertainty of an observation counts once for each time; the numbers that it rests on are the same.
+            predictions = _observed(model, observation, alive)
+            if predictions is not None:
+                yield words, partial(_seen, predictions)
+
+
+def _observations(model: Model) -> Iterator[tuple[Observation, str]]:
+    """The observations that fitted states could have and have not, at the least |Z| of each, with what to do."""
+    every = model.campaign.fitted
+    there = {(each.observation.state, each.observation.kind) for each in every if each.observation is not None}
+    for state in every:
+        if state.observation is not None or state.fluid is None:
+            continue
+        for kind, words in (
+                (FOCUSING_TIME, f"time how beads focus in {state.name} to {UNCERTAINTIES[FOCUSING_TIME]:.0%}"),
+                (TEMPERATURE_RISE, f"measure how warm the liquid gets in {state.name} to "
+                                   f"{UNCERTAINTIES[TEMPERATURE_RISE]:.0%}")):
+            if (state.name, kind) not in there and _is_observable(state, kind):
+                lowest = int(np.argmin(np.abs(state.measured.impedance)))
+                yield Observation(kind, state.name, 1.0, UNCERTAINTIES[kind], VoltageDrive(),
+                                  float(state.measured.frequency[lowest]), 0,
+                                  Cooling(CAVITY) if kind == TEMPERATURE_RISE else None), words
+
+
+def _is_observable(state: DeviceState, kind: str) -> bool:
+    if kind == FOCUSING_TIME:
+        return state.device.particle is not None
+    return all(each.thermal_conductivity is not None and each.heat_capacity is not None
+               for each in state.materials.values())
+
+
+def _observed(
+    model: Model, observation: Observation, alive: Sequence[Explanation]
+) -> dict[Explanation, tuple[float, Real]] | None:
+    """The logarithm of an observation under each explanation, and its derivatives by the free parameters (k,), in units
+    of its uncertainty; None where one of them has no such value: beads do not get to the trap, or the cavity is no
+    cylinder."""
+    found = {}
+    for each in alive:
+        own = model.of(each.hypothesis.effects, each.x)
+        device = next(state.device for state in model.campaign.fitted if state.name == observation.state)
+        recording = next(r for r in own.fitted.recordings if r.name == observation.state)
+        asked = replace(recording, name=observation.name, state=observation.state,
+                        measured=ObservedValue(np.array([observation.frequency]), np.ones(1, dtype=complex)),
+                        observable=FieldObservable(observation, device))
+        objective = Objective.of([asked], own.parameters, tolerance=OF_STATES).near(
+            each.x, {}, OF_STATES, only=each.free, enriches=False)
+        try:
+            objective = objective.with_every(each.x)
+            value, slopes, _ = objective.predict(each.x, 0, each.free)
+        except (NotObservable, InputError):
+            return None
+        found[each] = (float(np.log(value[0].real)) / observation.uncertainty,
+                       slopes[0, list(each.free)].real / observation.uncertainty)
+    return found
+
+
+def _seen(
+    predictions: Mapping[Explanation, tuple[float, Real]], found: Explanation, _systematic: Covariance, times: int
+) -> tuple[Real, Real]:
+    """The prediction for observations, so many `times`."""
+    mean, slopes = predictions[found]
+    values, vectors = np.linalg.eigh(found.covariance)
+    uncertain = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return math.sqrt(times) * np.array([mean]), math.sqrt(times) * uncertain[None]
 
 
 def _recorded(
