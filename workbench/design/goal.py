@@ -1,17 +1,24 @@
 """The goal of a design: objectives, the variables of the chip, and its constraints, as GOAL.toml states them.
 
-[goal] chip = "chip.toml"                        # where the search starts; the path is relative to this file state =
-"filled" drive = "10 Vpp"                          # or "1 W": a figure per volt or per watt is the figure at that drive
-maximise = "e_ac"                         # or minimise = "focus_time"; two of them give a Pareto front constraints =
-["trap_offset within 50 um of 0 um", "heating <= 5 K",                "substrate.radius - cavity.radius >= 0.8 mm"]
+    [goal]
+    chip = "chip.toml"                  # where the search starts; the path is relative to this file
+    state = "filled"
+    drive = "10 Vpp"                    # or "1 W": a figure per volt or per watt is the figure at that drive
+    maximise = "e_ac"                   # or minimise = "focus_time"; two of them give a Pareto front
+    constraints = ["trap_offset within 50 um of 0 um", "heating <= 5 K",
+                   "substrate.radius - cavity.radius >= 0.8 mm"]
 
-[variables] substrate.thickness = { from = "0.7 mm", to = "1.0 mm", step = "20 um" }    # layers of a printer
-sidewall.thickness = { from = "0.65 mm", to = "0.8 mm" } superstrate.thickness = { values = ["0.15 mm", "0.5 mm", "1.0
-mm"] }        # stock superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+    [variables]
+    substrate.thickness = { from = "0.7 mm", to = "1.0 mm", step = "20 um" }    # layers of a printer
+    sidewall.thickness = { from = "0.65 mm", to = "0.8 mm" }
+    superstrate.thickness = { values = ["0.15 mm", "0.5 mm", "1.0 mm"] }        # stock
+    superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 
-[thermal] all = "12 K/W"                            # or of single regions: kelvin per watt lost there
+    [thermal]
+    all = "12 K/W"                      # or of single regions: kelvin per watt lost there
 
-[search] starts = 10
+    [search]
+    starts = 10
 """
 
 from __future__ import annotations
