@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
-from geometry.limits import ONE_DISC
+from geometry.limits import FULL_DISC
 from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
 from geometry.revolution import SAME_POINT, cut
 from geometry.step_file import step_part
@@ -68,7 +68,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
     if box.xmin < -SAME_POINT:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
     if box.xmin > SAME_POINT and "cavity_radius" not in sizes:
-        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", ONE_DISC if is_transducer else
+        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", FULL_DISC if is_transducer else
                          "an outline that reaches the axis: a layer with a hole has a cavity_radius")
     if isinstance(where, Script) and box.zmax < SAME_POINT:
         over = "-z" if profile.placement.axis == AXES["z"] else "of the other sign"

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
-from geometry.limits import CLOSED, ONE_CAVITY, ONE_DISC
+from geometry.limits import CLOSED, FULL_DISC, ONE_CAVITY
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
 from geometry.profile import Outline, Profile
@@ -33,6 +34,7 @@ def check_dimensions(
             ("thickness", layer.thickness),
             ("radius", layer.radius),
             ("cavity_radius", layer.cavity_radius),
+            ("inner_radius", layer.bore),
         )
         if dimension is not None
     ]
@@ -79,16 +81,21 @@ def _shown(name: str, size: float) -> str:
     return f"{math.degrees(size):.4g} deg" if SHAPES[name] == "angle" else millimetres(size)
 
 
-def check_cavity(layers: Sequence[Layer], file: str) -> None:
-    """Check that holes are in neighbouring layers, narrower than these, and closed below and above."""
+def check_cavity(layers: Sequence[Layer], file: str, *, is_open: bool) -> None:
+    """Check that holes are in neighbouring layers, narrower than these, and closed below and, unless the cavity
+    `is_open`, above."""
     # A hole is never wider than its neighbours, so no ring is left without support either.
     places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
     for i in places:
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].cavity_radius", _hole(layer), f"no hole through the transducer: {ONE_DISC}"
+                file, f"layers[{i}].cavity_radius", _hole(layer), "no cavity in the transducer; of a ring state the "
+                "inner_radius"
             )
+        if layer.bore is not None:
+            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
+                             "either the cavity_radius of a cavity or the inner_radius of an empty ring")
         if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
             raise InputError(
                 file,
@@ -97,6 +104,8 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
                 f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
             )
         for j, side in ((i - 1, "below"), (i + 1, "above")):
+            if side == "above" and is_open:
+                continue
             if not 0 <= j < len(layers):
                 raise InputError(
                     file,
@@ -112,6 +121,9 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
                     f"a closed cavity: {layers[j].region!r} {side} reaches only "
                     f"{millimetres(layers[j].outer_radius)}",
                 )
+            if layers[j].bore is not None:
+                raise InputError(file, f"layers[{j}].inner_radius", millimetres(layers[j].inner_radius),
+                                 f"a closed cavity: no hole in {layers[j].region!r} {side} it; {CLOSED}")
     if places and places != list(range(places[0], places[-1] + 1)):
         gap = next(i for i in range(places[0], places[-1]) if i not in places)
         raise InputError(
@@ -132,15 +144,23 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
     roles = [layer.role for layer in layers]
     for i, layer in enumerate(layers):
         choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
-    if roles.count(TRANSDUCER) != 1:
-        raise InputError(
-            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", f"exactly {ONE_DISC}"
-        )
+    if TRANSDUCER not in roles:
+        raise InputError(file, "layers", "no layer with role 'transducer'", "one or more")
     for i, layer in enumerate(layers):
-        if layer.role == TRANSDUCER and layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > (
-                SAME_LENGTH):
+        if layer.bore is not None and layer.inner_radius > layer.outer_radius - SAME_LENGTH:
+            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
+                             f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}")
+        if layer.bore is not None and any(each.profile is not None for each in layers):
+            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
+                             "no empty ring in a chip of which a layer has a profile: draw it as an outline")
+        if layer.role != TRANSDUCER:
+            if layer.poled != "up" or layer.live is not None:
+                raise InputError(file, f"layers[{i}].poled", layer.poled, "no poling of a layer that is no transducer")
+            continue
+        if layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > SAME_LENGTH:
             raise InputError(file, f"layers[{i}].profile.points", f"r = {millimetres(nearest)} and more",
-                             f"no hole through the transducer: {ONE_DISC}")
+                             f"no hole through the transducer: {FULL_DISC}")
+    _check_transducers(layers, roles, file)
     for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
         if layer.region != region:
             raise InputError(
@@ -163,6 +183,30 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
             )
 
 
+def _check_transducers(layers: Sequence[Layer], roles: Sequence[str], file: str) -> None:
+    """Check that several transducers have electrodes of their own that do not short-circuit each other."""
+    places = [i for i, role in enumerate(roles) if role == TRANSDUCER]
+    for i in places[1:]:
+        if layers[i].live is None:
+            raise InputError(file, f"layers[{i}].electrodes", None, 'electrodes = { live = "top" } or "bottom": '
+                             "transducers in one stack are wired in parallel, each by its own faces")
+        if layers[i].profile is not None:
+            raise InputError(file, f"layers[{i}].profile", "a profile", f"no profile: {FULL_DISC}, "
+                             "where there are several transducers")
+
+
+def check_shared_electrodes(layers: Sequence[Layer], electrodes: Electrodes, file: str) -> None:
+    """Check that transducers that touch have one potential where they do."""
+    for i, (below, above) in enumerate(itertools.pairwise(layers)):
+        if below.role != TRANSDUCER or above.role != TRANSDUCER:
+            continue
+        low, high = (electrodes.live if layer.live is None else layer.live for layer in (below, above))
+        if (low == "top") != (high == "bottom"):
+            raise InputError(file, f"layers[{i + 1}].electrodes.live", high,
+                             f'"{"bottom" if low == "top" else "top"}": it lies on {below.region!r}, whose upper face '
+                             f"is {'live' if low == 'top' else 'at ground'}; or put a bond between them")
+
+
 def _nearest(profile: Profile, layer: Layer) -> float:
     """Smallest radius (m) of the points of an outline; 0 for a profile that is no outline."""
     if not isinstance(profile.source, Outline):
@@ -174,8 +218,8 @@ def _nearest(profile: Profile, layer: Layer) -> float:
     return min(sizes.get(radius, 0.0) if isinstance(radius, str) else radius for radius in radii)
 
 
-def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
-    """Check that the electrodes lie on the transducer, whose radius is `rim` (metres)."""
+def check_electrodes(electrodes: Electrodes, bore: float, rim: float, file: str) -> None:
+    """Check that the electrodes lie on the transducer, whose radii are `bore` and `rim` (metres)."""
     choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
@@ -183,6 +227,9 @@ def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
             raise InputError(file, f"{name}.radius",
                              millimetres(radius) if disc.radius is None else dimension_text(disc.radius),
                              f"at most the transducer's radius, {millimetres(rim)}")
+        if disc.inner_radius is not None and disc.inner_radius.value < bore - SAME_LENGTH:
+            raise InputError(file, f"{name}.inner_radius", dimension_text(disc.inner_radius),
+                             f"at least the transducer's inner radius, {millimetres(bore)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
             raise InputError(file, f"{name}.inner_radius", dimension_text(disc.inner_radius),
                              f"below its radius, {millimetres(radius)}")

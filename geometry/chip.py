@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry import checks, plausible
-from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
+from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text, read_well
 from geometry.dimension import Dimension
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
@@ -42,7 +42,8 @@ class Chip:
     order of the file, ``source`` the origin of the description, ``file`` the name errors are reported under.
     ``unusual`` lists names whose values are meant although they look like a slip (`geometry.plausible`): a gel of 2 mm,
     a wide band. ``measure`` is that of the section: discs and rings about an axis, or the cross-section of what is
-    straight; radii are then half widths, from the middle.
+    straight; radii are then half widths, from the middle. A cavity that ``is_open`` is a well: nothing covers it, and
+    the liquid has a free surface.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -59,14 +60,16 @@ class Chip:
     file: str = "chip"
     unusual: tuple[str, ...] = ()
     measure: Measure = ABOUT_AXIS
+    is_open: bool = False
 
     def __post_init__(self) -> None:
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.states, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
-        checks.check_cavity(self.layers, self.file)
+        checks.check_cavity(self.layers, self.file, is_open=self.is_open)
         checks.check_shapes(self.layers, self.file)
         checks.check_stack(self.layers, self.file)
-        checks.check_electrodes(self.electrodes, self.transducer.outer_radius, self.file)
+        checks.check_electrodes(self.electrodes, self.transducer.inner_radius, self.transducer.outer_radius, self.file)
+        checks.check_shared_electrodes(self.layers, self.electrodes, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file)
@@ -83,7 +86,7 @@ class Chip:
 
     @property
     def transducer(self) -> Layer:
-        """The piezoelectric layer."""
+        """The piezoelectric layer, the lowest of several."""
         return self.layer(TRANSDUCER)
 
     @property
@@ -137,10 +140,11 @@ class Chip:
     def dimensions(self) -> dict[str, Dimension]:
         """Every length that can be changed by name, in the order of the layers.
 
-        ``<region>.thickness`` and ``<region>.radius``; ``cavity.radius`` if all holes are equally wide, otherwise
-        ``<region>.cavity_radius`` each; ``electrode_live.radius``, ``electrode_live.inner_radius`` and likewise of the
-        ground electrode if they do not cover the whole face; ``ports.diameter`` and ``ports.height`` if given. In a
-        straight chip ``half_width`` stands in place of ``radius`` in all of these.
+        ``<region>.thickness`` and ``<region>.radius``, ``<region>.inner_radius`` of a ring; ``cavity.radius`` if all
+        holes are equally wide, otherwise ``<region>.cavity_radius`` each; ``electrode_live.radius``,
+        ``electrode_live.inner_radius`` and likewise of the ground electrode if they do not cover the whole face;
+        ``ports.diameter`` and ``ports.height`` if given. In a straight chip ``half_width`` stands in place of
+        ``radius`` in all of these.
         """
         return dict(named_dimensions(self.layers, self.electrodes, self.ports, self.measure.across))
 
@@ -191,6 +195,7 @@ class Chip:
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
                 radius=always(f"{layer.region}.{across}", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
+                bore=changed(f"{layer.region}.inner_{across}", layer.bore),
                 profile=layer.profile and layer.profile.changed(partial(of_profile, layer.region)),
             ).with_shapes({shape: changed(f"{layer.region}.{shape}", size) for shape, size in layer.shapes.items()})
             for layer in self.layers
@@ -239,7 +244,8 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure)
-    cavity = root.table("cavity").only(("ports",))
+    cavity = root.table("cavity").only(("ports", "open", "fill"))
+    layers, is_open = read_well(cavity, layers)
     return Chip(
         name=read_text(head, "name"),
         layers=layers,
@@ -251,5 +257,6 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         source=head.text("source", ""),
         file=source,
         measure=measure,
+        is_open=is_open,
         unusual=head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual"),
     )

@@ -42,8 +42,11 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
         # A bottom is written only if the layer does not start exactly at the end of the one below.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
         parts.append(toml_table("[[layers]]", _layer(layer, chip, folder, with_bottom=not resting)))
+    cavity: dict[str, TomlEntry] = {"open": True} if chip.is_open else {}
     if chip.ports is not None:
-        parts.append(toml_table("[cavity]", {"ports": _ports(chip.ports)}))
+        cavity["ports"] = _ports(chip.ports)
+    if cavity:
+        parts.append(toml_table("[cavity]", cavity))
     parts += [toml_table(toml_heading("states", state.name), _state(state)) for state in chip.states]
     return "\n".join(parts)
 
@@ -76,13 +79,19 @@ def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict
     found |= {"thickness": _dimension(layer.thickness), chip.measure.across: _dimension(layer.radius)}
     if layer.cavity_radius is not None:
         found[f"cavity_{chip.measure.across}"] = _dimension(layer.cavity_radius)
+    if layer.bore is not None:
+        found[f"inner_{chip.measure.across}"] = _dimension(layer.bore)
     found |= {shape: _dimension(size, SHAPES[shape]) for shape, size in layer.shapes.items()}
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
     if layer.profile is not None:
         found["profile"] = _profile(layer.profile, folder)
-    if layer.role == TRANSDUCER:
+    if layer.poled != "up":
+        found["poled"] = layer.poled
+    if layer.region == TRANSDUCER:
         found["electrodes"] = _electrodes(chip.electrodes, chip.measure.across)
+    elif layer.live is not None:
+        found["electrodes"] = {"live": layer.live}
     return found
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension, read_radius
 from geometry.limits import CLOSED, FILL_KEYS, NOT_KEYS
@@ -15,7 +17,8 @@ from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
 _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter", "cavity_radius", "cavity_diameter",
-               "bottom", "profile", *SHAPES)
+               "inner_radius", "inner_diameter", "bottom", "profile", *SHAPES)
+_TRANSDUCER_KEYS = ("electrodes", "poled")
 _STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
                         "cavity_width", "bottom")
 
@@ -69,10 +72,10 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
     for table, region, role in zip(tables, region_names(roles), roles, strict=True):
         if isinstance(measure, Straight):
             refuse_round_keys(table)
-            table.only([*_STRAIGHT_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _STRAIGHT_LAYER_KEYS)
+            table.only([*_STRAIGHT_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _STRAIGHT_LAYER_KEYS)
         else:
             _refuse_not_round(table)
-            table.only([*_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _LAYER_KEYS)
+            table.only([*_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _LAYER_KEYS)
         bottom = table.optional_quantity("bottom", "length")
         profile = read_profile(table.table("profile")) if "profile" in table else None
         measured: dict[str, float] = {}
@@ -92,9 +95,12 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
                            if {f"cavity_{across}", f"cavity_{doubled}"} & {*table, *measured} else None),
             density=table.optional_quantity("density", "density"),
             profile=profile,
+            bore=_optional_radius(table, f"inner_{across}", f"inner_{doubled}"),
+            poled="down" if _either(table, "poled", "up", "down") == "down" else "up",
+            live=_further_live(table) if role == TRANSDUCER and region != TRANSDUCER else None,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )
-        if role == TRANSDUCER:
+        if region == TRANSDUCER:
             electrodes = _electrodes(table.table("electrodes"), layer.outer_radius, measure)
         if measured and layers and layer.z_top < layers[-1].z_bottom + SAME_LENGTH and isinstance(
                 layers[-1].profile and layers[-1].profile.source, StepPart):
@@ -105,6 +111,56 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
                              + (f'"{_other_way(profile)}"' if profile else ""))
         layers.append(layer)
     return tuple(layers), electrodes
+
+
+def _further_live(table: FileTable) -> Literal["top", "bottom"] | None:
+    """The live face of a transducer above the first; None if nothing is stated."""
+    own = table.table("electrodes").only(("live",))
+    if "live" not in own:
+        return None
+    return "top" if _either(own, "live", "top", "bottom") == "top" else "bottom"
+
+
+def _either(table: FileTable, key: str, one: str, other: str) -> str:
+    """One of two words, by default the first."""
+    return choose(table.text(key, one), (one, other), source=table.source, field=table.at(key))
+
+
+def read_well(table: FileTable, layers: tuple[Layer, ...]) -> tuple[tuple[Layer, ...], bool]:
+    """The layers with the walls of a well cut at the surface of the liquid, and whether the cavity is open.
+
+    Walls above the surface are rings around an empty bore, of which the lowest is named next to the wall it is of.
+
+    Raises:
+        InputError: a fill that is not inside the cavity, or of a cavity that is said to be closed.
+    """
+    is_open = table.flag("open", default="fill" in table)
+    if "fill" not in table:
+        return layers, is_open
+    if not is_open:
+        raise table.error("fill", "no fill, which leaves the surface free, where open = false")
+    holes = [layer for layer in layers if layer.cavity_radius is not None]
+    depth = table.quantity("fill", "length")
+    height = holes[-1].z_top - holes[0].z_bottom if holes else 0.0
+    if not 0.0 < depth < height + SAME_LENGTH:
+        raise table.error("fill", f"a depth of the liquid above zero and at most the height of the cavity, "
+                          f"{millimetres(height)}" if holes else "no fill: no layer has a cavity_radius")
+    surface, found = holes[0].z_bottom + depth, list[Layer]()
+    for layer in layers:
+        if layer.cavity_radius is None or layer.z_top < surface + SAME_LENGTH:
+            found.append(layer)
+            continue
+        dry = replace(layer, cavity_radius=None, bore=layer.cavity_radius)
+        if layer.z_bottom > surface - SAME_LENGTH:
+            found.append(dry)
+            continue
+        if layer.shapes or layer.profile is not None:
+            raise table.error("fill", f"a depth that ends at the top of {layer.region!r}, which is no plain ring")
+        wet = surface - layer.z_bottom
+        found += [replace(layer, thickness=Dimension(wet)),
+                  replace(dry, z_bottom=surface, thickness=Dimension(layer.thickness.value - wet))]
+    names = region_names(layer.role for layer in found)
+    return tuple(replace(layer, region=name) for layer, name in zip(found, names, strict=True)), is_open
 
 
 def _other_way(profile: Profile) -> str:

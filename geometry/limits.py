@@ -14,18 +14,15 @@ NOT_ROUND = (f"{AXISYMMETRIC}; in place of a rectangular plate state a disc of i
 CENTRED = (f"{AXISYMMETRIC}; in place of a part beside the axis state it on the axis, or as a ring of its area "
            "at its distance")
 
-#: Advice for transducers other than one full disc.
-ONE_DISC = ("one transducer that is a full disc; rings, tubes and several transducers are not modelled yet: in place "
-            "of a ring state a disc of its thickness and area, radius = sqrt(R^2 - r^2), which has its thickness "
-            "resonance and not its radial ones; of several transducers state the one that is driven")
+#: Transducers of a chip with profiles.
+FULL_DISC = ("with an outline a transducer is a full disc; of a ring state radius and inner_radius, without a profile")
 
-ONE_CAVITY = (f"{AXISYMMETRIC}, with one closed cavity; of two cavities model the one with the particles, and state "
+ONE_CAVITY = (f"{AXISYMMETRIC}, with one cavity; of two cavities model the one with the particles, and state "
               "the layer around the other one as solid")
 
-CLOSED = (f"{AXISYMMETRIC}, with one closed cavity; in place of a free surface (an open well) state a superstrate so "
-          "thin that it hardly weighs, such as 10 um of a polymer, and the depth of the fluid as height of the wall")
+CLOSED = ('of an open well state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
 
-#: Keys that people write for a cavity that is not filled to its top.
+#: Keys that people write in a state for a cavity that is not filled to its top.
 FILL_KEYS = ("fill", "fill_height", "filling", "level", "liquid_height", "height")
 
 #: Keys that people write for things that are not round, and the advice for each.

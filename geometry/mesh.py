@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from geometry.free_section import FreeSection
 from geometry.measure import Measure
 from geometry.mesh_size import MeshSize
-from geometry.names import TRANSDUCER, parent_place
+from geometry.names import TRANSDUCER, parent_place, role_of
 from geometry.panels import Panel, divided
 from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
@@ -161,7 +161,8 @@ def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
     for a, b in np.unique(neighbours[:, between], axis=1).T:
         name = boundary_name(section.regions, int(a), int(b))
         facets[name] = np.flatnonzero(between & (neighbours[0] == a) & (neighbours[1] == b))
-    of_transducer = (neighbours == section.regions.index(TRANSDUCER)).any(axis=0)
+    transducers = [i for i, region in enumerate(section.regions) if role_of(region) == TRANSDUCER]
+    of_transducer = np.isin(neighbours, transducers).any(axis=0)
     for name in dict.fromkeys(electrode.name for electrode in section.electrodes):
         pieces = [(z == each.z) & (r >= each.r_inner) & (r <= each.r_outer) for each in section.electrodes
                   if each.name == name]

@@ -150,7 +150,7 @@ def _corners(section: Section, refinement: float) -> tuple[dict[float, float], d
     goes_on = set(section.measure.ends(section.r_breaks).values())
     for couplant in (p for p in section.rectangles if role_of(p.region) == COUPLANT):
         radii |= dict.fromkeys({couplant.r_inner, couplant.r_outer} - goes_on, refinement)
-    rims = {r for p in section.rectangles if p.region == TRANSDUCER for r in (p.r_inner, p.r_outer)}
+    rims = {r for p in section.rectangles if role_of(p.region) == TRANSDUCER for r in (p.r_inner, p.r_outer)}
     for electrode in section.electrodes:
         ends = {electrode.r_inner, electrode.r_outer} - rims
         radii |= dict.fromkeys(ends, refinement**3)

@@ -1,7 +1,8 @@
 """The parts a chip is described by: dimensions, layers, electrodes, ports and states. All lengths in metres.
 
-Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one axis,
-and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
+Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc or a ring of its own radius about
+one axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below, and above unless
+it is a well.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ class Electrodes:
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer: a disc, or a ring around the cavity if ``cavity_radius`` is given.
+    """One layer: a disc, a ring around the cavity if ``cavity_radius`` is given, or one around an empty ``bore``.
 
     ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own if a person weighed the part. ``draft``
     (rad), ``barrel``, ``bow`` and ``dome`` (m) are its deviations from a disc with plane faces and upright sides, see
     `geometry.shapes`. ``profile`` is an outline other than a rectangle, see `geometry.profile`; ``thickness`` is then
-    the distance of the layer above from the bottom of this one.
+    the distance of the layer above from the bottom of this one. A transducer is ``poled`` up or down along z; every
+    transducer but the lowest has electrodes that cover its faces, of which ``live`` is the one at the drive voltage.
     """
 
     region: str
@@ -60,6 +62,9 @@ class Layer:
     bow: Dimension | None = None
     dome: Dimension | None = None
     profile: Profile | None = None
+    bore: Dimension | None = None
+    poled: Literal["up", "down"] = "up"
+    live: Literal["top", "bottom"] | None = None
 
     @property
     def z_top(self) -> float:
@@ -69,7 +74,8 @@ class Layer:
     @property
     def inner_radius(self) -> float:
         """Radius of the hole, metres; 0 for a full disc."""
-        return 0.0 if self.cavity_radius is None else self.cavity_radius.value
+        hole = self.bore if self.cavity_radius is None else self.cavity_radius
+        return 0.0 if hole is None else hole.value
 
     @property
     def outer_radius(self) -> float:
@@ -173,6 +179,8 @@ def named_dimensions(
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
         yield f"{layer.region}.{across}", layer.radius
+        if layer.bore is not None:
+            yield f"{layer.region}.inner_{across}", layer.bore
         for shape, size in layer.shapes.items():
             yield f"{layer.region}.{shape}", size
         if layer.profile is not None:

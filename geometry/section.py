@@ -176,18 +176,7 @@ def section_of_layers(
     ]
     rectangles += [Rectangle(CAVITY, 0.0, hole.inner_radius, hole.z_bottom, hole.z_top) for hole in layers
                    if hole.cavity_radius is not None]
-    transducer = next(layer for layer in layers if layer.region == TRANSDUCER)
-    top_is_live = electrodes.live == "top"
-
-    def electrode(name: str, part: ElectrodeDisc, *, on_top: bool) -> Electrode:
-        inner = 0.0 if part.inner_radius is None else part.inner_radius.value
-        outer = transducer.outer_radius if part.radius is None else part.radius.value
-        return Electrode(name, inner, outer, transducer.z_top if on_top else transducer.z_bottom)
-
-    lines = [
-        electrode(ELECTRODE_LIVE, electrodes.live_disc, on_top=top_is_live),
-        electrode(ELECTRODE_GROUND, electrodes.ground_disc, on_top=not top_is_live),
-    ]
+    lines = [each for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)]
     if isinstance(measure, Straight) and not measure.planes:
         rectangles = [each for half in rectangles for each in _whole(half)]
         lines = [each for half in lines for each in _whole(half)]
@@ -202,6 +191,20 @@ def section_of_layers(
         tuple(Electrode(e.name, radii[e.r_inner], radii[e.r_outer], heights[e.z]) for e in lines),
         measure,
     )
+
+
+def _faces(transducer: Layer, electrodes: Electrodes) -> list[Electrode]:
+    """The live electrode and the ground electrode of a transducer; those of a chip's `electrodes` if it is the lowest.
+    """
+    own = electrodes if transducer.live is None else Electrodes(transducer.live)
+
+    def face(name: str, part: ElectrodeDisc, *, on_top: bool) -> Electrode:
+        inner = transducer.inner_radius if part.inner_radius is None else part.inner_radius.value
+        outer = transducer.outer_radius if part.radius is None else part.radius.value
+        return Electrode(name, inner, outer, transducer.z_top if on_top else transducer.z_bottom)
+
+    return [face(ELECTRODE_LIVE, own.live_disc, on_top=own.live == "top"),
+            face(ELECTRODE_GROUND, own.ground_disc, on_top=own.live != "top")]
 
 
 def _whole(half: Piece) -> list[Piece]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from geometry.free_section import FreeSection
 from geometry.mesh_size import MeshSize
-from geometry.names import TRANSDUCER
+from geometry.names import TRANSDUCER, role_of
 from geometry.section import Rectangle, Section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Material
@@ -74,7 +74,7 @@ class Discretisation:
     def _finer(self, region: str, material: Material) -> float:
         if isinstance(material, Fluid) and material.density * material.sound_speed < GAS_IMPEDANCE:
             return self.gas_finer
-        return self.transducer_finer if region == TRANSDUCER else 1.0
+        return self.transducer_finer if role_of(region) == TRANSDUCER else 1.0
 
 
 def film_speeds(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ from geometry.chip import Chip, State
 from geometry.chip_section import chip_section
 from geometry.free_section import FreeSection
 from geometry.mesh import SectionMesh
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM, role_of
 from geometry.section import Section
 from materials.assumed import with_assumed_loss
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
@@ -152,7 +152,7 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
         if registry.assumed_losses:
             material, assumed = with_assumed_loss(material)
             findings.append(assumed)
-        if isinstance(material, Piezoelectric) and region != TRANSDUCER:
+        if isinstance(material, Piezoelectric) and role_of(region) != TRANSDUCER:
             findings.append(f"{region} of {material.name} is a passive layer: its whole surface is an electrode at "
                             "ground, so that it is short-circuited")
         for other, known in found.items():
@@ -180,7 +180,7 @@ def _without_layers(held: Material | None, registry: Registry) -> str:
 
 def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
     """Raise if the region cannot have a material of this kind."""
-    if region == TRANSDUCER and not isinstance(material, Piezoelectric):
+    if role_of(region) == TRANSDUCER and not isinstance(material, Piezoelectric):
         raise InputError(chip.file, f"material of {region}", name,
                          f"a piezoelectric material; this is {_kind(material)}")
     if region == CAVITY and isinstance(material, Piezoelectric):
@@ -204,7 +204,7 @@ def _kind(material: Material) -> str:
 def _check_passive_layers(device: FilledChip) -> None:
     """Raise if a passive piezoelectric layer lies on the live electrode, which would drive it."""
     passive = [region for region, material in device.materials.items()
-               if region != TRANSDUCER and isinstance(material, Piezoelectric)]
+               if role_of(region) != TRANSDUCER and isinstance(material, Piezoelectric)]
     if not passive:
         return
     pieces = [each for each in device.section.electrodes if each.name == ELECTRODE_LIVE]
@@ -271,11 +271,14 @@ def _load(
         raise
 
 
-def base_model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, ...]:
+def base_model(
+    mesh: SectionMesh, materials: Mapping[str, Material], poled_down: Collection[str] = ()
+) -> tuple[Term, ...]:
     """The terms of the base model: solids, fluids, their contacts, pressure-release rims, electrodes.
 
     A fluid whose viscosities are known absorbs sound in its bulk accordingly; one without is lossless. A piezoelectric
-    layer that is not the transducer is short-circuited (`electrodes.ShortCircuit`).
+    layer that is no transducer is short-circuited (`electrodes.ShortCircuit`). Regions `poled_down` are poled against
+    z.
 
     Regions absent from `materials` hold nothing; the walls around them are traction-free.
     """
@@ -283,7 +286,7 @@ def base_model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Te
     for region, material in materials.items():
         match material:
             case Piezoelectric():
-                terms.append(piezoelectric.PiezoelectricSolid(region, material.name))
+                terms.append(piezoelectric.PiezoelectricSolid(region, material.name, region in poled_down))
             case IsotropicSolid():
                 terms.append(solid.ElasticSolid(region, material.name))
             case Fluid():
@@ -301,7 +304,7 @@ def base_model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Te
                 (other,) = (side for side in sides if side != fluids[0])
                 terms.append(fluid.SolidFluidContact(boundary, other, fluids[0]))
     passive = [region for region, material in materials.items()
-               if region != TRANSDUCER and isinstance(material, Piezoelectric)]
+               if role_of(region) != TRANSDUCER and isinstance(material, Piezoelectric)]
     terms += [electrodes.ShortCircuit(boundary) for boundary in mesh.section.boundary_names()
               if set(boundary.split("|")) & set(passive)]
     terms.append(electrodes.ElectrodePotential(ELECTRODE_LIVE, ELECTRODE_GROUND))
@@ -336,16 +339,19 @@ def build(
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)
-    made = replace(problem(mesh, device.materials, (low, high), name=device.name), discretisation=fineness)
+    turned = [layer.region for layer in device.chip.layers if layer.poled == "down"]
+    made = replace(problem(mesh, device.materials, (low, high), name=device.name, poled_down=turned),
+                   discretisation=fineness)
     return made if device.inviscid else with_boundary_layers(made)
 
 
 def problem(
-    mesh: SectionMesh, materials: Mapping[str, Material], band: tuple[float, float], *, name: str = ""
+    mesh: SectionMesh, materials: Mapping[str, Material], band: tuple[float, float], *, name: str = "",
+    poled_down: Collection[str] = (),
 ) -> Problem:
     """The base model on a given mesh."""
     values = {f"{m.name}.{key}": value for m in materials.values() for key, value in m.parameters().items()}
     for material in materials.values():
         if isinstance(material, Fluid) and material.diffusivity_of_sound is not None:
             values[f"{material.name}.diffusivity_of_sound"] = complex(material.diffusivity_of_sound)
-    return Problem(mesh, base_model(mesh, materials), values, band, dict(materials), name)
+    return Problem(mesh, base_model(mesh, materials, poled_down), values, band, dict(materials), name)

@@ -17,11 +17,12 @@ class PiezoelectricSolid(Term):
     with sigma = C eps - e^T E, D = e eps + epsilon E and E = -grad(phi) (Acevedo-Espinosa et al. (RP-UEIS), eqs. 10
     and 11, quasistatic, 6mm symmetry). Parameters ``<material>.c11 ... .eps33`` are those of
     `materials.Piezoelectric`; permittivities are relative and at constant strain. Time factor e^{-i w t}: a loss is a
-    negative imaginary stiffness and a positive imaginary permittivity.
+    negative imaginary stiffness and a positive imaginary permittivity. ``poled_down`` is against z, which reverses e.
     """
 
     region: str
     material: str
+    poled_down: bool = False
 
     @property
     def unknowns(self) -> tuple[tuple[str, str], ...]:
@@ -30,7 +31,8 @@ class PiezoelectricSolid(Term):
     def integrals(self) -> tuple[Integral, ...]:
         def of(name: str, *products: Product, scale: float = 1.0, omega_power: int = 0) -> Integral:
             factors = ((f"{self.material}.{name}", 1),)
-            return Integral(Monomial(scale, omega_power, factors), self.region, products)
+            turned = -scale if self.poled_down and name.startswith("e") and not name.startswith("eps") else scale
+            return Integral(Monomial(turned, omega_power, factors), self.region, products)
 
         return (
             of("c11", Product("strain_rr", "strain_rr"), Product("strain_tt", "strain_tt")),
