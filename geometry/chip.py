@@ -61,7 +61,7 @@ class Chip:
     measure: Measure = ABOUT_AXIS
 
     def __post_init__(self) -> None:
-        check_straight(self.measure, self.layers, self.electrodes, self.ports, self.states, self.file)
+        check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
         checks.check_cavity(self.layers, self.file)
         checks.check_shapes(self.layers, self.file)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, SHAPES, dimension_text
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
-from geometry.parts import Electrodes, Layer, Ports, State
+from geometry.parts import Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
@@ -55,13 +55,12 @@ def refuse_round_keys(table: FileTable) -> None:
 
 
 def check_straight(
-    measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, states: Sequence[State],
-    file: str,
+    measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, file: str
 ) -> None:
     """Check that a straight chip has only what such chips may have so far.
 
     Raises:
-        InputError: ports, a profile or shape of a layer, a particle, planes of symmetry that do not bound the section,
+        InputError: ports, a profile or shape of a layer, planes of symmetry that do not bound the section,
             or a live electrode across a plane of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
@@ -75,10 +74,6 @@ def check_straight(
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
         if stated:
             raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", _NOT_YET)
-    for state in states:
-        if state.particle is not None:
-            raise InputError(file, f"states.{state.name}.particle", state.particle, "no particle: the traps and beads "
-                             "of a straight chip are not modelled yet; its fields are")
     gap = electrodes.live_disc.inner_radius
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),

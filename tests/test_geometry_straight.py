@@ -106,7 +106,6 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('geometry = "straight"', 'geometry = "strait"', "straight"),
     ('symmetry = "even"', 'symmetry = "odd"', "gap"),
     ("[states.filled]", '[cavity]\nports = { diameter = "0.1 mm" }\n\n[states.filled]', "no ports"),
-    ('cavity = "water"', 'cavity = "water"\nparticle = "polystyrene"\nparticle_radius = "5 um"', "not modelled yet"),
 ])
 def test_mistakes_and_what_is_not_there_yet_are_told(old: str, new: str, words: str) -> None:
     assert old in CHIP

@@ -63,7 +63,7 @@ def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePict
         factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
         values = forces.potential * factor
         marks = tuple((sign * trap.radius * 1e3, trap.height * 1e3, str(trap)) for trap in traps.traps
-                      for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,)))
+                      for sign in ((-1.0, 1.0) if trap.measure.mirror and trap.radius > 0.0 else (1.0,)))
         title = f"Gor'kov potential, {2e6 * forces.particle.radius:.3g} µm {forces.particle.name.split('/')[0]}"
         yield _picture("potential", title, forces.mesh, values, unit, PLAIN_COLOURS,
                        (float(values.min()), float(values.max())), marks, tall=2.0)

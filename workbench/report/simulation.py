@@ -52,14 +52,17 @@ def traps_table(report: TrapReport) -> TextTable:
     for trap in report.traps:
         seconds = time_to(report, trap)
         rows.append((
-            f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}{', on a wall' if trap.on_wall else ''}",
-            f"{1e3 * trap.above_floor:.3f}", *(_femtojoules(each) for each in (
+            f"{trap.measure.symbol} {1e3 * trap.radius:.{trap.measure.decimals + 1}f}, z "
+            f"{1e3 * trap.height:.{trap.measure.decimals + 1}f}{', on a wall' if trap.on_wall else ''}",
+            f"{1e3 * trap.above_floor:.{trap.measure.decimals + 1}f}", *(_femtojoules(each) for each in (
                 trap.barrier, trap.axial_barrier, trap.radial_barrier)),
             "" if trap.lift is None or not weight else number_text(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
             f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
             "" if seconds is None else number_text(seconds, 3)))
-    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
-                      "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
+    across, up = report.forces.mesh.measure.directions
+    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", f"{up} barrier (fJ)",
+                      f"{across} barrier (fJ)", "lift / weight", "share (%)", "stiffness (pN/mm)",
+                      "focusing time (s)"), tuple(rows))
 
 
 def _femtojoules(barrier: float | None) -> str:

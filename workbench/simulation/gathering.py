@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.acoustics.forces import ParticleForces
@@ -46,9 +45,8 @@ class Gathering:
 
 
 def gathering(shot: Snapshot) -> Gathering | None:
-    """The answer whether and where the particles of a state gather; None without a cavity, and for a straight chip,
-    which has no particles yet."""
-    if not isinstance(shot.chip.measure, Axisymmetric) or CAVITY not in shot.chip.materials(shot.state):
+    """The answer whether and where the particles of a state gather; None without a cavity."""
+    if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
     if not isinstance(fluid, Fluid) or fluid.density < GAS:
@@ -82,8 +80,8 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     seconds = time_to(report, best)
     voltage = 2.0 * excitation.voltage
     if seconds is None:
-        sentences.append("One that starts a quarter wavelength above or below it on the same vertical line does not "
-                         "get there: another trap, a wall or its weight takes it.")
+        sentences.append(f"One that starts a quarter wavelength {trap_sides(best)} does not get there: another trap, a "
+                         "wall or its weight takes it.")
     elif seconds > SLOW:
         quick = voltage * math.sqrt(seconds / 10.0)
         sentences.append(f"Focusing is slow: {rounded(seconds)} s from a quarter wavelength away; it is faster by the "
@@ -103,7 +101,7 @@ def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
         words = f"Nothing leads out of {which}"
     else:
         words = (f"To leave {which} one needs {rounded(trap.barrier * 1e15)} fJ (along z {_femto(trap.axial_barrier)}, "
-                 f"along r {_femto(trap.radial_barrier)})")
+                 f"along {trap.measure.symbol} {_femto(trap.radial_barrier)})")
         if trap.barrier < THERMAL:
             words += ", which thermal motion gives it"
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
@@ -175,19 +173,29 @@ def _on_walls(report: TrapReport) -> str:
 
 def place_words(trap: Trap) -> str:
     """The place of a trap, in words."""
-    across = "on the axis" if trap.radius == 0.0 else f"in a ring of radius {trap.radius * 1e3:.2f} mm"
-    return f"{across}, {trap.above_floor * 1e3:.2f} mm above the floor"
+    return f"{trap.measure.place_words(trap.radius)}, {_above_floor(trap)}"
+
+
+def trap_sides(trap: Trap) -> str:
+    """The places from which a particle's time to a trap is counted."""
+    beside = ", or on the same level to either side" if len(trap.measure.approaches(0.0, 0.0)) > 1 else ""
+    return f"above or below it on the same vertical line{beside}"
+
+
+def _above_floor(trap: Trap) -> str:
+    return f"{trap.above_floor * 1e3:.{trap.measure.decimals}f} mm above the floor"
 
 
 def _wall_words(trap: Trap, forces: ParticleForces) -> str:
     nodes = forces.mesh.points
     if trap.above_floor < _AT * float(np.ptp(nodes[:, 1])):
         wall = "on the floor"
-    elif trap.radius > (1.0 - _AT) * nodes[:, 0].max():
-        return f"at the side wall {trap.above_floor * 1e3:.2f} mm above the floor"
+    elif abs(trap.radius) > (1.0 - _AT) * np.abs(nodes[:, 0]).max():
+        return f"at the side wall {_above_floor(trap)}"
     else:
         wall = "at the lid"
-    return f"{wall} {'on the axis' if trap.radius == 0.0 else f'at r = {trap.radius * 1e3:.2f} mm'}"
+    words = trap.measure.place_words(trap.radius)
+    return f"{wall} {words.replace('in a ring of radius', 'at r =')}"
 
 
 def particle_words(forces: ParticleForces) -> str:

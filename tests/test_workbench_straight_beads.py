@@ -1,0 +1,198 @@
+"""Particles and streaming in straight channels: closed forms of a half wave, halves against the whole, four rolls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support import quadratic
+from test_geometry_straight import CHIP, chip
+
+import workbench as wb
+from geometry.measure import Parity, Straight
+from geometry.mesh import mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.section import Electrode, Rectangle, Section
+from materials.kinds import Fluid
+from workbench.acoustics.conduction import ThermalConstants, conduction
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.forces import ParticleForces, focus_time_along, particle_forces
+from workbench.acoustics.nodal import NodalMesh, interpolate, mesh_of
+from workbench.acoustics.streaming import RAYLEIGH_SLIP
+from workbench.acoustics.traps import find_traps, focus_time
+from workbench.model.particles import Particle, compressibility
+from workbench.simulation.run import Snapshot
+
+WATER = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
+BEAD = Particle(name="polystyrene", density=1050.0, compressibility=249.1e-12, radius=2.5e-6)
+WIDTH, HEIGHT = 380e-6, 160e-6
+HALF_WAVE = math.pi / WIDTH
+AMPLITUDE = 1e5
+COARSE = quadratic(3.0)
+
+
+def cavity(left: float, measure: Straight, *, cells: int = 8, order: int = 4) -> NodalMesh:
+    """The cavity from x = `left` to half the width, and from the floor z = 0."""
+    x, z = np.linspace(left, 0.5 * WIDTH, cells + 1), np.linspace(0.0, HEIGHT, 5)
+    low, high = (np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+                 for lines in ((x[:-1], z[:-1]), (x[1:], z[1:])))
+    return mesh_of(low, high, np.zeros(len(low), dtype=np.int64), ("cavity",), order=order, measure=measure)
+
+
+def wave(mesh: NodalMesh, *, k_x: float, phase: float, k_z: float = 0.0) -> Any:
+    """The part of Fields that is read here, of p = p0 cos(k_x x + phase) cos(k_z z)."""
+    x, z = mesh.points.T
+    omega = math.hypot(k_x, k_z) * WATER.sound_speed
+    pressure = AMPLITUDE * np.cos(k_x * x + phase) * np.cos(k_z * z) + 0j
+    slope = -AMPLITUDE * np.stack([k_x * np.sin(k_x * x + phase) * np.cos(k_z * z),
+                                   k_z * np.cos(k_x * x + phase) * np.sin(k_z * z)], axis=1)
+    velocity = slope / (1j * omega * WATER.density)
+    energy = (np.abs(pressure) ** 2 * compressibility(WATER) + WATER.density * (np.abs(velocity) ** 2).sum(axis=1)) / 4
+    return SimpleNamespace(mesh=mesh, frequency=omega / (2.0 * math.pi), voltage=5.0 + 0j, drive="test drive",
+                           pressure=pressure, velocity=velocity, energy_density=energy)
+
+
+def half_wave(particle: Particle = BEAD) -> ParticleForces:
+    """A half wave across the channel, in its right half."""
+    mesh = cavity(0.0, Straight(0.02, Parity.ODD))
+    return particle_forces(wave(mesh, k_x=HALF_WAVE, phase=0.5 * math.pi), particle, fluid=WATER, region="cavity")
+
+
+def test_the_force_of_a_half_wave_is_the_closed_form() -> None:
+    forces = half_wave()
+    x = forces.mesh.points[:, 0]
+    factor, energy = forces.scattering.contrast_factor, forces.excitation.energy_density
+    expected = -4.0 * math.pi * factor * HALF_WAVE * BEAD.radius**3 * energy * np.sin(2.0 * HALF_WAVE * x)
+    # Order 4 with 16 elements a wavelength.
+    np.testing.assert_allclose(forces.force[:, 0], expected, atol=1e-5 * np.abs(expected).max())
+    assert np.abs(forces.force[:, 1]).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_the_time_to_focus_across_is_the_closed_form() -> None:
+    forces = half_wave()
+    factor, energy = forces.scattering.contrast_factor, forces.excitation.energy_density
+    begin, end = 0.9 * 0.5 * WIDTH, 0.1 * 0.5 * WIDTH
+    assert WATER.shear_viscosity is not None
+    expected = 3.0 * WATER.shear_viscosity / (4.0 * BEAD.radius**2 * factor * HALF_WAVE**2 * energy) * math.log(
+        math.tan(HALF_WAVE * begin) / math.tan(HALF_WAVE * end))
+    found = focus_time_along(forces, 0, across=0.5 * HEIGHT, start=begin, stop=end)
+    print(f"half wave: {found:.6g} s, closed form {expected:.6g} s")
+    assert found == pytest.approx(expected, rel=1e-3)
+    report = find_traps(forces)
+    # The potential is the same at all heights, and a quarter wavelength is half the width.
+    assert {trap.radius for trap in report.traps} == {0.0}
+    assert focus_time(report) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("waves", "parity"), [(1, Parity.ODD), (2, Parity.EVEN), (3, Parity.ODD)])
+def test_traps_in_the_half_are_those_of_the_whole(waves: int, parity: Parity) -> None:
+    k_x, k_z = waves * HALF_WAVE, math.pi / HEIGHT
+    phase = 0.5 * math.pi * waves
+    half, whole = (find_traps(particle_forces(
+        wave(cavity(left, measure, cells=cells), k_x=k_x, phase=phase, k_z=k_z), BEAD, fluid=WATER, region="cavity"))
+        for left, measure, cells in ((0.0, Straight(0.02, parity), 8), (-0.5 * WIDTH, Straight(0.02), 16)))
+    middle = [trap for trap in whole.traps if trap.radius > -1e-9]
+    assert len(half.traps) == len(middle) > 0
+    for own in half.traps:
+        (other,) = (each for each in middle if math.hypot(each.radius - own.radius, each.height - own.height) < 1e-8)
+        # A trap beside the middle stands for both of its images.
+        images = 1 if own.radius == 0.0 else 2
+        assert own.share == pytest.approx(images * other.share, abs=0.02)
+        assert own.on_wall == other.on_wall
+        for name in ("potential", "depth", "radial_stiffness", "axial_stiffness"):
+            assert getattr(own, name) == pytest.approx(getattr(other, name), rel=1e-3), name
+        assert (own.barrier is None) == (other.barrier is None)
+        if own.barrier is not None:
+            assert own.barrier == pytest.approx(other.barrier, rel=1e-2, abs=1e-3 * abs(own.depth))
+
+
+# Streaming -----------------------------------------------------------------------------------------------------------
+
+
+def rigid(symmetry: str) -> Snapshot:
+    """The state of a chip with its fields replaced by half a wave across the channel between walls that stay."""
+    text = CHIP.replace('live = "bottom"', 'live = "bottom", live_inner_half_width = "0.3 mm"').replace(
+        'symmetry = "even"', f'symmetry = "{symmetry}"')
+    frequency = WATER.sound_speed / (2.0 * WIDTH)
+    shot = wb.snapshot(chip(text), None, frequency, accuracy=COARSE)
+    fields, water = shot.fields, shot.problem.materials["cavity"]
+    assert isinstance(water, Fluid)
+    x, inside = fields.mesh.points[:, 0], fields.mesh.nodes_of(["cavity"])
+    pressure, velocity = np.full(x.shape, np.nan, dtype=complex), np.full((len(x), 2), np.nan, dtype=complex)
+    k = 2.0 * math.pi * frequency / water.sound_speed
+    pressure[inside] = AMPLITUDE * np.sin(k * x[inside])
+    velocity[inside] = 0.0
+    velocity[inside, 0] = AMPLITUDE / (1j * water.density * water.sound_speed) * np.cos(k * x[inside])
+    return replace(shot, fields=replace(fields, pressure=pressure, velocity=velocity,
+                                        displacement=0.0 * fields.displacement))
+
+
+@pytest.mark.parametrize("symmetry", ["odd", "none"])
+def test_a_half_wave_between_rigid_walls_drives_four_rolls(symmetry: str) -> None:
+    shot = rigid(symmetry)
+    flow = wb.streaming(shot, order=6)
+    speed = AMPLITUDE / (flow.fluid.density * flow.fluid.sound_speed)
+    slip = RAYLEIGH_SLIP * speed**2 / flow.fluid.sound_speed
+    floor = flow.mesh.points[:, 1].min()
+    places = np.array([[0.25 * WIDTH, floor + 0.5 * HEIGHT], [0.25 * WIDTH, floor + 0.02 * HEIGHT],
+                       [1e-7, floor + 0.25 * HEIGHT], [1e-7, floor + 0.75 * HEIGHT]])
+    found = interpolate(flow.mesh, flow.causes["walls"], places, ["cavity"]) / slip
+    print(f"{symmetry}: u(w/4, h/2) / slip = {found[0, 0]:.5f}, net flux {flow.net_flux:.1e}")
+    # Along floor and lid outwards to the antinodes, and back along the middle: in a rectangle of this shape by -0.41169
+    # of the slip (a Fourier series; tests/test_workbench_stokes.py).
+    assert found[0, 0] == pytest.approx(-0.41169, abs=2e-3)
+    assert found[1, 0] > 0.5
+    # In the middle of the channel the lower rolls go down to the floor, and the upper ones up to the lid.
+    assert found[2, 1] < -0.05 < 0.05 < found[3, 1]
+    assert flow.net_flux < 1e-10
+    if symmetry == "none":
+        mirrored = interpolate(flow.mesh, flow.causes["walls"], places * [-1.0, 1.0], ["cavity"]) / slip
+        np.testing.assert_allclose(mirrored, found * [-1.0, 1.0], atol=1e-3)
+
+
+# Heat ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parity", [Parity.EVEN, Parity.ODD])
+def test_a_slab_with_an_even_source_has_a_parabola(parity: Parity) -> None:
+    # Between planes of symmetry, through which no heat goes, nothing depends on x: k T'' = -q, k |T'| = h T at faces.
+    width, thick, length, source, h = 0.8e-3, 1.5e-3, 0.03, 2e6, 12.0
+    constants = ThermalConstants(1.5, 7500.0, 420.0)
+    section = Section((Rectangle("transducer", 0.0, width, 0.0, thick),),
+                      (Electrode("electrode_live", 0.5 * width, width, 0.0),
+                       Electrode("electrode_ground", 0.0, width, thick)), Straight(length, parity, Parity.EVEN))
+    mesh = mesh_section(section, MeshSize({"transducer": 1.0}, 2e3, 1.0, 4))
+    model = conduction(mesh, {"transducer": constants}, cooling={"": h})
+    (place,) = model.places.values()
+    load = np.bincount(place.dofs.ravel(), weights=np.einsum(
+        "eqi,eq->ie", place.shapes["value"], source * place.weights).ravel(), minlength=model.size)
+    found = model.temperature(load)
+    nodes, dofs = section_nodes(mesh)
+    z = nodes.points[:, 1]
+    expected = source * thick / (2.0 * h) + source * z * (thick - z) / (2.0 * constants.conductivity)
+    # A polynomial of the elements' order: rounding alone.
+    np.testing.assert_allclose(found[dofs], expected, rtol=1e-9)
+    cooled, held = model.leaving(found, load)
+    assert sum(cooled.values()) == pytest.approx(source * width * thick * length, rel=1e-9)
+    assert held == 0.0
+
+
+def test_heat_is_that_of_the_whole_chip_and_goes_with_the_length() -> None:
+    half, whole, short = (wb.snapshot(each, None, 1.97e6, accuracy=COARSE, drive=wb.parse_drive(drive))
+                          for each, drive in ((chip(), "0.1 W"), (chip(CHIP.replace('"even"', '"none"')), "0.1 W"),
+                                              (chip(CHIP.replace('"20 mm"', '"10 mm"')), "0.05 W")))
+    warm, other, of_short = (wb.heating(each) for each in (half, whole, short))
+    assert warm.closure < 1e-9
+    assert warm.released == pytest.approx(0.1, rel=1e-6)
+    assert sum(warm.convected.values()) == pytest.approx(warm.power, rel=1e-9)
+    for name, part in warm.parts.items():
+        # The meshes are images of each other.
+        assert part.mean == pytest.approx(other.parts[name].mean, rel=1e-6), name
+        # Half the power in half the length, and twice the resistance.
+        assert part.mean == pytest.approx(of_short.parts[name].mean, rel=1e-9), name
+        assert 2.0 * part.resistance == pytest.approx(of_short.parts[name].resistance, rel=1e-9), name
+    assert "x = " in str(warm)
