@@ -43,6 +43,8 @@ class Axisymmetric:
     symbol = "r"
     #: Directions in the section, across and up.
     directions = ("radial", "axial")
+    #: Numbers of the directions in which particles focus within seconds: up, for the cavities of round chips are flat.
+    focusing = (1,)
     #: Decimals of a length in millimetres that say where in a cavity something is.
     decimals = 2
     #: Sign of scalar fields in the image on the other side of the axis.
@@ -66,11 +68,6 @@ class Axisymmetric:
         """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
         return np.asarray(np.sqrt(random.uniform(low**2, high**2, count)))
 
-    def approaches(self, across: float, up: float) -> tuple[int, ...]:
-        """Directions (0 across, 1 up) in which a time to focus is counted, with the stiffness of the trap in each: up,
-        since the cavities of round chips are flat."""
-        return (1,)
-
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
         """Places x, y (m) seen from above of radii `r` (m) at azimuths `turn` (radians); `strip` is not needed."""
         return r * np.cos(turn), r * np.sin(turn)
@@ -78,6 +75,10 @@ class Axisymmetric:
     def place_words(self, r: float) -> str:
         """A place across the section in words."""
         return "on the axis" if r == 0.0 else f"in a ring of radius {1e3 * r:.{self.decimals}f} mm"
+
+    def within_words(self, outer: float) -> str:
+        """The part of a section within a radius (m) in words."""
+        return f"r below {1e3 * outer:.3g} mm"
 
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two radii (m)."""
@@ -110,6 +111,8 @@ class Straight:
     symbol = "x"
     #: Directions in the section, across and up.
     directions = ("lateral", "vertical")
+    #: Numbers of the directions in which particles focus within seconds: both, since channels are as wide as high.
+    focusing = (0, 1)
     #: Decimals of a length in millimetres that say where in a cavity something is: a channel is some hundred
     #: micrometres wide.
     decimals = 3
@@ -150,10 +153,6 @@ class Straight:
         """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
         return np.asarray(random.uniform(low, high, count))
 
-    def approaches(self, across: float, up: float) -> tuple[int, ...]:
-        """Directions (0 across, 1 up) in which a time to focus is counted, the stiffer one first."""
-        return (0, 1) if across > up else (1, 0)
-
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
         """Places x, y (m) seen from above of places `r` (m) across a `strip` (m) of the device.
 
@@ -171,6 +170,10 @@ class Straight:
             return "in the middle of the channel"
         side = "either side" if self.mirror else "the right" if r > 0.0 else "the left"
         return f"{distance} to {side} of the middle"
+
+    def within_words(self, outer: float) -> str:
+        """The part of a section within a distance (m) of its middle in words."""
+        return f"within {1e3 * outer:.3g} mm of the middle"
 
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two places (m), in all images."""

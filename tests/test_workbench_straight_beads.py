@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from support import quadratic
 from test_geometry_straight import CHIP, chip
 
@@ -18,13 +20,16 @@ from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import Electrode, Rectangle, Section
 from materials.kinds import Fluid
+from workbench.acoustics.captures import Window, capture_statistics, light_curve
 from workbench.acoustics.conduction import ThermalConstants, conduction
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.forces import ParticleForces, focus_time_along, particle_forces
 from workbench.acoustics.nodal import NodalMesh, interpolate, mesh_of
 from workbench.acoustics.streaming import RAYLEIGH_SLIP
+from workbench.acoustics.trajectories import Fate, follow
 from workbench.acoustics.traps import find_traps, focus_time
 from workbench.model.particles import Particle, compressibility
+from workbench.render.beads import animate_beads, draw_from_above, draw_from_side, draw_light_curves
 from workbench.simulation.run import Snapshot
 
 WATER = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
@@ -196,3 +201,89 @@ def test_heat_is_that_of_the_whole_chip_and_goes_with_the_length() -> None:
         assert part.mean == pytest.approx(of_short.parts[name].mean, rel=1e-9), name
         assert 2.0 * part.resistance == pytest.approx(of_short.parts[name].resistance, rel=1e-9), name
     assert "x = " in str(warm)
+
+
+# Beads ---------------------------------------------------------------------------------------------------------------
+
+#: As heavy as water: nothing moves it up or down in a wave across the channel.
+NEUTRAL = replace(BEAD, density=997.0)
+
+
+def test_beads_of_a_half_wave_move_as_the_closed_form() -> None:
+    forces = half_wave(NEUTRAL)
+    assert WATER.shear_viscosity is not None
+    rate = 4.0 * NEUTRAL.radius**2 * forces.scattering.contrast_factor * HALF_WAVE**2 * (
+        forces.excitation.energy_density) / (3.0 * WATER.shear_viscosity)
+    starts = np.array([[0.9 * 0.5 * WIDTH, 0.5 * HEIGHT], [0.3 * WIDTH, 0.3 * HEIGHT], [0.05 * WIDTH, 0.6 * HEIGHT]])
+    found = follow(find_traps(forces), np.linspace(0.0, 2.0 / rate, 9), particles=starts)
+    phase = np.tan(HALF_WAVE * found.positions[:, :, 0])
+    expected = phase[:, :1] * np.exp(-rate * found.times)
+    error = np.abs(phase / expected - 1.0).max()
+    print(f"tan(k x) falls as exp(-t / t*): off by {error:.1e}")
+    assert error < 1e-3
+    # The error of the mesh leaves 1e-5 of the force along z, and with it 40 nm in two times t*.
+    np.testing.assert_allclose(found.positions[:, :, 1], np.broadcast_to(starts[:, None, 1], (3, 9)), atol=1e-7)
+    # Beads arrive within a tenth of a quarter wavelength of where nothing moves them across. Before they are there that
+    # place is found from speed and slope, v / v' = tan(2 k x) / 2 k away, which is off by 3 % of the distance at most.
+    near, far = found.within, 0.5 * math.atan(2.0 * HALF_WAVE * found.within) / HALF_WAVE
+    first, last = (np.log(np.tan(HALF_WAVE * starts[:2, 0]) / math.tan(HALF_WAVE * at)) / rate for at in (near, far))
+    later = follow(find_traps(forces), np.linspace(0.0, 8.0 / rate, 9), particles=starts)
+    assert ((later.focused_at[:2] > 0.999 * first) & (later.focused_at[:2] < 1.001 * last)).all()
+    assert (later.fate == Fate.FOCUSED).all()
+    names = [row.name for row in capture_statistics(later)]
+    assert names[0] == "focused across the channel"
+
+
+def test_beads_start_evenly_and_the_light_curve_is_the_closed_form() -> None:
+    forces = half_wave(NEUTRAL)
+    assert WATER.shear_viscosity is not None
+    unit = 3.0 * WATER.shear_viscosity / (4.0 * NEUTRAL.radius**2 * forces.scattering.contrast_factor * HALF_WAVE**2
+                                          * forces.excitation.energy_density)
+    found = follow(find_traps(forces), np.linspace(0.0, 3.0 * unit, 7), particles=2000, seed=1)
+    room = 0.5 * WIDTH - NEUTRAL.radius
+    start = found.positions[:, 0, 0]
+    assert start.min() >= 0.0
+    # Mean and spread of an even density, within four of their standard deviations over draws.
+    assert start.mean() == pytest.approx(0.5 * room, abs=4.0 * room / math.sqrt(12.0 * 2000))
+    assert start.std() == pytest.approx(room / math.sqrt(12.0), rel=0.05)
+    window = Window(outer=0.125 * WIDTH)
+    reach = np.arctan(np.tan(HALF_WAVE * window.outer) * np.exp(found.times / unit)) / HALF_WAVE
+    np.testing.assert_allclose(light_curve(found, window), reach / room, atol=4.0 * math.sqrt(0.25 / 2000))
+    # Seen from above, both halves of the channel hold beads, all along the piece that is shown.
+    x, y, _ = np.moveaxis(found.spatial[:, 0], 1, 0)
+    assert abs((x > 0.0).mean() - 0.5) < 4.0 * 0.5 / math.sqrt(2000)
+    np.testing.assert_allclose(np.abs(x), start)
+    assert -0.5 * found.strip <= y.min() < -0.49 * found.strip
+    assert 0.49 * found.strip < y.max() <= 0.5 * found.strip
+
+
+@pytest.mark.parametrize(("waves", "parity"), [(1, Parity.ODD), (2, Parity.EVEN)])
+def test_beads_in_the_half_move_as_in_the_whole(waves: int, parity: Parity) -> None:
+    k_x, k_z, starts = waves * HALF_WAVE, math.pi / HEIGHT, np.array([[0.3, 0.2], [0.12, 0.7], [0.02, 0.45]])
+    starts = starts * [WIDTH, HEIGHT]
+    ways = []
+    for left, measure, cells in ((0.0, Straight(0.02, parity), 8), (-0.5 * WIDTH, Straight(0.02), 16)):
+        mesh = cavity(left, measure, cells=cells)
+        forces = particle_forces(wave(mesh, k_x=k_x, phase=0.5 * math.pi * waves, k_z=k_z), BEAD, fluid=WATER,
+                                 region="cavity")
+        # A flow that carries beads across the middle.
+        x, z = forces.mesh.points.T
+        flow = np.stack([-np.sin(2.0 * math.pi * x / WIDTH) * np.cos(math.pi * z / HEIGHT), 0.0 * x], axis=1) * 1e-5
+        ways.append(follow(find_traps(forces), np.linspace(0.0, 30.0, 7), particles=starts, flow=flow))
+    half, whole = ways
+    folded = whole.positions * [1.0, 1.0]
+    folded[:, :, 0] = np.abs(folded[:, :, 0])
+    np.testing.assert_allclose(half.positions, folded, atol=2e-8)
+    assert half.fate.tolist() == whole.fate.tolist()
+
+
+def test_pictures_of_a_channel_are_written(tmp_path: Path) -> None:
+    found = follow(find_traps(half_wave(NEUTRAL)), np.linspace(0.0, 40.0, 9), particles=60)
+    above = draw_from_above(found, tmp_path / "above.png", at=40.0)
+    side = draw_from_side(found, tmp_path / "side.png", at=(0.0, 40.0))
+    curves = draw_light_curves(found, [("middle", Window(outer=0.1 * WIDTH))], tmp_path / "curves.png")
+    film = animate_beads(found, tmp_path / "beads.gif", frames=3)
+    for each in (above, side, curves, film):
+        assert each.stat().st_size > 1000
+    with Image.open(above) as picture:
+        assert picture.height == pytest.approx(1.5 * picture.width, abs=2)

@@ -246,7 +246,8 @@ def time_to(report: TrapReport, trap: Trap) -> float | None:
 def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     forces = report.forces
     quarter = side * 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
-    for axis in trap.measure.approaches(trap.radial_stiffness, trap.axial_stiffness):
+    stiffness = (trap.radial_stiffness, trap.axial_stiffness)
+    for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
         begin = (trap.radius, trap.height)[axis]
         try:
             return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],

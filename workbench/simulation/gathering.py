@@ -178,7 +178,7 @@ def place_words(trap: Trap) -> str:
 
 def trap_sides(trap: Trap) -> str:
     """The places from which a particle's time to a trap is counted."""
-    beside = ", or on the same level to either side" if len(trap.measure.approaches(0.0, 0.0)) > 1 else ""
+    beside = ", or on the same level to either side" if 0 in trap.measure.focusing else ""
     return f"above or below it on the same vertical line{beside}"
 
 
