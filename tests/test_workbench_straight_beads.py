@@ -15,12 +15,13 @@ from support import quadratic
 from test_geometry_straight import CHIP, chip
 
 import workbench as wb
-from geometry.measure import Parity, Straight
+from geometry.measure import ABOUT_AXIS, Parity, Straight
 from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import Electrode, Rectangle, Section
 from materials.kinds import Fluid
 from workbench.acoustics.captures import Window, capture_statistics, light_curve
+from workbench.acoustics.channel import focus_lines, half_wave_focus_time
 from workbench.acoustics.conduction import ThermalConstants, conduction
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.forces import ParticleForces, focus_time_along, particle_forces
@@ -30,6 +31,8 @@ from workbench.acoustics.trajectories import Fate, follow
 from workbench.acoustics.traps import find_traps, focus_time
 from workbench.model.particles import Particle, compressibility
 from workbench.render.beads import animate_beads, draw_from_above, draw_from_side, draw_light_curves
+from workbench.report.simulation import channel_tables
+from workbench.simulation.gathering import gathering
 from workbench.simulation.run import Snapshot
 
 WATER = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
@@ -287,3 +290,60 @@ def test_pictures_of_a_channel_are_written(tmp_path: Path) -> None:
         assert each.stat().st_size > 1000
     with Image.open(above) as picture:
         assert picture.height == pytest.approx(1.5 * picture.width, abs=2)
+
+
+# Figures -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_line_of_a_half_wave_is_the_middle() -> None:
+    forces = half_wave()
+    (line,) = focus_lines(forces)
+    assert line.place == 0.0
+    assert not line.at_side
+    assert line.share == pytest.approx(1.0)
+    energy, factor = forces.excitation.energy_density, forces.scattering.contrast_factor
+    expected = half_wave_focus_time(BEAD, WATER, factor, energy_density=energy, wavenumber=HALF_WAVE,
+                                    start=0.9 * 0.5 * WIDTH, stop=0.1 * 0.5 * WIDTH)
+    assert line.time == pytest.approx(expected, rel=1e-3)
+    # U goes from the node of the pressure to its antinode by 4 pi a^3 Phi E.
+    assert line.depth == pytest.approx(4.0 * math.pi * BEAD.radius**3 * factor * energy, rel=1e-3)
+    # dF/dx = 8 pi a^3 Phi k^2 E.
+    assert line.stiffness == pytest.approx(8.0 * math.pi * BEAD.radius**3 * factor * HALF_WAVE**2 * energy, rel=5e-3)
+
+
+@pytest.mark.parametrize(("waves", "parity", "places"), [
+    (2, Parity.EVEN, [0.25 * WIDTH]), (3, Parity.ODD, [0.0, WIDTH / 3.0])])
+def test_lines_of_more_half_waves_lie_at_their_nodes(waves: int, parity: Parity, places: list[float]) -> None:
+    for left, measure, cells in ((0.0, Straight(0.02, parity), 16), (-0.5 * WIDTH, Straight(0.02), 32)):
+        found = focus_lines(particle_forces(
+            wave(cavity(left, measure, cells=cells), k_x=waves * HALF_WAVE, phase=0.5 * math.pi * waves), BEAD,
+            fluid=WATER, region="cavity"))
+        expected = places if left == 0.0 else sorted({*places, *(-place for place in places)})
+        assert sorted(line.place for line in found) == pytest.approx(expected, abs=1e-3 * WIDTH)
+        # Every line drains a half wave, of which a half section has half at its plane.
+        shares = {line.place: line.share * (2.0 if left == 0.0 and line.place == 0.0 else 1.0) for line in found}
+        assert list(shares.values()) == pytest.approx([(2.0 if left == 0.0 else 1.0) / waves] * len(found), abs=0.02)
+
+
+def test_figures_of_a_channel_go_with_the_square_of_the_drive() -> None:
+    text = CHIP.replace('live = "bottom"', 'live = "bottom", live_inner_half_width = "0.3 mm"').replace(
+        '"even"', '"odd"') + 'particle = "polystyrene"\nparticle_radius = "2.5 um"\n'
+    weak, strong = (wb.snapshot(chip(text), None, 1.95e6, accuracy=COARSE, drive=wb.parse_drive(drive))
+                    for drive in ("1 Vpp", "2 Vpp"))
+    one, two = wb.channel_figures(weak), wb.channel_figures(strong)
+    assert two.energy_density == pytest.approx(4.0 * one.energy_density, rel=1e-9)
+    assert one.energy_per_square_volt == pytest.approx(one.energy_density, rel=1e-9)
+    for name in ("energy_per_square_volt", "energy_per_watt", "unevenness", "critical_diameter"):
+        assert getattr(two, name) == pytest.approx(getattr(one, name), rel=1e-9), name
+    assert one.across[0, 1] == pytest.approx(0.0, abs=1e-3 * one.across[:, 1].max())
+    assert one.up[0, 0] == 0.0
+    assert one.up[-1, 0] == pytest.approx(HEIGHT)
+    assert one.focus_time == pytest.approx(4.0 * two.focus_time, rel=1e-9)
+    answer = gathering(weak)
+    assert answer is not None
+    assert "in the middle of the channel" in str(answer)
+    (figures, lines) = channel_tables(weak)
+    assert figures.rows[0][0] == f"{one.energy_density:.3g}"
+    assert lines.rows[0][0] == "x 0.0000"
+    with pytest.raises(wb.InputError, match="straight"):
+        wb.channel_figures(replace(weak, chip=replace(weak.chip, measure=ABOUT_AXIS)))

@@ -9,6 +9,7 @@ import numpy as np
 
 from geometry.names import CAVITY
 from materials.kinds import Fluid
+from workbench.acoustics.channel import focus_lines
 from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.nodal import raster
 from workbench.acoustics.traps import Trap, TrapReport, find_traps, time_to
@@ -67,6 +68,9 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     share = sum(trap.share for trap in held)
     if share < LEAST_SHARE:
         where = _on_walls(report)
+        across = _across(report, at) if 0 in report.forces.mesh.measure.focusing else None
+        if across is not None:
+            return Gathering(state, *across)
         return Gathering(state, False, (
             f"{at}, {who} do not gather in the liquid" + (f": they come to rest {where}." if where else "."),
             *_why_not(report, free)))
@@ -93,6 +97,28 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
         sentences.append(f"The others come to rest {where}.")
     kept = best.barrier is None or best.barrier >= THERMAL
     return Gathering(state, kept and (seconds is None or seconds <= SLOW), tuple(sentences))
+
+
+def _across(report: TrapReport, at: str) -> tuple[bool, tuple[str, ...]] | None:
+    """Whether particles that no trap holds at a height gather in lines across a channel, and sentences on that; None if
+    they do not come to any line in the liquid."""
+    lines = [line for line in focus_lines(report.forces) if not line.at_side]
+    share = sum(line.share for line in lines)
+    if share < LEAST_SHARE:
+        return None
+    places = "; ".join(line.measure.place_words(line.place) for line in sorted(lines, key=lambda line: -line.share)[:3])
+    times = [line.time for line in lines if line.time is not None]
+    sentences = [f"{at}, {percent(share)} of evenly spread {particle_words(report.forces)} gather across the channel: "
+                 f"{places}."]
+    slowest = max(times, default=None)
+    if slowest is not None:
+        sentences.append(f"From a quarter wavelength beside it they are there in {rounded(slowest)} s.")
+    where = _on_walls(report)
+    sentences.append("No trap holds them at a height" + (f": they come to rest {where}." if where else "."))
+    held = max(line.depth for line in lines)
+    if held < THERMAL:
+        sentences.append("Thermal motion carries them out of the line.")
+    return held >= THERMAL and (slowest is None or slowest <= SLOW), tuple(sentences)
 
 
 def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
