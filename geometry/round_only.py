@@ -15,4 +15,5 @@ def check_axisymmetric(chip: Chip, what: str) -> None:
     """
     if not isinstance(chip.measure, Axisymmetric):
         raise InputError(chip.file, "chip.geometry", "straight", f'"axisymmetric" for {what}, which is not there for '
-                         "straight chips yet; their impedance, fields and losses are (`workbench simulate`)")
+                         "straight chips yet; their impedance, fields, particles, streaming and heat are (`workbench "
+                         "simulate`, `workbench particles`)")

@@ -25,7 +25,8 @@ from workbench.results.brief import Brief
 POINTS_PER_WAVELENGTH, POINTS_UP = 128, 41
 #: Depth of a line as a share of the span of the potential below which it may be an artefact of the mesh.
 LEAST_LINE = 1e-2
-#: Shares of a quarter wavelength that a time to focus is counted between, those of `traps.focus_time`.
+#: Shares of a quarter wavelength, or of the way to a side wall, that a time to focus is counted between: those of
+#: `traps.focus_time`.
 COUNTED_FROM, COUNTED_TO = 0.9, 0.1
 
 
@@ -35,8 +36,8 @@ class FocusLine:
 
     ``place`` x in m; ``depth`` J below the potential, averaged over the height, that parts it from a deeper line or,
     for the deepest, below the highest; ``share`` of the channel's width that drains to it; ``stiffness`` N/m; ``time``
-    s from 90 to 10 % of a quarter wavelength beside it at mid-height, None where particles do not get there from either
-    side; ``at_side`` wall: no place in the liquid.
+    s from 90 to 10 % of a quarter wavelength beside it, or of the way to the side wall if that is nearer, at
+    mid-height; None where particles do not get there from either side. ``at_side`` wall: no place in the liquid.
     """
 
     place: float
@@ -48,7 +49,7 @@ class FocusLine:
     measure: Measure
 
     def __str__(self) -> str:
-        time = "" if self.time is None else f", {self.time:.3g} s from a quarter wavelength away"
+        time = "" if self.time is None else f", {self.time:.3g} s from beside it"
         return (f"{self.measure.place_words(self.place)}{' at the side wall' if self.at_side else ''}: "
                 f"{100.0 * self.share:.0f} % of the width{time}")
 
@@ -179,12 +180,14 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
 
 
 def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
-    """Time (s) to a line from the side that particles come from, the sooner one if they come from both."""
-    found = []
-    for side in (1.0, -1.0):
+    """Time (s) to a line, the shorter one of those from its two sides."""
+    mesh, found = forces.mesh, []
+    ends = (float(mesh.points[:, 0].max()), float(mesh.points[:, 0].min()))
+    for side, end, mirror in zip((1.0, -1.0), ends, (mesh.mirrors.right, mesh.mirrors.left), strict=True):
+        reach = quarter if mirror is not None else min(quarter, abs(end - place))
         try:
-            found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * quarter,
-                                          stop=place + side * COUNTED_TO * quarter))
+            found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * reach,
+                                          stop=place + side * COUNTED_TO * reach))
         except ValueError:
             continue
     return min(found, default=None)

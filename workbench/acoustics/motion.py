@@ -45,7 +45,7 @@ class Motion:
         self.trapped_at = np.full((count, len(rest)), np.nan)
         self.away = np.zeros((count, 2))
         self.attempts = 0
-        # A particle may cross the axis or a plane of symmetry: it goes on in the image, and is recorded in the section.
+        # Behind the axis or a plane of symmetry: rounding may take a particle there and back.
         self.place, self.time = starts.copy(), np.zeros(count)
         self._cell = np.maximum(velocity.cells_at(starts), 0)
         self.speed, self.slope, _ = velocity(starts, self._cell, slopes=True)

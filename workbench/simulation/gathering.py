@@ -112,7 +112,8 @@ def _across(report: TrapReport, at: str) -> tuple[bool, tuple[str, ...]] | None:
                  f"{places}."]
     slowest = max(times, default=None)
     if slowest is not None:
-        sentences.append(f"From a quarter wavelength beside it they are there in {rounded(slowest)} s.")
+        sentences.append(f"From the sides of the channel, or a quarter wavelength away, they are there in "
+                         f"{rounded(slowest)} s.")
     where = _on_walls(report)
     sentences.append("No trap holds them at a height" + (f": they come to rest {where}." if where else "."))
     held = max(line.depth for line in lines)
