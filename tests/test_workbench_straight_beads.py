@@ -33,6 +33,7 @@ from workbench.acoustics.trajectories import Fate, follow
 from workbench.acoustics.traps import find_traps, focus_time
 from workbench.model.particles import Particle, compressibility
 from workbench.render.beads import animate_beads, draw_from_above, draw_from_side, draw_light_curves
+from workbench.report.definitions import definition
 from workbench.report.simulation import channel_tables
 from workbench.simulation.gathering import gathering
 from workbench.simulation.run import Snapshot
@@ -361,6 +362,7 @@ def test_figures_of_a_channel_go_with_the_square_of_the_drive() -> None:
     (figures, lines) = channel_tables(weak)
     assert figures.rows[0][0] == f"{one.energy_density:.3g}"
     assert lines.rows[0][0] == "x 0.0000"
+    assert all(definition(heading) for table in (figures, lines) for heading in table.columns)
     with pytest.raises(wb.InputError, match="straight"):
         wb.channel_figures(replace(weak, chip=replace(weak.chip, measure=ABOUT_AXIS)))
 

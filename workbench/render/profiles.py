@@ -42,7 +42,7 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     left, right = figure.subplots(1, 2)
     left.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
     left.set_xlabel("z (mm)")
-    left.set_title(f"along {symbol} = {trap.radius * 1e3:.3g} mm", fontsize=10)
+    left.set_title(f"along {symbol} = {round(trap.radius * 1e3, 6):.3g} mm", fontsize=10)
     if trap.measure.mirror:
         # The other half is the mirror image.
         radius, radial = np.concatenate([-radius[::-1], radius]), np.concatenate([radial[::-1], radial])
