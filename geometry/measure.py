@@ -39,6 +39,10 @@ class Axisymmetric:
     symbol = "r"
     #: Sign of scalar fields in the image on the other side of the axis.
     mirror = 1
+    #: The volume within a distance from the axis grows with this power of it.
+    power = 2
+    #: Number of pieces of a layer around a cavity.
+    sides = 1
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
@@ -51,6 +55,10 @@ class Axisymmetric:
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two radii (m)."""
         return math.pi * (outer**2 - inner**2) * height
+
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from the axis."""
+        return self.volume(inner, outer, height)
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""
@@ -77,6 +85,8 @@ class Straight:
     across, doubled = "half_width", "width"
     #: Symbol of the coordinate across the section.
     symbol = "x"
+    #: The volume within a distance from the middle grows with this power of it.
+    power = 1
 
     def __post_init__(self) -> None:
         if not 0.0 < self.length < math.inf:
@@ -94,6 +104,11 @@ class Straight:
         return 2 if len(self.planes) == 1 else 1
 
     @property
+    def sides(self) -> int:
+        """Number of pieces of a layer around a channel: two walls, or one in a half cell of a row of devices."""
+        return 1 if len(self.planes) == 2 else 2
+
+    @property
     def mirror(self) -> int:
         """Sign of scalar fields in the image on the other side of the left end; 0 if there is no plane there."""
         return {Parity.EVEN: 1, Parity.ODD: -1, Parity.NONE: 0}[self.left]
@@ -109,6 +124,10 @@ class Straight:
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two places (m), in all images."""
         return self.copies * self.length * (outer - inner) * height
+
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from its middle, on all of its sides."""
+        return self.sides * self.length * (outer - inner) * height
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""

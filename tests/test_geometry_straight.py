@@ -16,7 +16,6 @@ from geometry.measure import ABOUT_AXIS, Parity, Straight
 from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import Electrode, Rectangle, Section, cut_section
-from geometry.solid import chip_solids
 from workbench.files.errors import InputError
 
 CHIP = """
@@ -130,8 +129,6 @@ def test_volumes_are_those_of_the_whole_chip_whatever_is_meshed() -> None:
         assert volumes(found)["cavity"] == pytest.approx(380e-6 * 160e-6 * 0.02, rel=1e-12)
         assert volumes(found)["sidewall"] == pytest.approx((3e-3 - 380e-6) * 160e-6 * 0.02, rel=1e-12)
     assert cut_section(even).area("cavity") == pytest.approx(0.5 * cut_section(whole).area("cavity"), rel=1e-12)
-    with pytest.raises(InputError, match="not there for straight chips"):
-        chip_solids(even)
 
 
 def test_a_mesh_names_the_plane_and_all_pieces_of_an_electrode() -> None:
