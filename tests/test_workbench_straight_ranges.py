@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from test_geometry_straight import CHIP, chip
 from geometry.chip import Chip
 from workbench.fem.linearised import FullSystem
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import solve_full
+from workbench.fem.solve import NotConverged, System, solve_full
 from workbench.files.errors import InputError
 from workbench.model.dimensions import parametrised
 from workbench.model.numbers import ParameterName, placed
@@ -93,3 +94,13 @@ def test_a_range_model_is_that_of_full_solves(symmetry: str, tmp_path: Path) -> 
 def test_half_widths_of_a_whole_section_have_no_range() -> None:
     with pytest.raises(InputError, match="even or odd"):
         range_model(of_symmetry("none"), "filled", RANGES, accuracy=COARSE)
+
+
+def test_a_derivative_is_accepted_at_a_limit_of_its_own() -> None:
+    problem = build(fill(of_symmetry("even")), accuracy=COARSE)
+    _, factor = System(assemble(problem.mesh, problem.terms), problem.values).factored(1.97e6)
+    right = np.ones(factor.matrix.shape[0], dtype=complex)
+    with pytest.raises(NotConverged, match="above 1e-30") as caught:
+        factor.solve(right, 1e-30)
+    assert factor.solve(right, 1.01 * caught.value.residual)[1] == caught.value.residual
+    assert pickle.loads(pickle.dumps(caught.value)).limit == 1e-30
