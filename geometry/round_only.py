@@ -15,4 +15,4 @@ def check_axisymmetric(chip: Chip, what: str) -> None:
     """
     if not isinstance(chip.measure, Axisymmetric):
         raise InputError(chip.file, "chip.geometry", "straight", f'"axisymmetric" for {what}, which is not there for '
-                         "straight chips yet; `simulate`, `study`, `tolerance`, `design` and `export` are")
+                         "straight chips yet; their impedance, fields, studies, designs, fits and diagnoses are")
