@@ -12,6 +12,7 @@ import pytest
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
 from geometry.chip_section import volumes
+from geometry.limits import IN_THE_MIDDLE, ONE_CHANNEL, UPRIGHT
 from geometry.measure import ABOUT_AXIS, Parity, Straight
 from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
@@ -97,7 +98,11 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('width = { value = "5 mm", tolerance = "40 um" }', 'radius = "2.5 mm"', "half_width"),
     ('cavity_width = "380 um"', 'cavity_diameter = "380 um"', "cavity_width"),
     ('ground_half_width = "2 mm"', 'ground_radius = "2 mm"', "ground_half_width"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "3 deg"', "shapes of layers"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "3 deg"', "upright sides.*etch profiles"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nundercut = "3 um"', "state the width at half the height"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "off to one side is not modelled yet"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nchannels = 3', "of several channels model the one with"),
+    ('cavity_width = "380 um"', 'cavity_width = "4 mm"', "cavity_half_width.*narrower than its layer"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "profiles"),
     ('length = "20 mm"', 'length = "-1 mm"', "above zero"),
     ('symmetry = "even"', 'symmetry = "mirror"', "even, none, odd"),
@@ -153,3 +158,20 @@ def test_sections_that_make_no_sense_are_refused() -> None:
         Section(plate, lines, Straight(1.0, Parity.ODD))
     with pytest.raises(ValueError, match=r"begins at r = -0\.001"):
         Section((Rectangle("transducer", -1e-3, 1e-3, 0.0, 1e-3),), lines, ABOUT_AXIS)
+
+
+def test_limits_of_straight_chips_are_documented() -> None:
+    text = " ".join((Path(__file__).resolve().parent.parent / "docs" / "model.md").read_text(encoding="utf-8").split())
+    for words in (IN_THE_MIDDLE, ONE_CHANNEL, UPRIGHT):
+        assert words in text
+
+
+def test_a_second_and_an_open_channel_are_refused_in_words_of_straight_chips() -> None:
+    lid = CHIP[CHIP.rindex("[[layers]]"):CHIP.index("[states.filled]")]
+    wall = CHIP[CHIP.rindex("[[layers]]", 0, CHIP.index('role = "sidewall"')):CHIP.rindex("[[layers]]")]
+    with pytest.raises(InputError, match="of several channels") as caught:
+        chip(CHIP.replace(lid, lid.replace("superstrate", "substrate") + wall + lid))
+    assert "axisymmetric" not in str(caught.value)
+    with pytest.raises(InputError, match="in place of an open channel") as caught:
+        chip(CHIP.replace(lid, ""))
+    assert "cavity_half_width" in str(caught.value)
