@@ -86,8 +86,10 @@ def of_symmetry(name: str) -> str:
     return split.replace('symmetry = "even"', f'symmetry = "{name}"')
 
 
-def full(text: str, values: dict[str, float] | None = None, *, drive: Drive = VOLT) -> Evaluation:
-    return full_evaluation(chip(text), "filled", values or {}, figures=FIGURES, band=BAND, points=81,
+def full(
+    text: str, values: dict[str, float] | None = None, *, drive: Drive = VOLT, gradient: bool = False
+) -> Evaluation:
+    return full_evaluation(chip(text), "filled", values or {}, figures=FIGURES, band=BAND, points=81, gradient=gradient,
                            operation=Operation(drive=drive, thermal_resistance=WARM), accuracy=COARSE)
 
 
@@ -154,6 +156,17 @@ def test_figures_have_the_derivatives_of_their_differences(model: tuple[str, Des
             # The square of the step, times the change of a figure by the width of its resonance.
             assert found.gradient[figure][column] * value == pytest.approx(
                 expected, rel=1e-3, abs=1e-4 * abs(found.figures[figure])), (figure, name)
+
+
+def test_full_solves_have_the_gradient_of_their_differences() -> None:
+    there, here = of_symmetry("odd"), {"cavity.half_width": 1.9e-4}
+    found = full(there, here, drive=WATT, gradient=True)
+    both = [full(there, {"cavity.half_width": factor * 1.9e-4}, drive=WATT).figures for factor in (1.002, 0.998)]
+    for figure in FIGURES:
+        expected = (both[0][figure] - both[1][figure]) / 0.004
+        # Each on a mesh of its own, stretched alike; the square of the step leaves 1e-3.
+        assert found.gradient[figure][0] * 1.9e-4 == pytest.approx(
+            expected, rel=3e-3, abs=1e-6 * abs(found.figures[figure])), figure
 
 
 # --------------------------------------------------------------------------------------------------------------------

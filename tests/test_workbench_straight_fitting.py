@@ -13,7 +13,7 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.fitting.prepare import check_device, prepare
+from workbench.fitting.prepare import _frequencies, check_device, prepare
 from workbench.fitting.recordings import fit
 from workbench.model.hidden import hidden_coefficients
 from workbench.model.problem import build, fill
@@ -97,6 +97,17 @@ def test_a_recording_of_another_plate_is_refused(old: str, new: str, words: str)
     check_device(measured, plate(), fill(plate()).materials, name="plate")
     with pytest.raises(InputError, match="(?s)" + words):
         check_device(measured, there, materials, name="plate")
+
+
+def test_the_first_mode_across_a_thin_plate_is_where_the_check_of_a_recording_looks() -> None:
+    text = PLATE.replace('value = "2 mm"', 'value = "0.4 mm"').replace('width = "5 mm"', 'width = "20 mm"')
+    thin = plate(text.replace('["280 kHz", "1.2 MHz"]', '["65 kHz", "110 kHz"]'))
+    run = simulate(thin, points=81, accuracy=quadratic(2.0))
+    material = fill(thin).materials["transducer"]
+    _, across = _frequencies(thin, material)
+    print(f"first mode across {across:.6g} Hz, simulated {run.figures.f0:.6g} Hz")
+    # Poisson's ratio times the thickness over the width, squared, is what a thin plate leaves out: 1e-4.
+    assert run.figures.f0 == pytest.approx(across, rel=1e-3)
 
 
 def test_a_straight_chip_is_compared_with_its_recording() -> None:
