@@ -6,10 +6,10 @@ than its wavelength, so one polynomial over the whole cavity holds it:
     p(r, z) = sum_kl C_kl P_k(s) P_l(t),   s = 2 xi^q - 1,   xi = (r - r_0) / R,   t = 2 z / H - 1
 
 with Legendre's P, z from the floor, H the height of the cavity. R is its radius, q = 2 and r_0 = 0, so that the field
-is even in r; in a straight section R is the width of what is meshed from its left end r_0 on, and q = 1. Either way ds
-is in proportion to the volume. Squares of such fields are polynomials of twice the degree, known from their values on
-Gauss-Legendre points; minima, derivatives and integrals of these are exact. Lengths may move: at constant s and t the
-values change, and R and H with them.
+is even in r; in a straight section R is its width, r_0 = -R / 2 its left side and q = 1. Where half of that is meshed,
+the pressure is mirrored by its parity. Either way ds is in proportion to the volume. Squares of such fields are
+polynomials of twice the degree, known from their values on Gauss-Legendre points; minima, derivatives and integrals of
+these are exact. Lengths may move: at constant s and t the values change, and R and H with them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
-from geometry.measure import ABOUT_AXIS, Measure
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, parent_place
 from geometry.section import cut_section
 from materials.kinds import Fluid
@@ -86,6 +87,20 @@ class Cavity:
     wave_number: float
     measure: Measure = ABOUT_AXIS
 
+    @cached_property
+    def across(self) -> Places:
+        """The places across the whole cavity: ``r``, in a straight section mirrored if half of it is meshed."""
+        return Places(self.unfolded(self.r.nominal, -1), self.unfolded(self.r.slopes, -1)) if self.is_half else self.r
+
+    @property
+    def is_half(self) -> bool:
+        """Whether the other half of a straight section is a mirror image of what is meshed."""
+        return isinstance(self.measure, Straight) and self.measure.mirror != 0
+
+    def unfolded(self, values: Any, sign: int) -> Any:
+        """Values (n, ...) at the places of half a cavity, with `sign` times their mirror images before them."""
+        return np.concatenate([sign * values[:0:-1], values]) if self.is_half else values
+
     def change(self, values: Mapping[str, complex]) -> Real:
         """The change (m) of each of ``lengths`` from its start."""
         return np.array([complex(values[name]).real for name in self.lengths]) - self.start
@@ -99,9 +114,9 @@ class Cavity:
     @cached_property
     def polynomials(self) -> Polynomials:
         """The polynomials for the cavity as it is on the mesh."""
-        phases = self.wave_number * np.ptp(self.r.nominal), self.wave_number * self.z.nominal[-1]
-        counts = [min(math.ceil(0.5 * phase) + BEYOND, (2 * nodes) // 3)
-                  for phase, nodes in zip(phases, self.rows.shape, strict=True)]
+        lines = self.across.nominal, self.z.nominal
+        counts = [min(math.ceil(0.5 * self.wave_number * np.ptp(each)) + BEYOND, (2 * each.size) // 3)
+                  for each in lines]
         return Polynomials.of(counts[0], counts[1])
 
 
@@ -200,9 +215,8 @@ class Polynomials:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """The scalars that squares of the pressure depend on besides: frequency Hz, ``width`` (radius of a round cavity,
-    width of what is meshed of a straight one) and height m, and ``fluid``, what is known of density kg/m^3, sound speed
-    m/s and shear viscosity Pa s."""
+    """The scalars that squares of the pressure depend on besides: frequency Hz, ``width`` (of a round cavity its
+    radius) and height m, and ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
 
     frequency: Dual
     width: Dual
@@ -246,7 +260,8 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
         moving: (lengths, k) derivative of the lengths by the parameters.
     """
     polynomials = cavity.polynomials
-    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.r, cavity.z))
+    pressure, slopes = (cavity.unfolded(each, cavity.measure.mirror) for each in (pressure, slopes))
+    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.across, cavity.z))
     counts = polynomials.counts
     s, by_share, _ = argument(xi, cavity.measure)
     tables = [(derivatives(x, count, 0), derivatives(x, count, 1))

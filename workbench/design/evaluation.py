@@ -288,7 +288,7 @@ class _Operating:
                                                                                      len(question.names))
         change = cavity.change(question.values)
         width, height = (Dual(float(np.ptp(each.at(change))), (each.slopes[-1] - each.slopes[0]) @ moving)
-                         for each in (cavity.r, cavity.z))
+                         for each in (cavity.across, cavity.z))
         fluid = {}
         for name in OF_FLUID:
             key = f"{cavity.fluid.name}.{name}"

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from geometry.measure import Axisymmetric
 from workbench.acoustics.traps import RASTER_POINTS
 from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField, argument
 from workbench.design.dual import Dual
@@ -54,8 +55,8 @@ class FoundTrap:
     @property
     def radius(self) -> Dual:
         """m from the axis, or from the middle of a straight chip, below zero on its left."""
-        return self.field.around.width * Dual(float(self.place[0]), self.slopes[0]) + float(
-            self.field.cavity.r.nominal[0])
+        middle = 0.0 if isinstance(self.field.cavity.measure, Axisymmetric) else 0.5
+        return self.field.around.width * Dual(float(self.place[0]) - middle, self.slopes[0])
 
     @property
     def height(self) -> Dual:
@@ -80,7 +81,9 @@ def find_trap(field: CavityField) -> FoundTrap:
     along_xi, along_eta = _raster(field)
     values = along_xi @ field.coefficients[POTENTIAL] @ along_eta.T
     (i, j), (k, m) = (np.unravel_index(int(each), values.shape) for each in (np.argmin(values), np.argmax(values)))
-    place, free = _minimum(field, np.array([i, j]) / (np.array(values.shape) - 1.0))
+    # Of a trap and its mirror image the one on the right is meant.
+    right = max(int(i), len(values) - 1 - int(i)) if field.cavity.is_half else int(i)
+    place, free = _minimum(field, np.array([right, j]) / (np.array(values.shape) - 1.0))
     along = _at_place(place, field)
 
     def derivative(in_xi: int, in_eta: int) -> Dual:
@@ -194,14 +197,14 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
     """The minimum (xi, eta) that the way down from a place leads to, and in which directions it may move.
 
     Newton's method with the absolute values of the curvatures, so that it goes down where they are negative, as far as
-    the potential falls and at most to a wall. On the axis, and at a plane of symmetry, the potential is even; at a wall
-    that it falls towards, the minimum stays there. Along a line on which it does not change, the place stays.
+    the potential falls and at most to a wall. On the axis the potential is even in the radius; at a wall that it falls
+    towards, the minimum stays there. Along a line on which it does not change, the place stays.
 
     Raises:
         NoTrap: no minimum after :data:`STEPS` steps.
     """
     place, potential = start.copy(), field.coefficients[POTENTIAL]
-    mirrored = field.cavity.measure.mirror != 0
+    about_axis = isinstance(field.cavity.measure, Axisymmetric)
 
     def value(at: Real) -> float:
         in_xi, in_eta = _at_place(at, field)
@@ -213,10 +216,10 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         gradient = np.array([along[0][1] @ potential @ along[1][0], along[0][0] @ potential @ along[1][1]])
         hessian = _hessian(field, along)
         held = ((place <= 0.0) & (gradient > 0.0)) | ((place >= 1.0) & (gradient < 0.0))
-        # Where the field is even there is no slope across: the curvature tells whether it is a minimum there.
-        held[0] |= mirrored and place[0] == 0.0 and hessian[0, 0] >= 0.0
+        # On the axis there is no slope along the radius: the curvature tells whether it is a minimum there.
+        held[0] |= about_axis and place[0] == 0.0 and hessian[0, 0] >= 0.0
         free = ~held
-        if mirrored and place[0] == 0.0 and free[0]:
+        if about_axis and place[0] == 0.0 and free[0]:
             place[0] = OFF_AXIS
             continue
         at = np.flatnonzero(free)
