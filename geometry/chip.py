@@ -63,7 +63,7 @@ class Chip:
     def __post_init__(self) -> None:
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
-        checks.check_cavity(self.layers, self.file)
+        checks.check_cavity(self.layers, self.file, self.measure)
         checks.check_shapes(self.layers, self.file)
         checks.check_stack(self.layers, self.file)
         checks.check_electrodes(self.electrodes, self.transducer.outer_radius, self.file)

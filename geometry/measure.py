@@ -49,6 +49,10 @@ class Axisymmetric:
     decimals = 2
     #: Sign of scalar fields in the image on the other side of the axis.
     mirror = 1
+    #: The volume within a distance from the axis grows with this power of it.
+    power = 2
+    #: Number of pieces of a layer around a cavity.
+    sides = 1
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
@@ -84,6 +88,10 @@ class Axisymmetric:
         """Volume (m^3) of a rectangle of the section between two radii (m)."""
         return math.pi * (outer**2 - inner**2) * height
 
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from the axis."""
+        return self.volume(inner, outer, height)
+
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""
         return {AXIS: 0.0} if breaks[0] == 0.0 else {}
@@ -116,6 +124,8 @@ class Straight:
     #: Decimals of a length in millimetres that say where in a cavity something is: a channel is some hundred
     #: micrometres wide.
     decimals = 3
+    #: The volume within a distance from the middle grows with this power of it.
+    power = 1
 
     def __post_init__(self) -> None:
         if not 0.0 < self.length < math.inf:
@@ -131,6 +141,11 @@ class Straight:
     def copies(self) -> int:
         """Number of images of the section that make up the device."""
         return 2 if len(self.planes) == 1 else 1
+
+    @property
+    def sides(self) -> int:
+        """Number of pieces of a layer around a channel: two walls, or one in a half cell of a row of devices."""
+        return 1 if len(self.planes) == 2 else 2
 
     @property
     def mirror(self) -> int:
@@ -178,6 +193,10 @@ class Straight:
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two places (m), in all images."""
         return self.copies * self.length * (outer - inner) * height
+
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from its middle, on all of its sides."""
+        return self.sides * self.length * (outer - inner) * height
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, SHAPES, dimension_text
+from geometry.dimension import SAME_LENGTH, dimension_text
+from geometry.limits import NOT_STRAIGHT, UPRIGHT
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
 from geometry.parts import Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
@@ -18,8 +19,6 @@ GEOMETRIES = ("axisymmetric", "straight")
 
 #: Keys of a round chip's layers and electrodes, and the advice for a straight one.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
-_NOT_YET = ("nothing here: a straight chip has layers with plane faces and upright sides; profiles and shapes of "
-            "layers are those of round chips so far")
 
 
 def read_measure(head: FileTable) -> Measure:
@@ -43,15 +42,16 @@ def read_measure(head: FileTable) -> Measure:
 
 
 def refuse_round_keys(table: FileTable) -> None:
-    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, with the advice for each."""
+    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, and for keys of what it cannot
+    have yet, with the advice for each."""
     for key in table:
+        if key.casefold() in NOT_STRAIGHT:
+            raise InputError(table.source, table.at(key), table.content[key], NOT_STRAIGHT[key.casefold()])
         for word, instead in _OF_ROUND.items():
             if key.casefold().endswith(word):
                 raise InputError(table.source, table.at(key), table.content[key], "no radius or diameter in a straight "
                                  f"chip: {key[:-len(word)]}{instead}, from the middle of the chip"
                                  f"{' to either side' if instead == 'width' else ''}")
-        if key in SHAPES or key == "profile":
-            raise InputError(table.source, table.at(key), table.content[key], _NOT_YET)
 
 
 def check_straight(
@@ -73,7 +73,7 @@ def check_straight(
     for i, layer in enumerate(layers):
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
         if stated:
-            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", _NOT_YET)
+            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", UPRIGHT)
     gap = electrodes.live_disc.inner_radius
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
