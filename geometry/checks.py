@@ -10,11 +10,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
-from geometry.limits import CLOSED, FULL_DISC, ONE_CAVITY
+from geometry.limits import CLOSED, FULL_DISC, ONE_CAVITY, ONE_CHANNEL
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Straight
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
+
+#: Advice for a second cavity.
+_OF_CAVITY: Mapping[type[Measure], str] = {Axisymmetric: ONE_CAVITY, Straight: ONE_CHANNEL}
 
 
 def check_dimensions(
@@ -81,17 +85,21 @@ def _shown(name: str, size: float) -> str:
     return f"{math.degrees(size):.4g} deg" if SHAPES[name] == "angle" else millimetres(size)
 
 
-def check_cavity(layers: Sequence[Layer], file: str, *, is_open: bool) -> None:
+def check_cavity(
+    layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS, *, is_open: bool = False
+) -> None:
     """Check that holes are in neighbouring layers, narrower than these, and closed below and, unless the cavity
     `is_open`, above."""
+    key = f"cavity_{measure.across}"
+    one_cavity = _OF_CAVITY[type(measure)]
     # A hole is never wider than its neighbours, so no ring is left without support either.
     places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
     for i in places:
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].cavity_radius", _hole(layer), "no cavity in the transducer; of a ring state the "
-                "inner_radius"
+                file, f"layers[{i}].{key}", _hole(layer), "no cavity in the transducer; of a ring state the "
+                f"inner_{measure.across}"
             )
         if layer.bore is not None:
             raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
@@ -99,7 +107,7 @@ def check_cavity(layers: Sequence[Layer], file: str, *, is_open: bool) -> None:
         if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
             raise InputError(
                 file,
-                f"layers[{i}].cavity_radius",
+                f"layers[{i}].{key}",
                 _hole(layer),
                 f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
             )
@@ -109,14 +117,14 @@ def check_cavity(layers: Sequence[Layer], file: str, *, is_open: bool) -> None:
             if not 0 <= j < len(layers):
                 raise InputError(
                     file,
-                    f"layers[{i}].cavity_radius",
+                    f"layers[{i}].{key}",
                     _hole(layer),
                     f"a closed cavity: a layer {side} {layer.region!r}; {CLOSED}",
                 )
             if layers[j].outer_radius < layer.inner_radius + SAME_LENGTH:
                 raise InputError(
                     file,
-                    f"layers[{i}].cavity_radius",
+                    f"layers[{i}].{key}",
                     _hole(layer),
                     f"a closed cavity: {layers[j].region!r} {side} reaches only "
                     f"{millimetres(layers[j].outer_radius)}",
@@ -128,10 +136,10 @@ def check_cavity(layers: Sequence[Layer], file: str, *, is_open: bool) -> None:
         gap = next(i for i in range(places[0], places[-1]) if i not in places)
         raise InputError(
             file,
-            f"layers[{gap}].cavity_radius",
+            f"layers[{gap}].{key}",
             None,
             f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers; "
-            f"{ONE_CAVITY}",
+            f"{one_cavity}",
         )
 
 

@@ -63,9 +63,9 @@ class Chip:
     is_open: bool = False
 
     def __post_init__(self) -> None:
-        check_straight(self.measure, self.layers, self.electrodes, self.ports, self.states, self.file)
+        check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
-        checks.check_cavity(self.layers, self.file, is_open=self.is_open)
+        checks.check_cavity(self.layers, self.file, self.measure, is_open=self.is_open)
         checks.check_shapes(self.layers, self.file)
         checks.check_stack(self.layers, self.file)
         checks.check_electrodes(self.electrodes, self.transducer.inner_radius, self.transducer.outer_radius, self.file)

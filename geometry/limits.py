@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from geometry.dimension import SHAPES
+
 AXISYMMETRIC = "axisymmetric only: every layer is a disc or a ring about one axis"
 
 #: Advice for a body that is not round.
@@ -20,7 +22,20 @@ FULL_DISC = ("with an outline a transducer is a full disc; of a ring state radiu
 ONE_CAVITY = (f"{AXISYMMETRIC}, with one cavity; of two cavities model the one with the particles, and state "
               "the layer around the other one as solid")
 
-CLOSED = ('of an open well state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
+CLOSED = ('of an open well or channel state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
+
+STRAIGHT = "what is symmetric about the middle of the chip, x = 0, with one channel there"
+
+#: Advice for what a straight chip has off its middle.
+IN_THE_MIDDLE = (f"{STRAIGHT}; a plate, a layer or a channel off to one side is not modelled yet: state it in the "
+                 "middle, which leaves out what its place alone drives (half a wave across the channel under a full "
+                 "electrode); symmetry = \"odd\" with a gap in the live electrode drives that too")
+
+ONE_CHANNEL = (f"{STRAIGHT}; of several channels model the one with the particles, and state the walls around the "
+               "others as solid")
+
+UPRIGHT = ("layers with plane faces and upright sides: etch profiles, sloping and rounded walls of a straight chip are "
+           "not modelled yet; state the width at half the height of the channel")
 
 #: Keys that people write in a state for a cavity that is not filled to its top.
 FILL_KEYS = ("fill", "fill_height", "filling", "level", "liquid_height", "height")
@@ -31,4 +46,14 @@ NOT_KEYS: Mapping[str, str] = {
                     NOT_ROUND),
     **dict.fromkeys(("offset", "centre", "center", "x", "y", "position", "eccentricity", "x_offset", "y_offset"),
                     CENTRED),
+}
+
+#: Keys that people write in a straight chip for what it cannot have yet, and the advice for each.
+NOT_STRAIGHT: Mapping[str, str] = {
+    **dict.fromkeys(("offset", "centre", "center", "x", "position", "x_offset", "left", "right", "side"),
+                    IN_THE_MIDDLE),
+    **dict.fromkeys(("channels", "cavities", "channel_count", "count", "pitch", "spacing", "cavity_widths"),
+                    ONE_CHANNEL),
+    **dict.fromkeys(("undercut", "taper", "slope", "etch_angle", "wall_angle", "sidewall_angle", "fillet",
+                     "corner_radius", "profile", *SHAPES), UPRIGHT),
 }

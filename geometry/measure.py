@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from geometry.names import AXIS, PLANE_LEFT, PLANE_RIGHT
 from workbench.files.errors import InputError
 
 Real = NDArray[np.float64]
+
+#: Largest distance from the axis, as a share of the largest radius, at which a place is on it.
+AT_AXIS = 1e-9
 
 
 class Parity(Enum):
@@ -37,8 +41,18 @@ class Axisymmetric:
     across, doubled = "radius", "diameter"
     #: Symbol of the coordinate across the section.
     symbol = "r"
+    #: Directions in the section, across and up.
+    directions = ("radial", "axial")
+    #: Numbers of the directions in which particles focus within seconds: up, for the cavities of round chips are flat.
+    focusing = (1,)
+    #: Decimals of a length in millimetres that say where in a cavity something is.
+    decimals = 2
     #: Sign of scalar fields in the image on the other side of the axis.
     mirror = 1
+    #: The volume within a distance from the axis grows with this power of it.
+    power = 2
+    #: Number of pieces of a layer around a cavity.
+    sides = 1
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
@@ -48,9 +62,35 @@ class Axisymmetric:
         """Values divided by the radius, for the hoop strain."""
         return np.asarray(value / r)
 
+    def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
+        """Hoop strain (or its rate) of a motion `across` along r with its `slope` along r: u_r / r, and du_r / dr on
+        the axis."""
+        on_axis = r <= AT_AXIS * r.max()
+        return np.where(on_axis, slope, across / np.where(on_axis, 1.0, r))
+
+    def evenly(self, random: np.random.Generator, low: float, high: float, count: int) -> Real:
+        """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
+        return np.asarray(np.sqrt(random.uniform(low**2, high**2, count)))
+
+    def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
+        """Places x, y (m) seen from above of radii `r` (m) at azimuths `turn` (radians); `strip` is not needed."""
+        return r * np.cos(turn), r * np.sin(turn)
+
+    def place_words(self, r: float) -> str:
+        """A place across the section in words."""
+        return "on the axis" if r == 0.0 else f"in a ring of radius {1e3 * r:.{self.decimals}f} mm"
+
+    def within_words(self, outer: float) -> str:
+        """The part of a section within a radius (m) in words."""
+        return f"r below {1e3 * outer:.3g} mm"
+
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two radii (m)."""
         return math.pi * (outer**2 - inner**2) * height
+
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from the axis."""
+        return self.volume(inner, outer, height)
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""
@@ -77,6 +117,15 @@ class Straight:
     across, doubled = "half_width", "width"
     #: Symbol of the coordinate across the section.
     symbol = "x"
+    #: Directions in the section, across and up.
+    directions = ("lateral", "vertical")
+    #: Numbers of the directions in which particles focus within seconds: both, since channels are as wide as high.
+    focusing = (0, 1)
+    #: Decimals of a length in millimetres that say where in a cavity something is: a channel is some hundred
+    #: micrometres wide.
+    decimals = 3
+    #: The volume within a distance from the middle grows with this power of it.
+    power = 1
 
     def __post_init__(self) -> None:
         if not 0.0 < self.length < math.inf:
@@ -94,6 +143,11 @@ class Straight:
         return 2 if len(self.planes) == 1 else 1
 
     @property
+    def sides(self) -> int:
+        """Number of pieces of a layer around a channel: two walls, or one in a half cell of a row of devices."""
+        return 1 if len(self.planes) == 2 else 2
+
+    @property
     def mirror(self) -> int:
         """Sign of scalar fields in the image on the other side of the left end; 0 if there is no plane there."""
         return {Parity.EVEN: 1, Parity.ODD: -1, Parity.NONE: 0}[self.left]
@@ -106,9 +160,43 @@ class Straight:
         """Zero: there is no hoop strain."""
         return np.zeros(np.broadcast_shapes(np.shape(value), np.shape(r)))
 
+    def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
+        """Zero: there is no hoop strain."""
+        return np.zeros_like(across)
+
+    def evenly(self, random: np.random.Generator, low: float, high: float, count: int) -> Real:
+        """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
+        return np.asarray(random.uniform(low, high, count))
+
+    def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
+        """Places x, y (m) seen from above of places `r` (m) across a `strip` (m) of the device.
+
+        Azimuths `turn`, even from 0 to 2 pi, stand for the place along the strip and, where the device goes on beyond
+        its left end, for the image that a place is in.
+        """
+        share = turn * self.copies / (2.0 * np.pi)
+        image = np.floor(share)
+        return np.where(image == 0.0, r, -r), np.broadcast_to(strip * (share - image - 0.5), np.shape(r)).copy()
+
+    def place_words(self, r: float) -> str:
+        """A place across the section in words."""
+        distance = f"{1e3 * abs(r):.{self.decimals}f} mm"
+        if float(distance.split()[0]) == 0.0:
+            return "in the middle of the channel"
+        side = "either side" if self.mirror else "the right" if r > 0.0 else "the left"
+        return f"{distance} to {side} of the middle"
+
+    def within_words(self, outer: float) -> str:
+        """The part of a section within a distance (m) of its middle in words."""
+        return f"within {1e3 * outer:.3g} mm of the middle"
+
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two places (m), in all images."""
         return self.copies * self.length * (outer - inner) * height
+
+    def device_volume(self, inner: float, outer: float, height: float) -> float:
+        """Volume (m^3) of the device between two distances (m) from its middle, on all of its sides."""
+        return self.sides * self.length * (outer - inner) * height
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
         """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""

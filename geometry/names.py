@@ -35,6 +35,8 @@ AXIS = "axis"
 #: Planes of symmetry of a straight section, at its left and its right end.
 PLANE_LEFT = "plane_left"
 PLANE_RIGHT = "plane_right"
+#: Lines at which a section ends while the device goes on.
+SECTION_ENDS = (AXIS, PLANE_LEFT, PLANE_RIGHT)
 ELECTRODE_LIVE = "electrode_live"
 ELECTRODE_GROUND = "electrode_ground"
 OUTSIDE = "outside"

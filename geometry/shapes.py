@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.curves import Arc, Curve
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension
+from geometry.measure import Straight
 from geometry.mesh import SectionMesh
 from geometry.parts import Layer
 from geometry.section import Section, cut_section
@@ -87,9 +88,9 @@ def reach(layer: Layer, shape: str) -> ShapeReach:
 def possible(chip: Chip) -> dict[str, tuple[str, str]]:
     """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions.
 
-    A chip with profiles has none, since they state all of its shape.
+    A chip with profiles has none, since they state all of its shape; nor has a straight one so far.
     """
-    layers = () if chip.is_profiled else chip.layers
+    layers = () if chip.is_profiled or isinstance(chip.measure, Straight) else chip.layers
     return {f"{layer.region}.{shape}": (layer.region, shape) for layer in layers for shape in SHAPES
             if shape != "draft" or layer.cavity_radius is not None}
 

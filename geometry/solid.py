@@ -1,7 +1,8 @@
 """The parts of a chip as solids, for drawing, printing and checking.
 
-Every solid is made from explicit coordinates: discs about the z axis, minus the cavity, minus the ports. Lengths are in
-**millimetres** here, as in every CAD file; heights are the chip's own.
+Every solid is made from explicit coordinates: discs about the z axis, or blocks along y of the length of a straight
+chip with their middle at y = 0; minus the cavity, minus the ports. Lengths are in **millimetres** here, as in every CAD
+file; heights are the chip's own.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from geometry import revolution
 from geometry.chip import Chip
 from geometry.chip_section import section_faces, volumes
 from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
+from geometry.measure import Measure, Straight
 from geometry.names import CAVITY
 from geometry.parts import Layer
-from geometry.round_only import check_axisymmetric
 from geometry.shapes import outlines
 
 if TYPE_CHECKING:
-    from cadquery import Shape, Solid
+    from cadquery import Compound, Shape, Solid
 
 #: Largest relative difference between the volume of a solid and the chip's arithmetic. The kernel integrates plain
 #: cylinders to rounding. It describes the edge of a channel in a round wall by a spline, which costs some 1e-8 of the
@@ -85,8 +86,10 @@ def ports_volume(chip: Chip) -> float:
     return chip.ports.count * 2.0 * total
 
 
-def chip_solids(chip: Chip) -> dict[str, Solid]:
-    """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres.
+def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
+    """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres: solids, and
+    compounds of two for the walls on both sides of a straight channel. The chip is made whole, whatever of it is
+    meshed.
 
     The ports are straight channels through the wall, at the height and of the diameter the chip states: Fig. 3 of
     Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet of the printed substrate and gives no size. The fluid
@@ -95,13 +98,12 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
     Raises:
         SolidError: CadQuery is not installed, or a solid is invalid or differs in volume from the chip's arithmetic.
     """
-    check_axisymmetric(chip, "solids, STEP and STL files")
     expected = part_volumes(chip)
     cadquery = cadquery_module()
     channels = _channels(cadquery, chip)
     drilled = chip.port_axis()[0].region if channels else None
     bodies = _turned(chip) if chip.is_shaped else _discs(cadquery, chip)
-    made: dict[str, Solid] = {}
+    made: dict[str, Solid | Compound] = {}
     for name, layers in parts(chip).items():
         shape = _fused([body for layer in layers for body in bodies[layer.region]])
         volume_of_ports = 0.0
@@ -110,7 +112,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
             # In walls that are not round cylinders, the formula for the volume of channels does not hold.
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
         made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
-            SHAPED_TOLERANCE + volume_of_ports / expected[name]))
+            SHAPED_TOLERANCE + volume_of_ports / expected[name]), _pieces(chip, layers))
     if chip.holes:
         made[CAVITY] = _checked(CAVITY, _fused(bodies[CAVITY]), expected[CAVITY],
                                 SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE)
@@ -118,9 +120,15 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
 
 
 def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
-    """Discs and rings, and the cylinders of the cavity, by region."""
-    found = {layer.region: [_ring(cadquery, layer)] for layer in chip.layers}
-    return found | {CAVITY: [_cylinder(cadquery, hole.inner_radius, hole) for hole in chip.holes]}
+    """Layers with plane faces and upright sides, and the cavity, by region."""
+    measure = chip.measure
+    found = {layer.region: [_ring(cadquery, layer, measure)] for layer in chip.layers}
+    return found | {CAVITY: [_full(cadquery, hole.inner_radius, hole, measure) for hole in chip.holes]}
+
+
+def _pieces(chip: Chip, layers: tuple[Layer, ...]) -> int:
+    """Number of pieces of a part: a wall of a straight channel has two, unless a layer below or above joins them."""
+    return chip.measure.sides if all(layer.inner_radius > 0.0 for layer in layers) else 1
 
 
 def _turned(chip: Chip) -> dict[str, list[Shape]]:
@@ -137,19 +145,22 @@ def _turned(chip: Chip) -> dict[str, list[Shape]]:
     return found
 
 
-def _cylinder(cadquery: ModuleType, radius: float, layer: Layer) -> Solid:
-    cylinder: Solid = cadquery.Solid.makeCylinder(
-        MILLIMETRES * radius,
-        MILLIMETRES * layer.thickness.value,
-        cadquery.Vector(0.0, 0.0, MILLIMETRES * layer.z_bottom),
-        cadquery.Vector(0.0, 0.0, 1.0),
-    )
-    return cylinder
+def _full(cadquery: ModuleType, distance: float, layer: Layer, measure: Measure) -> Shape:
+    """A layer without a hole that reaches to a `distance` (m) from the axis, or from the middle."""
+    height, up = MILLIMETRES * layer.thickness.value, cadquery.Vector(0.0, 0.0, 1.0)
+    bottom, reach = MILLIMETRES * layer.z_bottom, MILLIMETRES * distance
+    body: Shape
+    if isinstance(measure, Straight):
+        left, long = (reach if measure.sides == 2 else 0.0), MILLIMETRES * measure.length
+        body = cadquery.Solid.makeBox(left + reach, long, height, cadquery.Vector(-left, -0.5 * long, bottom), up)
+    else:
+        body = cadquery.Solid.makeCylinder(reach, height, cadquery.Vector(0.0, 0.0, bottom), up)
+    return body
 
 
-def _ring(cadquery: ModuleType, layer: Layer) -> Shape:
-    disc = _cylinder(cadquery, layer.outer_radius, layer)
-    return disc if layer.cavity_radius is None else disc.cut(_cylinder(cadquery, layer.inner_radius, layer))
+def _ring(cadquery: ModuleType, layer: Layer, measure: Measure) -> Shape:
+    whole = _full(cadquery, layer.outer_radius, layer, measure)
+    return whole if not layer.inner_radius else whole.cut(_full(cadquery, layer.inner_radius, layer, measure))
 
 
 def _fused(shapes: list[Shape]) -> Shape:
@@ -184,14 +195,16 @@ def volume(shape: Shape) -> float:
     return float(shape.Volume(tol=0.1 * ROUND_TOLERANCE)) / MILLIMETRES**3
 
 
-def _checked(name: str, shape: Shape, expected: float, tolerance: float) -> Solid:
-    """The one solid that `shape` holds (booleans return it wrapped in a compound), of the `expected` volume (m^3)."""
+def _checked(name: str, shape: Shape, expected: float, tolerance: float, pieces: int = 1) -> Solid | Compound:
+    """The one solid that `shape` holds (booleans return it wrapped in a compound), of the `expected` volume (m^3), or
+    the compound of as many solids as it has `pieces`."""
     found = shape.Solids()
-    if len(found) != 1 or not shape.isValid():
-        raise SolidError(f"{name!r} should be one valid solid and is {len(found)}, valid: {shape.isValid()}")
+    if len(found) != pieces or not shape.isValid():
+        raise SolidError(f"{name!r} should be {'one valid solid' if pieces == 1 else f'{pieces} valid solids'} and is "
+                         f"{len(found)}, valid: {shape.isValid()}")
     if not abs(volume(shape) - expected) <= tolerance * expected:
         raise SolidError(
             f"volume of the solid {name!r} is {volume(shape):.12g} m^3, by the chip's dimensions {expected:.12g}"
         )
-    solid: Solid = found[0]
-    return solid
+    made: Solid | Compound = found[0] if pieces == 1 else cadquery_module().Compound.makeCompound(found)
+    return made

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, SHAPES, dimension_text
+from geometry.dimension import SAME_LENGTH, dimension_text
+from geometry.limits import NOT_STRAIGHT, UPRIGHT
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
-from geometry.parts import Electrodes, Layer, Ports, State
+from geometry.parts import Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
@@ -18,8 +19,6 @@ GEOMETRIES = ("axisymmetric", "straight")
 
 #: Keys of a round chip's layers and electrodes, and the advice for a straight one.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
-_NOT_YET = ("nothing here: a straight chip has layers with plane faces and upright sides; profiles and shapes of "
-            "layers are those of round chips so far")
 
 
 def read_measure(head: FileTable) -> Measure:
@@ -43,25 +42,25 @@ def read_measure(head: FileTable) -> Measure:
 
 
 def refuse_round_keys(table: FileTable) -> None:
-    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, with the advice for each."""
+    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, and for keys of what it cannot
+    have yet, with the advice for each."""
     for key in table:
+        if key.casefold() in NOT_STRAIGHT:
+            raise InputError(table.source, table.at(key), table.content[key], NOT_STRAIGHT[key.casefold()])
         for word, instead in _OF_ROUND.items():
             if key.casefold().endswith(word):
                 raise InputError(table.source, table.at(key), table.content[key], "no radius or diameter in a straight "
                                  f"chip: {key[:-len(word)]}{instead}, from the middle of the chip"
                                  f"{' to either side' if instead == 'width' else ''}")
-        if key in SHAPES or key == "profile":
-            raise InputError(table.source, table.at(key), table.content[key], _NOT_YET)
 
 
 def check_straight(
-    measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, states: Sequence[State],
-    file: str,
+    measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, file: str
 ) -> None:
     """Check that a straight chip has only what such chips may have so far.
 
     Raises:
-        InputError: ports, a profile or shape of a layer, a particle, planes of symmetry that do not bound the section,
+        InputError: ports, a profile or shape of a layer, planes of symmetry that do not bound the section,
             or a live electrode across a plane of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
@@ -74,11 +73,7 @@ def check_straight(
     for i, layer in enumerate(layers):
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
         if stated:
-            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", _NOT_YET)
-    for state in states:
-        if state.particle is not None:
-            raise InputError(file, f"states.{state.name}.particle", state.particle, "no particle: the traps and beads "
-                             "of a straight chip are not modelled yet; its fields are")
+            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", UPRIGHT)
     gap = electrodes.live_disc.inner_radius
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),

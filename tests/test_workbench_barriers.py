@@ -156,7 +156,7 @@ def test_walls_face_outwards_and_a_slanted_one_too() -> None:
     inside = np.zeros((40, 30), bool)
     inside[:, :20] = True
     inside[np.arange(40)[:, None] + np.arange(30) > 45] = False
-    normals = outward(inside, on_axis=True)
+    normals = outward(inside, mirrored=(True, False))
     assert normals[5, 19] == pytest.approx((0.0, 1.0))
     assert normals[0, 0] == pytest.approx((0.0, -1.0))
     assert normals[33, 12] == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)), abs=0.05)
@@ -178,7 +178,7 @@ def flooded(forces: ParticleForces, trap_at: tuple[float, float], others: list[t
     z = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 121)
     weight = forces.particle.volume * (forces.particle.density - forces.fluid.density) * GRAVITY
     total = raster(forces.mesh, forces.potential, r, z, [forces.region]) + weight * z
-    walls = find_walls(np.isfinite(total), on_axis=True)
+    walls = find_walls(np.isfinite(total), mirrored=(True, False))
 
     def nearest(place: tuple[float, float]) -> tuple[int, int]:
         return int(np.argmin(np.abs(r - place[0]))), int(np.argmin(np.abs(z - place[1])))

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import j0, j1
 
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.quads import gauss_lobatto
 from workbench.acoustics.nodal import NodalMesh, mesh_of
 from workbench.acoustics.slip import WallFields, slip_velocity, stokes_drift, wall_edges, wall_fields
@@ -21,8 +22,11 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 
-def slip_of(fields: WallFields, *, axisymmetric: bool = False) -> Real:
-    return slip_velocity(fields, frequency=FREQUENCY, density=DENSITY, sound_speed=SPEED, axisymmetric=axisymmetric)
+PLANE = Straight()
+
+
+def slip_of(fields: WallFields, measure: Measure = PLANE) -> Real:
+    return slip_velocity(fields, frequency=FREQUENCY, density=DENSITY, sound_speed=SPEED, measure=measure)
 
 
 def over_a_floor(x: Real, v: Complex, slope: Complex, pressure: Complex) -> WallFields:
@@ -67,7 +71,7 @@ def test_a_radial_standing_wave_slips_with_its_rings() -> None:
     slope = K * j0(K * X) - v_over_r
     fields = over_a_floor(X, v + 0j, slope + 0j, DENSITY * SPEED**2 * (slope + v_over_r) / (1j * OMEGA))
     expected = -(0.25 * v * slope + 0.5 * v * (slope + v_over_r)) / OMEGA
-    found = slip_of(fields, axisymmetric=True)[0]
+    found = slip_of(fields, ABOUT_AXIS)[0]
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
     # A plane wall of the same velocities has another slip: the rings matter.
     assert np.abs(slip_of(fields)[0] - expected).max() > 0.1 * np.abs(expected).max()
@@ -122,7 +126,7 @@ def test_only_the_motion_of_a_body_against_the_liquid_counts(
     fields = wall_fields(mesh, body, pressure=0j * r, velocity=velocity, velocity_gradient=gradient,
                          wall=np.broadcast_to(body_speed * upwards + 0j, velocity.shape), order=6)
     drift = stokes_drift(velocity, gradient, FREQUENCY)[body.nodes]
-    found = slip_of(fields, axisymmetric=axisymmetric) + (fields.tangent * drift).sum(axis=2)
+    found = slip_of(fields, ABOUT_AXIS if axisymmetric else PLANE) + (fields.tangent * drift).sum(axis=2)
     # Along the wall the liquid moves at q sin(angle from the shake), relative to the body.
     place = fields.points / np.linalg.norm(fields.points, axis=2, keepdims=True)
     square = (1.0 + share)**2 * abs(against)**2

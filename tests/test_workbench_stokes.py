@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import j1, jn_zeros
 
+from geometry.measure import ABOUT_AXIS, Measure, Parity, Straight
 from materials.kinds import Fluid
 from workbench.acoustics.flow_forces import TemperatureSlopes, absorption_force, thermoacoustic_force
 from workbench.acoustics.flow_walls import flow_border
@@ -18,20 +19,23 @@ from workbench.acoustics.stokes import FlowConditions, StokesFlow, StokesSolver
 
 Real = NDArray[np.float64]
 VISCOSITY = 0.89e-3
+PLANE = Straight()
 
 
-def grid(width: float, height: float, across: int, up: int, order: int) -> NodalMesh:
+def grid(
+    width: float, height: float, across: int, up: int, order: int, measure: Measure = PLANE
+) -> NodalMesh:
     """A rectangle from the origin in equal cells."""
     step = np.array([width / across, height / up])
     place = np.stack(np.meshgrid(np.arange(across), np.arange(up), indexing="ij"), axis=-1).reshape(-1, 2)
-    return mesh_of(place * step, (place + 1) * step, np.zeros(len(place), dtype=np.int64), ("cavity",), order=order)
+    return mesh_of(place * step, (place + 1) * step, np.zeros(len(place), dtype=np.int64), ("cavity",), order=order,
+                   measure=measure)
 
 
-def solved(mesh: NodalMesh, velocity: Real, **load: Real | bool) -> StokesFlow:
+def solved(mesh: NodalMesh, velocity: Real, **load: Real) -> StokesFlow:
     """The flow with the components of `velocity` that are not NaN held."""
-    axisymmetric = bool(load.pop("axisymmetric", False))
     conditions = FlowConditions(np.isfinite(velocity), np.full_like(velocity, np.nan))
-    return StokesSolver(mesh, conditions, axisymmetric=axisymmetric).solve(VISCOSITY, velocity=velocity, **load)
+    return StokesSolver(mesh, conditions).solve(VISCOSITY, velocity=velocity, **load)
 
 
 def between_plates(ratio: float, cells: int, order: int, *, side_walls: bool = False) -> tuple[float, StokesFlow]:
@@ -100,13 +104,13 @@ def test_rings_between_plates() -> None:
     ratio = 160 / 380
     k = jn_zeros(1, 1)[0]  # the radius is 1
     height = ratio * 2.0 * math.pi / k
-    mesh = grid(1.0, height, 6, 4, 4)
+    mesh = grid(1.0, height, 6, 4, 4, ABOUT_AXIS)
     r, z = mesh.points.T
     velocity = np.full((len(r), 2), np.nan)
     velocity[(r == 0.0) | (r == 1.0), 0] = 0.0
     walls = np.minimum(z, height - z) < 1e-12
     velocity[walls] = np.stack([j1(k * r[walls]), 0.0 * r[walls]], axis=1)
-    flow = solved(mesh, velocity, axisymmetric=True)
+    flow = solved(mesh, velocity)
     places = np.stack([np.linspace(0.0, 1.0, 21), np.full(21, 0.5 * height)], axis=1)
     found = interpolate(mesh, flow.velocity, places, ["cavity"])
     # Observed 3e-6.
@@ -117,12 +121,12 @@ def test_rings_between_plates() -> None:
 
 def test_a_strained_velocity_only_changes_the_stress() -> None:
     """eta lap (u - s) = grad p with s of the kind of a flow makes u = s, if the walls move so."""
-    mesh = grid(1.0, 0.5, 3, 3, 4)
+    mesh = grid(1.0, 0.5, 3, 3, 4, ABOUT_AXIS)
     r, z = mesh.points.T
     swirl = np.stack([-4.0 * r * z**3, 2.0 * z**4], axis=1)  # no divergence, and a stress that no pressure balances
     held = np.where((np.minimum(np.minimum(z, 0.5 - z), 1.0 - r) < 1e-12)[:, None], swirl, np.nan)
     held[r == 0.0, 0] = 0.0
-    flow = solved(mesh, held, strained=swirl, axisymmetric=True)
+    flow = solved(mesh, held, strained=swirl)
     np.testing.assert_allclose(flow.velocity, swirl, atol=1e-12)
 
 
@@ -196,12 +200,12 @@ def test_the_border_has_corners_normals_and_no_net_flux() -> None:
 
 def test_an_open_surface_slides_without_friction() -> None:
     """A liquid that slips over a wall below and is free above moves as a whole where its depth is even."""
-    mesh = grid(6.0, 1.0, 12, 2, 4)
+    mesh = grid(6.0, 1.0, 12, 2, 4, Straight(1.0, Parity.EVEN))
     (edges,) = wall_edges(mesh, "cavity")
     floor, lid, outer = (edges.nodes[edges.sides == side] for side in (2, 3, 1))
     border = flow_border(mesh, [floor, outer], [lid])
     along = np.where(border.on_wall[:, None], [1.0, 0.0], 0.0) * mesh.points[:, :1]
-    flow = StokesSolver(mesh, border.conditions(), axisymmetric=False).solve(VISCOSITY, velocity=border.along_walls(
+    flow = StokesSolver(mesh, border.conditions()).solve(VISCOSITY, velocity=border.along_walls(
         np.where((mesh.points[:, 1] == 0.0)[:, None], along / np.maximum(mesh.points[:, :1], 1e-9), 0.0)))
     # Far from the ends: u = 1 - 3 z + 3 z^2 / 2 has no net flux and no stress at z = 1.
     z = np.linspace(0.0, 1.0, 11)

@@ -25,9 +25,7 @@ from workbench.physics.open_bond import OpenBond
 from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
 from workbench.render.gallery import draw_state
-from workbench.simulation.heating import heating
 from workbench.simulation.run import Snapshot, simulate, snapshot
-from workbench.simulation.streaming import streaming
 
 COARSE = quadratic(3.0)
 FREQUENCY = 1.97e6
@@ -122,13 +120,6 @@ def test_terms_with_rings_need_an_axis() -> None:
                  MissingFluid("cavity", "water", "air", Rim("gas"))):
         with pytest.raises(ModelError, match="needs an axis"):
             assemble(problem.mesh, (*problem.terms, term))
-
-
-def test_what_is_not_there_yet_is_refused() -> None:
-    shot = snapshot(chip(), None, FREQUENCY, accuracy=COARSE)
-    for verb in (heating, streaming):
-        with pytest.raises(InputError, match="not there for straight chips yet"):
-            verb(shot)
 
 
 def test_a_simulation_has_a_spectrum_and_figures() -> None:

@@ -385,7 +385,7 @@ def ended(fate: list[int], levitated_at: list[float], trapped_at: list[float]) -
         report=report, velocity=particle_velocity(report.forces), voltage_factor=1.0, times=times, positions=positions,
         azimuths=np.zeros(count), fate=codes, trap=np.where(codes == Fate.TRAPPED, 0, -1),
         rest=np.array([[0.0, 0.3e-3]]), levitated_at=np.array(levitated_at), trapped_at=np.array(trapped_at),
-        stopped_at=np.full(count, np.nan), within=3e-5)
+        focused_at=np.full(count, np.nan), stopped_at=np.full(count, np.nan), within=3e-5)
 
 
 def test_capture_fractions_and_focusing_times() -> None:

@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import Spectrum as Spectrum
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
+    from workbench.simulation.channel import channel_figures as channel_figures
     from workbench.simulation.heating import LiquidWarming as LiquidWarming
     from workbench.simulation.heating import heating as heating
     from workbench.simulation.heating import liquid_warming as liquid_warming
@@ -128,6 +129,7 @@ PUBLIC = {
     "Study": "workbench.design.plan",
     "StudyResult": "workbench.design.study_result",
     "bvd_impedance": "workbench.results.circuit",
+    "channel_figures": "workbench.simulation.channel",
     "compare": "workbench.results.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",

@@ -31,6 +31,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, Dimension, read_chip  # noqa: E402
+from geometry.measure import Axisymmetric  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.files.errors import InputError  # noqa: E402
@@ -75,10 +76,10 @@ def converged(chip: Chip, state: str, band: tuple[float, float], folder: Path) -
 
 
 def chips() -> Iterator[tuple[str, Chip, str, tuple[float, float]]]:
-    """The chips and states that the rows are chosen on."""
+    """The round chips and states that the rows are chosen on."""
     for path in sorted((ROOT / "geometry" / "chips").glob("*.toml")):
         chip = read_chip(path)
-        for state in chip.states:
+        for state in chip.states if isinstance(chip.measure, Axisymmetric) else ():
             yield f"{path.stem} {state.name}", chip, state.name, chip.band
 
 

@@ -18,7 +18,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import FilledChip, build
 
-Real, Complex = NDArray[np.float64], NDArray[np.complex128]
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 EPOXY = IsotropicSolid(name="epoxy", density=1200.0, bulk_modulus=5e9 - 0.1e9j, shear_modulus=1.5e9 - 0.05e9j)
 GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=44e9, shear_modulus=29e9)
 WATER = Fluid(name="water", density=997.0, sound_speed=1497.0)

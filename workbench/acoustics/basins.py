@@ -20,12 +20,21 @@ def _around(values: NDArray[Any], outside: Any) -> NDArray[Any]:
     return np.stack([padded[1 + i:1 + i + rows, 1 + j:1 + j + columns] for i, j in _NEIGHBOURS])
 
 
-def find_walls(inside: NDArray[np.bool_], *, on_axis: bool) -> NDArray[np.bool_]:
-    """Mask (n, m) of the points of a region on a raster that lack a neighbour; behind the axis the field is continued.
-    """
-    if on_axis:
-        return find_walls(np.concatenate([inside[1::-1], inside[1:]]), on_axis=False)[1:]
-    return inside & ~_around(inside, outside=False).all(axis=0)
+def find_walls(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> NDArray[np.bool_]:
+    """Mask (n, m) of the points of a region on a raster that lack a neighbour; the region is continued beyond the first
+    and the last column (along r) where that is `mirrored`."""
+    whole, kept = _continued(inside, mirrored, 1)
+    return (whole & ~_around(whole, outside=False).all(axis=0))[kept]
+
+
+def _continued(
+    inside: NDArray[np.bool_], mirrored: tuple[bool, bool], count: int
+) -> tuple[NDArray[np.bool_], slice]:
+    """A raster with `count` mirror images of its places along r beyond each `mirrored` end, and the part of it that is
+    the raster itself."""
+    before, after = (count * each for each in mirrored)
+    whole = np.pad(inside, ((before, after), (0, 0)), mode="reflect")
+    return whole, slice(before, before + len(inside))
 
 
 def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
@@ -82,20 +91,19 @@ def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bo
     return float(levels[low])
 
 
-def outward(inside: NDArray[np.bool_], *, on_axis: bool) -> FloatArray:
+def outward(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> FloatArray:
     """Unit vectors (n, m, 2) along the two directions of a raster that point out of the region, zero far from a wall.
 
     They are those of the mask averaged over 5 points each way, so that a slanted wall, a staircase on the raster, has
-    its own direction.
+    its own direction. The region is continued beyond `mirrored` ends along r.
     """
-    if on_axis:
-        return outward(np.concatenate([inside[:0:-1], inside]), on_axis=False)[len(inside) - 1:]
     from scipy.ndimage import uniform_filter
 
-    smooth = uniform_filter(np.pad(inside, 3).astype(float), size=5)
+    whole, kept = _continued(inside, mirrored, min(len(inside) - 1, 5))
+    smooth = uniform_filter(np.pad(whole, 3).astype(float), size=5)
     down = -np.stack(np.gradient(smooth), axis=-1)[3:-3, 3:-3]
     size = np.linalg.norm(down, axis=-1, keepdims=True)
-    return np.asarray(np.where(size > 1e-9, down / np.maximum(size, 1e-9), 0.0))
+    return np.asarray(np.where(size > 1e-9, down / np.maximum(size, 1e-9), 0.0)[kept])
 
 
 def _drained(values: FloatArray) -> IntArray:

@@ -39,8 +39,8 @@ class CaptureStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """The part of a cavity that is looked at: radii from ``inner`` to ``outer`` and heights from ``bottom`` to ``top``,
-    in m; all of it unless stated.
+    """The part of a cavity that is looked at: radii (of a channel, distances from its middle to either side) from
+    ``inner`` to ``outer`` and heights from ``bottom`` to ``top``, in m; all of it unless stated.
 
     Raises:
         ValueError: a radius or height below the other one.
@@ -60,7 +60,8 @@ class Window:
 def light_curve(found: Trajectories, window: Window) -> FloatArray:
     """Share (n,) of the particles that are in the `window` at each of the times of the record."""
     r, z = np.moveaxis(found.positions, 2, 0)
-    inside = (r >= window.inner) & (r <= window.outer) & (z >= window.bottom) & (z <= window.top)
+    distance = np.abs(r)
+    inside = (distance >= window.inner) & (distance <= window.outer) & (z >= window.bottom) & (z <= window.top)
     return np.asarray(inside.mean(axis=0))
 
 
@@ -84,7 +85,8 @@ def arrived_share(found: Trajectories, at: FloatArray) -> FloatArray:
 def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureStatistics, ...]:
     """Statistics of the levitation, of every trap that holds particles, and of those that walls stop or nothing does.
 
-    Levitation counts every particle that comes to the height where it neither rises nor falls, wherever it ends.
+    Levitation counts every particle that comes to the height where it neither rises nor falls, wherever it ends. That
+    of a channel comes after the focusing across: of those that come to the place where they move to neither side.
     """
     random = np.random.default_rng(seed)
 
@@ -103,8 +105,12 @@ def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureSt
     def ending(fate: Fate) -> IntArray:
         return np.flatnonzero(found.fate == fate)
 
-    rows = [of("came to levitate", np.flatnonzero(np.isfinite(found.levitated_at)), found.levitated_at)]
-    rows += [of(f"in trap {number}, r {1e3 * r:.2f} mm, z {1e3 * z:.2f} mm", np.flatnonzero(found.trap == number - 1),
+    measure = found.report.forces.mesh.measure
+    rows = [of("focused across the channel", np.flatnonzero(np.isfinite(found.focused_at)), found.focused_at)] \
+        if 0 in measure.focusing else []
+    rows += [of("came to levitate", np.flatnonzero(np.isfinite(found.levitated_at)), found.levitated_at)]
+    rows += [of(f"in trap {number}, {measure.symbol} {1e3 * r:.{measure.decimals}f} mm, z "
+                f"{1e3 * z:.{measure.decimals}f} mm", np.flatnonzero(found.trap == number - 1),
                 found.trapped_at) for number, (r, z) in enumerate(found.rest, start=1) if np.isfinite(r)]
     no_time = np.full(found.count, np.nan)
     rows += [of("levitated, in no trap", ending(Fate.LEVITATED), no_time),

@@ -2,8 +2,8 @@
 
     -div(k grad T) = q,    -k d_n T = h T on the outside,    T the rise above the ambient temperature
 
-in every region that conducts, with the weight 2 pi r dr dz and temperatures that are continuous across interfaces: two
-parts that touch, touch perfectly. Elements are those of the fields (`workbench.fem.elements.Lagrange`).
+in every region that conducts, with the measure of the section and temperatures that are continuous across interfaces:
+two parts that touch, touch perfectly. Elements are those of the fields (`workbench.fem.elements.Lagrange`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from skfem import Dofs
 
 from geometry.mesh import SectionMesh
-from geometry.names import AXIS, OUTSIDE, outside
+from geometry.names import OUTSIDE, SECTION_ENDS, outside
 from workbench.fem.elements import Lagrange
 from workbench.fem.places import Place, place_of
 from workbench.fem.solve import one_thread
@@ -176,14 +176,15 @@ def conduction(
         held: K above ambient by boundary.
 
     Raises:
-        InputError: an unknown boundary, one of the axis, a negative coefficient, or no way for the heat to leave.
+        InputError: an unknown boundary, the axis or a plane of symmetry, a negative coefficient, or no way for the heat
+            to leave.
     """
     held = held or {}
     outer = [outside(region) for region in constants if outside(region) in mesh.mesh.boundaries]
     for name in (name for name in cooling if name):
         choose(name, outer, source="heat", field="convection")
     for name in held:
-        choose(name, [each for each in mesh.mesh.boundaries if each != AXIS and ("|" not in each
+        choose(name, [each for each in mesh.mesh.boundaries if each not in SECTION_ENDS and ("|" not in each
                       or set(each.split("|")) & set(constants))], source="heat", field="holder")
     chosen = {name: cooling.get(name, cooling.get("", 0.0)) for name in outer if name not in held}
     for name, value in chosen.items():

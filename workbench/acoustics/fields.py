@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from skfem.assembly.dofs import Dofs
 
 from geometry.free_section import FreeSection
-from geometry.measure import Straight
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.acoustics.nodal import NodalMesh, gradient, grid_nodes
@@ -148,11 +147,7 @@ def _strain(mesh: NodalMesh, displacement: Complex, region: str, nodes: NDArray[
     a straight section it is zero."""
     slope = gradient(mesh, displacement, [region])[nodes]  # (n, 2 directions, 2 components)
     r = mesh.points[nodes, 0]
-    if isinstance(mesh.measure, Straight):
-        return np.stack([slope[:, 0, 0], np.zeros_like(slope[:, 0, 0]), slope[:, 1, 1],
-                         slope[:, 1, 0] + slope[:, 0, 1]], axis=1)
-    on_axis = r < 1e-9 * mesh.points[:, 0].max()
-    hoop = np.where(on_axis, slope[:, 0, 0], displacement[nodes, 0] / np.where(on_axis, 1.0, r))
+    hoop = mesh.measure.hoop(displacement[nodes, 0], slope[:, 0, 0], r)
     return np.stack([slope[:, 0, 0], hoop, slope[:, 1, 1], slope[:, 1, 0] + slope[:, 0, 1]], axis=1)
 
 

@@ -12,7 +12,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine
 
 from geometry.quads import tabulated
-from workbench.acoustics.nodal import SAME_LINE, FloatArray, IntArray, NodalMesh, edge_nodes
+from workbench.acoustics.nodal import FloatArray, IntArray, NodalMesh, edge_nodes
 from workbench.acoustics.slip import WallEdges
 from workbench.acoustics.stokes import FlowConditions
 from workbench.results.brief import Brief
@@ -56,7 +56,7 @@ def raised_edges(mesh: NodalMesh, finer: NodalMesh, edges: WallEdges) -> IntArra
 @dataclass(frozen=True, eq=False, repr=False)
 class FlowBorder(Brief):
     """Nodes (N,) of a mesh by the condition there: ``on_wall`` and ``on_open`` surfaces, at a ``corner`` of them, on
-    the ``axis``; ``normal`` (N, 2) out of the liquid, NaN inside and at corners.
+    the ``axis`` or a plane of symmetry; ``normal`` (N, 2) out of the liquid, NaN inside and at corners.
 
     The normals are those of all edges at a node, weighted by its function, so that velocities across them carry no net
     flux out of the region (Engelman, Sani and Gresho, Int. J. Numer. Meth. Fluids 2, 225, 1982).
@@ -69,7 +69,8 @@ class FlowBorder(Brief):
     normal: FloatArray
 
     def conditions(self) -> FlowConditions:
-        """All of the velocity is prescribed on walls, u_r on the axis, and the part across an open surface."""
+        """All of the velocity is prescribed on walls, u_r on the axis or a plane of symmetry, and the part across an
+        open surface."""
         rests = self.on_wall | self.corner | (self.axis & self.on_open)
         held = np.stack([rests | self.axis, rests], axis=1)
         slides = self.on_open & ~rests
@@ -85,13 +86,11 @@ class FlowBorder(Brief):
         return result
 
 
-def flow_border(
-    mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Sequence[IntArray], *, axisymmetric: bool = True
-) -> FlowBorder:
+def flow_border(mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Sequence[IntArray]) -> FlowBorder:
     """The border of a `mesh` of one region, from the nodes (L, m + 1) along edges of its walls and open surfaces."""
     count = len(mesh.points)
     edges = np.concatenate([*walls, *open_surfaces])
-    weighted, ends = _outward(mesh, edges, axisymmetric)
+    weighted, ends = _outward(mesh, edges)
     on_wall, on_open = np.zeros((2, count), dtype=bool)
     for kind, some in ((on_wall, walls), (on_open, open_surfaces)):
         for nodes in some:
@@ -103,7 +102,7 @@ def flow_border(
     # The mean of two unit vectors at an angle has the length of half its cosine.
     corner = (times > 0.0) & (np.linalg.norm(unit, axis=1) < math.cos(0.5 * CORNER) * times)
     # On the axis the weights vanish, and the mean of the normals stands for them.
-    axis = (mesh.points[:, 0] <= SAME_LINE * mesh.points[:, 0].max()) & axisymmetric
+    axis = mesh.mirrors.on(mesh.points[:, 0])
     chosen = np.where(axis[:, None], unit, total)
     size = np.linalg.norm(chosen, axis=1)
     known = (size > 0.0) & ~corner
@@ -112,7 +111,7 @@ def flow_border(
     return FlowBorder(on_wall, on_open, corner, axis, normal)
 
 
-def _outward(mesh: NodalMesh, edges: IntArray, axisymmetric: bool) -> tuple[FloatArray, FloatArray]:
+def _outward(mesh: NodalMesh, edges: IntArray) -> tuple[FloatArray, FloatArray]:
     """Normals out of the region, integrated over every edge with the function of each of its nodes (L, m + 1, 2), and
     unit ones at its two ends (L, 2, 2)."""
     order = mesh.order
@@ -121,7 +120,7 @@ def _outward(mesh: NodalMesh, edges: IntArray, axisymmetric: bool) -> tuple[Floa
     place = mesh.points[edges]
     inward = _inward(mesh, edges)
     turned = np.einsum("qa,lax->lqx", slope, place)[:, :, ::-1] * [1.0, -1.0]
-    measure = weights * (2.0 * np.pi * np.einsum("qa,la->lq", value, place[:, :, 0]) if axisymmetric else 1.0)
+    measure = weights * mesh.measure.depth(np.einsum("qa,la->lq", value, place[:, :, 0]))
     sign = -np.sign(np.einsum("lqx,lx->l", turned, inward))
     weighted = np.einsum("lq,qa,lqx->lax", np.broadcast_to(measure, turned.shape[:2]), value, turned)
     at_ends = np.einsum("qa,lax->lqx", tabulated(order, np.array([0.0, 1.0]))[1], place)[:, :, ::-1] * [1.0, -1.0]

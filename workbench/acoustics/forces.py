@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geometry.measure import Axisymmetric
 from workbench.acoustics.nodal import FloatArray, NodalMesh, gradient, integrate, interpolate, raised, transfer
 from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
 from workbench.model.particles import (
@@ -90,8 +89,6 @@ def particle_forces(
         ValueError: unknown region, or a region without pressure.
     """
     mesh = fields.mesh
-    if not isinstance(mesh.measure, Axisymmetric):
-        raise ValueError("the section is straight; forces on a particle are those in a body that turns about its axis")
     if not np.isfinite(fields.pressure[mesh.nodes_of([region])]).all():
         raise ValueError(f"region {region!r} carries no pressure; choose a fluid region")
     if scattering is None:
@@ -130,7 +127,15 @@ def force_at(forces: ParticleForces, points: FloatArray) -> FloatArray:
 
 
 def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, stop: float, points: int = 2001) -> float:
-    """Time (s) from height `start` to `stop` (m) at constant `radius` (m): radiation force and weight against drag.
+    """Time (s) from height `start` to `stop` (m) at constant `radius` (m): see :func:`focus_time_along`."""
+    return focus_time_along(forces, 1, across=radius, start=start, stop=stop, points=points)
+
+
+def focus_time_along(
+    forces: ParticleForces, axis: int, *, across: float, start: float, stop: float, points: int = 2001
+) -> float:
+    """Time (s) from `start` to `stop` (m) along a direction (`axis` 0 r or x, 1 z) at a constant place `across` (m) in
+    the other one: radiation force, and along z weight, against drag.
 
     Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so 6 pi eta a dz/dt = F_z - W and
     the time is the integral of dz over the speed; it diverges logarithmically towards the trap itself. Simpson's rule
@@ -142,16 +147,18 @@ def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, sto
     """
     if points < 3 or points % 2 == 0:
         raise ValueError(f"{points} points; expected an odd number of 3 or more")
-    height = np.linspace(start, stop, points)
-    line = np.stack([np.full(points, radius), height], axis=1)
-    net = force_at(forces, line)[:, 1] - net_weight(forces.particle, forces.fluid)
+    way = np.linspace(start, stop, points)
+    line = np.full((points, 2), across)
+    line[:, axis] = way
+    net = force_at(forces, line)[:, axis] - (net_weight(forces.particle, forces.fluid) if axis else 0.0)
+    along, beside = (forces.mesh.measure.symbol, "z")[::1 - 2 * axis]
     if not np.isfinite(net).all():
-        place = height[~np.isfinite(net)][0]
-        raise ValueError(f"z = {place:.6g} m at r = {radius:.6g} m lies outside region {forces.region!r}")
+        place = way[~np.isfinite(net)][0]
+        raise ValueError(f"{along} = {place:.6g} m at {beside} = {across:.6g} m lies outside region {forces.region!r}")
     against = net * (stop - start) <= 0.0
     if against.any():
-        raise ValueError(f"the particle does not get from z = {start:.6g} m to {stop:.6g} m: at "
-                         f"{height[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
+        raise ValueError(f"the particle does not get from {along} = {start:.6g} m to {stop:.6g} m: at "
+                         f"{way[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
     weights = np.full(points, 2.0)
     weights[1::2], weights[[0, -1]] = 4.0, 1.0
     step = (stop - start) / (points - 1)

@@ -97,8 +97,9 @@ class Heating(Brief):
         parts = "\n".join(
             f"{name}: mean {part.mean:.3g} K, peak {part.peak:.3g} K, {part.resistance:.3g} K/W, {part.loss:.3g} W "
             f"lost in it, {part.initial_rate:.3g} K/s at switch-on" for name, part in self.parts.items())
+        r, z = (1e3 * each for each in self.hottest)
         return (f"{self.frequency / 1e6:.4f} MHz, {self.drive}, {self.power:.3g} W: hottest {self.peak:.3g} K above "
-                f"ambient at r = {1e3 * self.hottest[0]:.3g} mm, z = {1e3 * self.hottest[1]:.3g} mm, time constant "
+                f"ambient at {self.mesh.measure.symbol} = {r:.3g} mm, z = {z:.3g} mm, time constant "
                 f"{self.time_constant:.3g} s\n{parts}")
 
 

@@ -25,9 +25,10 @@ CROSSING_STEPS = 12
 class Motion:
     """The motion of particles of one `radius` (m) in a `velocity` field, from `starts` (P, 2), over `times` (n,).
 
-    ``positions`` (P, n, 2) at `times`, of which the first is the start. ``levitated_at`` (P,) and ``trapped_at`` (P, T)
-    are the times (s) of the first arrival `within` a distance (m) of the height where the particle neither rises nor
-    falls, and of each of the places `rest` (T, 2); ``stopped_at`` (P,) that at which its surface touched a wall. They
+    ``positions`` (P, n, 2) at `times`, of which the first is the start. ``levitated_at``, ``focused_at`` (P,) and
+    ``trapped_at`` (P, T) are the times (s) of the first arrival `within` a distance (m) of the height where the
+    particle neither rises nor falls, of the place across a channel where it moves to neither side, and of each of the
+    places `rest` (T, 2); ``stopped_at`` (P,) that at which its surface touched a wall. They
     are NaN if that did not happen. ``away`` (P, 2) is the unit vector from that wall. `tolerance` (m) bounds the
     estimated error of every step.
     """
@@ -40,11 +41,11 @@ class Motion:
         self.radius, self.rest, self.within, self.tolerance = radius, rest, within, tolerance
         count = len(starts)
         self.positions = np.repeat(starts[:, None], len(times), axis=1)
-        self.levitated_at, self.stopped_at = np.full(count, np.nan), np.full(count, np.nan)
+        self.focused_at, self.levitated_at, self.stopped_at = np.full((3, count), np.nan)
         self.trapped_at = np.full((count, len(rest)), np.nan)
         self.away = np.zeros((count, 2))
         self.attempts = 0
-        # Behind the axis r is negative: rounding may take a particle there and back.
+        # Behind the axis or a plane of symmetry: rounding may take a particle there and back.
         self.place, self.time = starts.copy(), np.zeros(count)
         self._cell = np.maximum(velocity.cells_at(starts), 0)
         self.speed, self.slope, _ = velocity(starts, self._cell, slopes=True)
@@ -64,25 +65,27 @@ class Motion:
         while (moving := np.flatnonzero(self._next < len(self.times))).size:
             if self.attempts >= MOST_ATTEMPTS:
                 one = moving[0]
+                r, z = 1e3 * self.place[one]
                 raise ArithmeticError(
-                    f"a particle at r = {1e3 * self.place[one, 0]:.4g} mm, z = {1e3 * self.place[one, 1]:.4g} mm needs "
+                    f"a particle at {self.velocity.mesh.measure.symbol} = {r:.4g} mm, z = {z:.4g} mm needs "
                     f"more than {MOST_ATTEMPTS} steps: at {self.time[one]:.4g} s its step is {self._step[one]:.2g} s")
             self.attempts += 1
             self._attempt(moving)
             progress("trajectories", float((self._next / len(self.times)).mean()))
 
-    def levitated(self, which: IntArray) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Whether each of the particles `which` (K,) is at the height where it neither rises nor falls, and that height
-        (K,) in m; one that cannot be there, because a wall is too near, does not count."""
-        sink, rise = self.slope[which, 1, 1], self.speed[which, 1]
-        stable = sink < 0.0
-        height = self.place[which, 1] - np.where(stable, rise / np.where(stable, sink, 1.0), np.inf)
-        there = stable & (np.abs(height - self.place[which, 1]) <= self.within)
+    def balanced(self, which: IntArray, axis: int) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Whether each of the particles `which` (K,) is where nothing moves it along a direction (`axis` 0 across, 1
+        up), and that place (K,) in m; one that cannot be there, because a wall is too near, does not count."""
+        drawn, speed = self.slope[which, axis, axis], self.speed[which, axis]
+        stable = drawn < 0.0
+        goal = self.place[which, axis] - np.where(stable, speed / np.where(stable, drawn, 1.0), np.inf)
+        there = stable & (np.abs(goal - self.place[which, axis]) <= self.within)
         close = np.flatnonzero(there)
         if close.size:
-            plane = np.stack([self.place[which[close], 0], height[close]], axis=1)
-            there[close] = self._clearance(plane, self._cell[which[close]]) > 0.0
-        return there, height
+            place = self.place[which[close]]
+            place[:, axis] = goal[close]
+            there[close] = self._clearance(place, self._cell[which[close]]) > 0.0
+        return there, goal
 
     def _attempt(self, moving: IntArray) -> None:
         """Try one step of the particles `moving`, and keep those that are accurate enough."""
@@ -144,19 +147,25 @@ class Motion:
 
     def _arrive(self, which: IntArray, path: _Path, start: FloatArray) -> None:
         """Note first arrivals of the particles `which` on the `path` of a step that began at the time `start`."""
-        waiting = np.flatnonzero(np.isnan(self.levitated_at[which]))
-        there, height = self.levitated(which[waiting])
-        if there.any():
-            new = waiting[there]
-            some, goal = path.of(new), height[there]
-            share = _crossing(lambda at: np.abs(some.at(at)[:, 1] - goal) - self.within, len(new))
-            self.levitated_at[which[new]] = start[new] + share * some.step
+        for axis in self.velocity.mesh.measure.focusing:
+            self._balance(which, path, start, axis)
         for number, rest in enumerate(self.rest):
             apart = np.linalg.norm(self._mirrored(path.end) - rest, axis=1)
             new = (apart <= self.within) & np.isnan(self.trapped_at[which, number])
             if new.any():
                 share = self._trapped(path.of(new), rest)
                 self.trapped_at[which[new], number] = start[new] + share * path.step[new]
+
+    def _balance(self, which: IntArray, path: _Path, start: FloatArray, axis: int) -> None:
+        """Note the particles that have come to where nothing moves them along one direction."""
+        arrived = (self.focused_at, self.levitated_at)[axis]
+        waiting = np.flatnonzero(np.isnan(arrived[which]))
+        there, goals = self.balanced(which[waiting], axis)
+        if there.any():
+            new = waiting[there]
+            some, goal = path.of(new), goals[there]
+            share = _crossing(lambda at: np.abs(some.at(at)[:, axis] - goal) - self.within, len(new))
+            arrived[which[new]] = start[new] + share * some.step
 
     def _trapped(self, path: _Path, rest: FloatArray) -> FloatArray:
         """Shares (K,) of the step after which particles are within reach of a place `rest` (2,)."""
@@ -165,10 +174,9 @@ class Motion:
 
         return _crossing(gap, len(path.step))
 
-    @staticmethod
-    def _mirrored(place: FloatArray) -> FloatArray:
-        """Places (K, 2) in the half plane that is kept."""
-        return np.stack([np.abs(place[:, 0]), place[:, 1]], axis=1)
+    def _mirrored(self, place: FloatArray) -> FloatArray:
+        """Places (K, 2) in the section that is kept."""
+        return self.velocity.mesh.mirrors.folded(place)[0]
 
 
 @dataclass(eq=False)

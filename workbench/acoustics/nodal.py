@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure
+from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics import curved_cells
 from workbench.acoustics.grid import SAME_LINE, CellGrid, cell_grid
+from workbench.acoustics.mirrors import Mirrors, mirrors_of
 from workbench.fem.elements import gauss_lobatto, lobatto_weights, polynomials
 from workbench.results.brief import Brief
 
@@ -121,6 +122,11 @@ class NodalMesh(Brief):
         """Lower and upper r, z of every cell, each (M, 2), as a rectangle."""
         return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
 
+    @cached_property
+    def mirrors(self) -> Mirrors:
+        """The lines at which the mesh ends while the body goes on."""
+        return mirrors_of(self.measure, self.points[:, 0])
+
     @property
     def _extent(self) -> tuple[FloatArray, FloatArray]:
         return self.points.min(axis=0), self.points.max(axis=0)
@@ -200,7 +206,8 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
     chosen = mesh.cells_of([region])
     if mesh.free:
         points, cells = curved_cells.of_order(mesh.points, mesh.cells[chosen], order)
-        return NodalMesh(points, cells, np.zeros(len(chosen), dtype=np.int64), (region,), free=True)
+        return NodalMesh(points, cells, np.zeros(len(chosen), dtype=np.int64), (region,), free=True,
+                         measure=mesh.measure)
     low, high = (side[chosen] for side in mesh.boxes)
     flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order, measure=mesh.measure)
     return flat if mesh.straight is None else replace(flat, points=transfer(mesh, mesh.points, flat),
@@ -434,9 +441,8 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     if mesh.free:
         across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
-        at_axis = mesh.points[:, 0] <= SAME_LINE * mesh.points[:, 0].max()
-        every = np.arange(len(mesh.cells))
-        return [(side, np.flatnonzero(apart[:, side] & ~at_axis[edge_nodes(mesh, side, every)].all(axis=1)))
+        at_mirror, every = mesh.mirrors.on(mesh.points[:, 0]), np.arange(len(mesh.cells))
+        return [(side, np.flatnonzero(apart[:, side] & ~at_mirror[edge_nodes(mesh, side, every)].all(axis=1)))
                 for side in range(4)]
     grid = mesh.grid
     there = grid.cell >= 0
@@ -445,17 +451,9 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     for side, (axis, step) in enumerate(SIDES):
         edge = (labels >= 0) & (grid.beside(labels, axis, step) != labels)
         if axis == 0:
-            edge[_goes_on(mesh, grid.r[:-1] if step < 0 else grid.r[1:])] = False
+            edge[mesh.mirrors.on(grid.r[:-1] if step < 0 else grid.r[1:])] = False
         found.append((side, grid.cell[edge]))
     return found
-
-
-def _goes_on(mesh: NodalMesh, r: FloatArray) -> NDArray[np.bool_]:
-    """Whether the device goes on beyond upright lines at `r` (n,): they are the axis or a plane of symmetry."""
-    if isinstance(mesh.measure, Axisymmetric):
-        return np.asarray(r <= SAME_LINE * mesh.grid.r[-1])
-    places = np.array([*mesh.measure.ends(tuple(mesh.grid.r)).values()])
-    return np.asarray((np.abs(r[:, None] - places) <= SAME_LINE * np.ptp(mesh.grid.r)).any(axis=1))
 
 
 def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:

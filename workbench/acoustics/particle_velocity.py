@@ -14,27 +14,27 @@ import numpy as np
 
 from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.interpolant import Interpolant
-from workbench.acoustics.nodal import SAME_LINE, FloatArray, IntArray, NodalMesh
+from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.model.particles import drag_coefficient, net_weight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParticleVelocity(Interpolant):
-    """Velocity (m/s) along r and z, ``values`` (N, 2) at the nodes of ``mesh``, continued behind the axis by symmetry.
+    """Velocity (m/s) along r and z, ``values`` (N, 2) at the nodes of ``mesh``, continued by symmetry behind the axis
+    or a plane of symmetry.
 
-    Called as an :class:`Interpolant`; points may lie behind the axis, at negative r.
+    Called as an :class:`Interpolant`; points may lie behind it, such as at negative r.
     """
 
     def __call__(
         self, points: FloatArray, cell: IntArray, *, slopes: bool = False
     ) -> tuple[FloatArray, FloatArray, IntArray]:
-        behind = np.where(points[:, 0] < 0.0, -1.0, 1.0)
-        velocity, slope, found = super().__call__(np.stack([np.abs(points[:, 0]), points[:, 1]], axis=1), cell,
-                                                  slopes=slopes)
-        velocity[:, 0] *= behind
+        inside, sense = self.mesh.mirrors.folded(points)
+        velocity, slope, found = super().__call__(inside, cell, slopes=slopes)
+        velocity[:, 0] *= sense
         if slopes:
-            slope[:, 0, 1] *= behind
-            slope[:, 1, 0] *= behind
+            slope[:, 0, 1] *= sense
+            slope[:, 1, 0] *= sense
         return velocity, slope, found
 
 
@@ -58,11 +58,6 @@ def particle_velocity(
             raise ValueError(f"flow has shape {flow.shape}, {np.isnan(flow).sum()} values not finite; expected finite "
                              f"{velocity.shape}, the velocity at the nodes of the mesh of the forces")
         velocity = velocity + flow
-    # On the axis the slope of the pressure along r is zero but for the error of the mesh.
-    velocity[on_axis(mesh), 0] = 0.0
+    # On the axis, or a plane of symmetry, the force along r is zero but for the error of the mesh.
+    velocity[mesh.mirrors.on(mesh.points[:, 0]), 0] = 0.0
     return ParticleVelocity(mesh, velocity)
-
-
-def on_axis(mesh: NodalMesh) -> IntArray:
-    """Numbers of the nodes of `mesh` on the axis."""
-    return np.flatnonzero(mesh.points[:, 0] <= SAME_LINE * mesh.points[:, 0].max())

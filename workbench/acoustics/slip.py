@@ -32,8 +32,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geometry.measure import ABOUT_AXIS, Measure
 from geometry.quads import gauss_lobatto, tabulated
-from workbench.acoustics.nodal import SAME_LINE, SIDES, FloatArray, IntArray, NodalArray, NodalMesh, borders, edge_nodes
+from workbench.acoustics.nodal import SIDES, FloatArray, IntArray, NodalArray, NodalMesh, borders, edge_nodes
 from workbench.fem.elements import polynomials
 from workbench.results.brief import Brief
 
@@ -157,9 +158,10 @@ def wall_fields(
 
 
 def slip_velocity(
-    fields: WallFields, *, frequency: float, density: float, sound_speed: float, axisymmetric: bool = True
+    fields: WallFields, *, frequency: float, density: float, sound_speed: float, measure: Measure = ABOUT_AXIS
 ) -> FloatArray:
-    """Slip (L, m) in m/s along the tangent, by the formula of the module; `frequency` in Hz."""
+    """Slip (L, m) in m/s along the tangent, by the formula of the module, in a section of that
+    `measure`; `frequency` in Hz."""
     omega = 2.0 * np.pi * frequency
     t, n = fields.tangent, fields.normal
 
@@ -174,15 +176,8 @@ def slip_velocity(
     # The liquid outside moves across the wall as the wall does, and along it by `apart` less.
     slope_n = wall_slope_n - apart * fields.turning
     divergence = 1j * omega * fields.pressure / (density * sound_speed**2)
-    apart_hoop = wall_hoop = liquid_hoop = np.zeros_like(apart)
-    if axisymmetric:
-        radius = fields.points[:, :, 0]
-        on_axis = radius <= SAME_LINE * radius.max()
-        over = 1.0 / np.where(on_axis, 1.0, radius)
-        # On the axis u_r / r is d u_r / d r.
-        apart_hoop = np.where(on_axis, apart_slope, apart * t[:, :, 0] * over)
-        wall_hoop = np.where(on_axis, wall_slope_t, fields.wall[:, :, 0] * over)
-        liquid_hoop = np.where(on_axis, slope_t, fields.velocity[:, :, 0] * over)
+    apart_hoop, wall_hoop, liquid_hoop = (measure.hoop(across, slope, fields.points[:, :, 0]) for across, slope in (
+        (apart * t[:, :, 0], apart_slope), (fields.wall[:, :, 0], wall_slope_t), (fields.velocity[:, :, 0], slope_t)))
     across = divergence - slope_t - liquid_hoop
     bracket = (1.0 - 0.5j) * np.conj(apart_slope + apart_hoop) + 1j * np.conj(wall_slope_t + wall_hoop - across)
     total = (np.conj(apart) * (0.5 * apart_slope - 1j * wall_slope_t)

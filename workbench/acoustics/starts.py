@@ -17,7 +17,7 @@ DRAWN_PER_POINT = 1000
 def draw_starts(
     mesh: NodalMesh, walls: Walls, count: int, *, radius: float, random: np.random.Generator
 ) -> FloatArray:
-    """Start points (count, 2) r, z in m in a `mesh` of one region, evenly by volume (weight r), none within a `radius`
+    """Start points (count, 2) r, z in m in a `mesh` of one region, evenly by volume, none within a `radius`
     (m) of a wall.
 
     Raises:
@@ -30,7 +30,7 @@ def draw_starts(
         if drawn > DRAWN_PER_POINT * count:
             raise InputError("trajectories", "particle_radius", f"{1e6 * radius:.4g} um", "a particle that fits into "
                              f"the cavity, {1e3 * (high_r - low_r):.4g} mm by {1e3 * (high_z - low_z):.4g} mm")
-        r = np.sqrt(random.uniform(low_r**2, high_r**2, 2 * count))
+        r = mesh.measure.evenly(random, low_r, high_r, 2 * count)
         points = np.stack([r, random.uniform(low_z, high_z, 2 * count)], axis=1)
         drawn += 2 * count
         points = points[search.cells_at(points) >= 0]

@@ -2,8 +2,8 @@
 
     -grad p + eta lap u + f = 0        div u = 0
 
-Axisymmetric with the measure 2 pi r dr dz, where the viscous term of u_r includes -u_r / r^2, or plane with dx dz. In
-weak form, for all test fields w and q,
+By the measure of the mesh: 2 pi r dr dz, where the viscous term of u_r includes -u_r / r^2, or length dx dz. In weak
+form, for all test fields w and q,
 
     int 2 eta e(u) : e(w) - p div w = int f . w        int q div u = 0
 
@@ -62,16 +62,13 @@ class StokesFlow(Brief):
 
 
 class StokesSolver:
-    """Stokes' equations in a mesh of one region under some conditions, factorised once for any number of loads.
+    """Stokes' equations in a mesh of one region under some conditions, factorised once for any number of loads."""
 
-    `axisymmetric` is the measure 2 pi r dr dz; otherwise dx dz.
-    """
-
-    def __init__(self, mesh: NodalMesh, conditions: FlowConditions, *, axisymmetric: bool = True) -> None:
+    def __init__(self, mesh: NodalMesh, conditions: FlowConditions) -> None:
         self.mesh, self.held = mesh, conditions.held
         # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
         self._length = float(np.ptp(mesh.points, axis=0).max())
-        blocks = _Blocks(mesh, self._length, axisymmetric)
+        blocks = _Blocks(mesh, self._length)
         self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
         self._expand = _expansion(conditions)
         # Only differences of the pressure act: one unknown of either kind is left out. One in a tiny cell would cost
@@ -174,7 +171,7 @@ def _in_order(cells: IntArray, order: int) -> IntArray:
 class _Blocks:
     """The matrices of Stokes' equations on a mesh, for lengths in units of `length` and a viscosity of one."""
 
-    def __init__(self, mesh: NodalMesh, length: float, axisymmetric: bool) -> None:
+    def __init__(self, mesh: NodalMesh, length: float) -> None:
         order = mesh.order
         continuous = _in_order(_pressure_cells(mesh), order - 1)
         own = int(continuous.max()) + 1 + np.arange(len(continuous))
@@ -189,8 +186,8 @@ class _Blocks:
         self.value = value  # (nq, nb)
         self.d_r = (z_across / area)[:, :, None] * along - (z_along / area)[:, :, None] * across
         self.d_z = (r_along / area)[:, :, None] * across - (r_across / area)[:, :, None] * along
-        self.over_r = value / radius[:, :, None] if axisymmetric else np.zeros_like(self.d_r)
-        self.weights = area * weights * (2.0 * np.pi * radius if axisymmetric else 1.0)
+        self.over_r = mesh.measure.over_r(value, radius[:, :, None])
+        self.weights = area * weights * mesh.measure.depth(radius)
         self.pressure_value = np.column_stack([Lagrange(order - 1).tabulated(points)[0], np.ones(len(weights))])
 
     def _gram(self, one: FloatArray, other: FloatArray) -> FloatArray:

@@ -89,7 +89,7 @@ class Streaming(Brief):
 
     @property
     def height(self) -> float:
-        """The smaller of the region's height and radius in m: the length in the Peclet number."""
+        """The smaller of the section's height and width in m: the length in the Peclet number."""
         return float(np.ptp(self.mesh.points, axis=0).min())
 
     @property
@@ -214,7 +214,8 @@ def _slip(
     wall = -2j * np.pi * fields.frequency * fields.displacement
     along = wall_fields(fields.mesh, edges, pressure=fields.pressure, velocity=fields.velocity,
                         velocity_gradient=velocity_gradient, wall=wall, order=order)
-    speed = slip_velocity(along, frequency=fields.frequency, density=fluid.density, sound_speed=fluid.sound_speed)
+    speed = slip_velocity(along, frequency=fields.frequency, density=fluid.density, sound_speed=fluid.sound_speed,
+                          measure=fields.mesh.measure)
     return WallSlip(edges.neighbour, nodes, along.points, along.tangent, speed)
 
 

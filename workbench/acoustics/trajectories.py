@@ -39,27 +39,36 @@ CARRIES = 0.7071
 REST_STEPS, LARGEST_REST_STEP = 60, 1.0 / 32.0
 
 
-class Fate(IntEnum):
-    """The end of a particle within the time. A wall that carries its net weight sediments it, any other stops it."""
+#: Length of the piece of a straight channel that the particles are spread over, as a multiple of its width. Doubled, a
+#: picture shows half as many particles on a width.
+STRIP = 1.5
 
-    MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED = range(5)
+
+class Fate(IntEnum):
+    """The end of a particle within the time. A wall that carries its net weight sediments it, any other stops it; in a
+    channel, one that has come to its place across, and still rises or falls there, is focused."""
+
+    MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED, FOCUSED = range(6)
 
     @property
     def words(self) -> str:
         """The fate in words."""
-        return ("still moving", "levitated", "in a trap", "at a wall", "sedimented")[self]
+        return ("still moving", "levitated", "in a trap", "at a wall", "sedimented",
+                "focused across the channel")[self]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Trajectories(Brief):
     """The way of every particle in the field of ``report``, at ``voltage_factor`` times its voltage.
 
-    ``positions`` (particles, n, 2) r, z in m at ``times`` (n,) in s; ``azimuths`` (particles,) in radians, which do not
-    change. ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap of one that is
-    trapped, -1 otherwise. ``rest`` (traps, 2) are the places where weight and flow let a particle rest next to the
-    traps of the report, NaN for a trap that holds none. ``levitated_at``, ``trapped_at`` (particles,) s: the first
-    arrival at the height where the particle neither rises nor falls, and at the trap that it is in at the end;
-    ``stopped_at`` that at a wall; NaN without. ``within`` m is the distance that counts as arrival.
+    ``positions`` (particles, n, 2) r, z in m at ``times`` (n,) in s, of a half section those in it; ``azimuths``
+    (particles,) in radians, which do not change and, in a straight section, stand for the place along the channel.
+    ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap of one that is trapped, -1
+    otherwise. ``rest`` (traps, 2) are the places where weight and flow let a particle rest next to the traps of the
+    report, NaN for a trap that holds none. ``levitated_at``, ``focused_at``, ``trapped_at`` (particles,) s: the first
+    arrival at the height where the particle neither rises nor falls, at the place across a channel where it moves to
+    neither side, and at the trap that it is in at the end; ``stopped_at`` that at a wall; NaN without. ``within`` m is
+    the distance that counts as arrival.
     """
 
     report: TrapReport
@@ -72,6 +81,7 @@ class Trajectories(Brief):
     trap: IntArray
     rest: FloatArray
     levitated_at: FloatArray
+    focused_at: FloatArray
     trapped_at: FloatArray
     stopped_at: FloatArray
     within: float
@@ -83,10 +93,16 @@ class Trajectories(Brief):
 
     @property
     def spatial(self) -> FloatArray:
-        """Positions (particles, n, 3) x, y, z in m."""
+        """Positions (particles, n, 3) x, y, z in m; in a straight section along a piece of the channel, :attr:`strip`
+        long."""
         r, z = np.moveaxis(self.positions, 2, 0)
-        turn = self.azimuths[:, None]
-        return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=2)
+        x, y = self.velocity.mesh.measure.spatial(r, self.azimuths[:, None], self.strip)
+        return np.stack([x, y, z], axis=2)
+
+    @property
+    def strip(self) -> float:
+        """Length (m) of the piece of a channel that pictures show: :data:`STRIP` of its width."""
+        return STRIP * 2.0 * float(np.abs(self.velocity.mesh.points[:, 0]).max())
 
     def __str__(self) -> str:
         ends = ", ".join(f"{int((self.fate == fate).sum())} {fate.words}" for fate in Fate
@@ -140,7 +156,8 @@ def follow(
     return Trajectories(
         report=report, velocity=velocity, voltage_factor=voltage_factor, times=times, positions=motion.positions,
         azimuths=random.uniform(0.0, 2.0 * np.pi, len(starts)), fate=fate, trap=trap, rest=rest,
-        levitated_at=motion.levitated_at, stopped_at=motion.stopped_at, within=motion.within,
+        levitated_at=motion.levitated_at, focused_at=motion.focused_at, stopped_at=motion.stopped_at,
+        within=motion.within,
         trapped_at=np.where(trapped, motion.trapped_at[np.arange(len(starts)), trap] if rest.size else np.nan, np.nan),
     )
 
@@ -164,7 +181,7 @@ def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) ->
             step = -np.linalg.lstsq(slope[0], speed[0], rcond=None)[0]
             size = float(np.linalg.norm(step))
             place = place + step * min(1.0, LARGEST_REST_STEP * wavelength / size) if size else place
-            place[:, 0] = np.abs(place[:, 0])
+            place = velocity.mesh.mirrors.folded(place)[0]
             cell = np.where(inside >= 0, inside, cell)
             if size < 1e-3 * TOLERANCE * wavelength:
                 break
@@ -182,7 +199,8 @@ def _fates(motion: Motion, weight: float) -> tuple[IntArray, IntArray]:
     """The fate (P,) of every particle of a finished motion and the trap (P,) that it is in; `weight` in N."""
     count = len(motion.place)
     fate, trap = np.full(count, int(Fate.MOVING)), np.full(count, -1)
-    fate[motion.levitated(np.arange(count))[0]] = Fate.LEVITATED
+    for axis in sorted(motion.velocity.mesh.measure.focusing, reverse=True):
+        fate[motion.balanced(np.arange(count), axis)[0]] = (Fate.FOCUSED, Fate.LEVITATED)[axis]
     if motion.rest.size:
         apart = np.linalg.norm(motion.positions[:, -1, None] - motion.rest, axis=2)
         apart = np.where(np.isnan(apart), np.inf, apart)
@@ -215,7 +233,8 @@ def _check_starts(starts: FloatArray, velocity: ParticleVelocity, walls: Walls, 
         r, z = 1e3 * starts[wrong[0]]
         nodes = 1e3 * velocity.mesh.points
         (low_r, low_z), (high_r, high_z) = nodes.min(axis=0), nodes.max(axis=0)
-        raise InputError("trajectories", f"particles[{wrong[0]}]", f"r = {r:.6g} mm, z = {z:.6g} mm",
+        symbol = velocity.mesh.measure.symbol
+        raise InputError("trajectories", f"particles[{wrong[0]}]", f"{symbol} = {r:.6g} mm, z = {z:.6g} mm",
                          f"a place in the cavity ({low_r:.4g} to {high_r:.4g} mm by {low_z:.4g} to {high_z:.4g} mm), a "
                          f"radius of the particle ({1e6 * radius:.4g} um) or more from its walls")
 

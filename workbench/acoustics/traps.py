@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
 
+from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
-from workbench.acoustics.forces import Excitation, ParticleForces, axial_focus_time, force_at
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at
 from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
@@ -26,10 +27,11 @@ FIT_DEGREE = 8
 class Trap:
     """A place where the sound field alone would bring the particle to rest, and the barriers against its weight.
 
-    ``radius``, ``height`` r, z in m, and ``above_floor`` m from the cavity's floor below it; ``potential`` J; ``depth``
-    J below the pass to a deeper trap or, for the deepest, below the highest potential in the region.
-    ``radial_stiffness``, ``axial_stiffness`` N/m; ``on_wall``: held at a wall, where the force need not vanish
-    (stiffness is then the curvature at the wall).
+    ``radius``, ``height`` r, z in m (of a straight section, whose traps are lines along the channel, x and z), and
+    ``above_floor`` m from the cavity's floor below it; ``potential`` J; ``depth`` J below the pass to a deeper trap or,
+    for the deepest, below the highest potential in the region. ``radial_stiffness``, ``axial_stiffness`` N/m, along r
+    (or x) and z; ``on_wall``: held at a wall, where the force need not vanish (stiffness is then the curvature at the
+    wall). ``measure`` is that of the section.
 
     With the weight less buoyancy in the potential: ``barrier`` J, the lowest pass over which the particle leaves, to
     another trap or to a wall that it does not lie on; ``axial_barrier`` and ``radial_barrier`` J, the passes for a
@@ -51,6 +53,7 @@ class Trap:
     radial_stiffness: float
     axial_stiffness: float
     on_wall: bool
+    measure: Measure = ABOUT_AXIS
 
     @property
     def holds(self) -> bool:
@@ -58,11 +61,14 @@ class Trap:
         return self.barrier is None or self.barrier > 0.0
 
     def __str__(self) -> str:
+        across, up = self.measure.directions
+        r, z, above = (f"{1e3 * each:.{self.measure.decimals + 1}f} mm" for each in (
+            self.radius, self.height, self.above_floor))
         return (
-            f"r = {self.radius * 1e3:.3f} mm, z = {self.height * 1e3:.3f} mm, {self.above_floor * 1e3:.3f} mm above "
+            f"{self.measure.symbol} = {r}, z = {z}, {above} above "
             f"the floor{' on the wall' if self.on_wall else ''}: barrier {barrier_words(self.barrier)} "
-            f"(axial {barrier_words(self.axial_barrier)}, radial {barrier_words(self.radial_barrier)}), "
-            f"stiffness {self.radial_stiffness * 1e9:.3g} pN/mm radial, {self.axial_stiffness * 1e9:.3g} pN/mm axial"
+            f"({up} {barrier_words(self.axial_barrier)}, {across} {barrier_words(self.radial_barrier)}), "
+            f"stiffness {self.radial_stiffness * 1e9:.3g} pN/mm {across}, {self.axial_stiffness * 1e9:.3g} pN/mm {up}"
         )
 
 
@@ -99,7 +105,8 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
     A minimum shallower than `least_depth` times the span of the potential in the region is left out, since it may be an
     artefact of the mesh. Depths are topological: the lowest pass to a deeper minimum, on a raster of
     :data:`RASTER_POINTS` per wavelength. Barriers are found in the same way in the potential that includes the weight.
-    Place, value and stiffness come from a polynomial fitted to the potential around, mirrored at the axis.
+    Place, value and stiffness come from a polynomial fitted to the potential around, mirrored at the axis
+    or at planes of symmetry.
     """
     mesh, potential = forces.mesh, forces.potential
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
@@ -115,8 +122,8 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
         place, value, curvature = _refine(forces, np.array([r[i], z[j]]), wavelength)
         if not np.isfinite(interpolate(mesh, potential, place[None, :], [forces.region])[0]):
             place, value = np.array([r[i], z[j]]), float(values[i, j])
-        # A trap on the axis is exactly on it, not a rounding error beside it.
-        radius = 0.0 if place[0] < 1e-9 * r[-1] else float(place[0])
+        # A trap on the axis, or on a plane of symmetry, is exactly on it, not a rounding error beside it.
+        radius = mesh.mirrors.snapped(float(place[0]))
         column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
         floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
         held = landscape.hold(i, j)
@@ -124,7 +131,7 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
             radius=radius, height=float(place[1]), above_floor=max(0.0, float(place[1] - floor)), potential=value,
             depth=highest - value, barrier=held.barrier, axial_barrier=held.axial, radial_barrier=held.radial,
             lift=held.lift, share=held.share, radial_stiffness=float(curvature[0]),
-            axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]),
+            axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]), measure=mesh.measure,
         ))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
 
@@ -151,9 +158,10 @@ class _Landscape:
         self.forces, self.r, self.z, self.acoustic, self.least = forces, r, z, values, least
         self.weight = net_weight(forces.particle, forces.fluid)
         self.total = values + self.weight * z
-        inside, self.on_axis = np.isfinite(values), bool(r[0] < 1e-9 * r[-1])
-        self.walls = find_walls(inside, on_axis=self.on_axis)
-        self.outward = outward(inside, on_axis=self.on_axis)
+        inside = np.isfinite(values)
+        self.mirrored = forces.mesh.mirrors.there
+        self.walls = find_walls(inside, mirrored=self.mirrored)
+        self.outward = outward(inside, mirrored=self.mirrored)
         self.by_sound = label_basins(values, least=least)
         self.label = label_basins(self.total, least=least)
         self.minima = np.zeros(values.shape, dtype=bool)
@@ -161,7 +169,8 @@ class _Landscape:
         edges = np.concatenate([r[:1], 0.5 * (r[1:] + r[:-1]), r[-1:]])
         heights = np.gradient(z)
         heights[[0, -1]] *= 0.5
-        self.volume = np.where(inside, np.outer(np.diff(edges**2), heights), 0.0)
+        depth = forces.mesh.measure.depth(0.5 * (edges[1:] + edges[:-1]))
+        self.volume = np.where(inside, np.outer(depth * np.diff(edges), heights), 0.0)
         self.taken: set[int] = set()
 
     def hold(self, i: int, j: int) -> _Held:
@@ -180,8 +189,8 @@ class _Landscape:
         exits[at] = False
         share = float(self.volume[self.label == rest].sum() / self.volume.sum())
         i, j = at
-        axial = self._climb(self._along(self.total[i], j, mirrored=False), at)
-        radial = self._climb(self._along(self.total[:, j], i, mirrored=self.on_axis), at)
+        axial = self._climb(self._along(self.total[i], j, mirrored=(False, False)), at)
+        radial = self._climb(self._along(self.total[:, j], i, mirrored=self.mirrored), at)
         # In a corner, where two walls share one mean direction, a straight way may end sooner.
         ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
         return _Held(min(ways, default=None), axial, radial, lift, share)
@@ -189,13 +198,13 @@ class _Landscape:
     def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
         return None if level is None else level - float(self.total[at])
 
-    def _along(self, line: FloatArray, start: int, *, mirrored: bool) -> float | None:
+    def _along(self, line: FloatArray, start: int, *, mirrored: tuple[bool, bool]) -> float | None:
         """The lowest pass (J) out of the place `start` of a line (n,), to its end at a wall or to another minimum.
 
-        A `mirrored` line continues behind its first point: there is no wall.
+        A `mirrored` line continues beyond its first or last point: there is no wall.
         """
         inside = np.pad(np.isfinite(line), 1)
-        inside[0] = mirrored
+        inside[[0, -1]] = mirrored
         exits = inside[1:-1] & ~(inside[:-2] & inside[2:])
         label = label_basins(line[:, None], least=self.least)[:, 0]
         minima = np.unique(label[label >= 0])
@@ -221,14 +230,15 @@ class _Landscape:
 def focus_time(report: TrapReport) -> float | None:
     """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
 
-    None if there is no trap, or if a particle starting there is not drawn all the way down: a wall is in between, or
-    the field is too weak against the particle's weight.
+    In a straight section the line runs across the channel instead where the trap is stiffer that way, or where that is
+    the only way. None if there is no trap, or if a particle starting there is not drawn all the way down: a wall is in
+    between, or the field is too weak against the particle's weight.
     """
     return None if not report.traps else _time_from(report, report.traps[0], 1.0)
 
 
 def time_to(report: TrapReport, trap: Trap) -> float | None:
-    """Time (s) as in :func:`focus_time` to any one of the traps or, if that is None, from as far below it."""
+    """Time (s) as in :func:`focus_time` to any one of the traps or, if that is None, from as far on its other side."""
     above = _time_from(report, trap, 1.0)
     return _time_from(report, trap, -1.0) if above is None else above
 
@@ -236,11 +246,15 @@ def time_to(report: TrapReport, trap: Trap) -> float | None:
 def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     forces = report.forces
     quarter = side * 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
-    try:
-        return axial_focus_time(forces, radius=trap.radius, start=trap.height + 0.9 * quarter,
-                                stop=trap.height + 0.1 * quarter)
-    except ValueError:
-        return None
+    stiffness = (trap.radial_stiffness, trap.axial_stiffness)
+    for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
+        begin = (trap.radius, trap.height)[axis]
+        try:
+            return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],
+                                    start=begin + 0.9 * quarter, stop=begin + 0.1 * quarter)
+        except ValueError:
+            continue
+    return None
 
 
 def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:
@@ -255,13 +269,13 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
 
     Newton's method runs on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an
     eighth of the `wavelength` of sound on all sides, that is half a period of the potential of a standing wave. The
-    potential is even in r, so it is mirrored at the axis.
+    potential is even in r, so it is mirrored at the axis; so it is at planes of symmetry, even or odd.
     """
     reach = wavelength / 8.0
     across = np.linspace(-1.0, 1.0, 2 * FIT_DEGREE + 1)
     local = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
     points = start + reach * local
-    points[:, 0] = np.abs(points[:, 0])
+    points = forces.mesh.mirrors.folded(points)[0]
     values = interpolate(forces.mesh, forces.potential, points, [forces.region])
     inside = np.isfinite(values)
     local, values = local[inside], values[inside]
@@ -292,5 +306,5 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
     curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / reach**2
     minimum = start + place * reach
     # Rounding may put a minimum on the axis slightly behind it.
-    minimum[0] = max(minimum[0], 0.0)
+    minimum = forces.mesh.mirrors.folded(minimum[None])[0][0]
     return minimum, derivative(0, 0, place), curvature

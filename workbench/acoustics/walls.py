@@ -40,7 +40,7 @@ class Walls(Brief):
 
 
 def walls_of(mesh: NodalMesh) -> Walls:
-    """The walls of a `mesh` of one region; the axis is none. Pieces on one line are joined."""
+    """The walls of a `mesh` of one region; the axis and planes of symmetry are none. Pieces on one line are joined."""
     ends = mesh.points[border_lines(mesh, np.zeros(len(mesh.cells), dtype=np.int64))]
     if not mesh.is_grid:
         return Walls(ends[:, 0], ends[:, 1])

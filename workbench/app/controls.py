@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.round_only import check_axisymmetric
 from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
@@ -91,8 +90,8 @@ class Control(Number):
 def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[Control, ...]:
     """The controls of `chip` for the names `wanted`, ``NAME`` or ``NAME=LOW..HIGH``.
 
-    By default they are all thicknesses, the radius of the cavity, the sound speed of its filling, and the shear modulus
-    of the first other solid.
+    By default they are all thicknesses, the radius or half width of the cavity, the sound speed of its filling, and the
+    shear modulus of the first other solid.
 
     Args:
         problem: of the chip in its state, without lengths among its values.
@@ -101,7 +100,6 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
             does not hold the present number, or passes another radius.
     """
-    check_axisymmetric(chip, "the live view")
     first, lengths = canonical_names(chip), chip.dimensions()
     felt = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
@@ -121,7 +119,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
 
 def _usual(chip: Chip, problem: Problem) -> list[str]:
     names = [name for name in chip.dimensions() if name.endswith(".thickness")]
-    names += [name for name in (f"{CAVITY}.radius",) if name in chip.dimensions()]
+    names += [name for name in (f"{CAVITY}.{chip.measure.across}",) if name in chip.dimensions()]
     fluid = problem.materials.get(CAVITY)
     if isinstance(fluid, Fluid):
         names.append(f"{fluid.name}.sound_speed")

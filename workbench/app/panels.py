@@ -102,7 +102,7 @@ def described(section: SectionFields, *, stated: bool) -> str:
     words += f" · p0 {there.pressure_amplitude / 1e3:.4g} kPa · E_ac {there.energy_density:.3g} J/m³"
     if section.traps.traps:
         trap = section.traps.traps[0]
-        words += f" · deepest trap r {1e3 * trap.radius:.2f}, z {1e3 * trap.height:.3f} mm"
+        words += f" · deepest trap {fields.mesh.measure.symbol} {1e3 * trap.radius:.2f}, z {1e3 * trap.height:.3f} mm"
     return words if stated else f"{words} · the chip names no particle, this is of the usual one"
 
 

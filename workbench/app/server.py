@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from geometry.measure import Axisymmetric
 from workbench.app import guard, plot
 from workbench.app.background import FAILURES, Background
 from workbench.app.entry import slider_number, typed_number, typed_tolerance
@@ -312,6 +313,7 @@ class LiveView:
         state.trame__title = f"{session.chip.name} - live view"
         state.heading, state.subheading = session.chip.name, f"{session.state}, driven by {session.drive}"
         state.has_recording = session.recording is not None
+        state.has_space = isinstance(session.chip.measure, Axisymmetric)  # the picture in space is one that turns
         state.can_diagnose = session.recording is not None or self.works.campaign is not None
         state.file = f"{Path(session.chip.file).stem}_moved.toml"
         state.update({"can_undo": False, "can_redo": False, "message": "", "message_is_error": False, "works": {},

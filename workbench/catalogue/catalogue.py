@@ -17,7 +17,8 @@ from functools import partial
 
 from geometry.assumed import PRINTED
 from geometry.chip import Chip
-from geometry.dimension import SHAPES
+from geometry.dimension import ACROSS, SHAPES
+from geometry.measure import Straight
 from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part_name, role_of
 from geometry.shapes import possible
 from materials.kinds import Fluid, IsotropicSolid
@@ -90,6 +91,9 @@ GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 #: leaves no cavity to work with.
 NOT_FULL = (0.04, 0.1, 0.18, 0.28)
 
+#: Reason why a straight chip has no hypothesis of that kind.
+NO_AXIS = "which is made for chips that turn about an axis"
+
 #: Largest share of a joint that is open.
 HELD = 0.9
 
@@ -100,17 +104,20 @@ def effects(device: Device) -> tuple[Effect, ...]:
 
 
 def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Effects of a device, and in words those left out: they need a layer without a profile, or cannot be made."""
+    """Effects of a device, and in words those left out: they need a layer without a profile or an axis, or cannot be
+    made."""
     found, others = list[Effect](), list[str]()
     for effect in (effect for source in SOURCES for effect in _made(source, device, others)):
         profiled = _profiled(device, effect)
         if set(effect.names) & set(device.fixed):
             continue
-        if profiled:
+        if _needs_axis(device, effect):
+            others.append(f"{effect.name}, {NO_AXIS}")
+        elif profiled:
             others.append(f"{effect.name}, which acts on a part of the {profiled}, whose outline is a profile")
         else:
             found.append(effect)
-    return tuple(found), tuple(others)
+    return tuple(found), (*others, *_shapes_without_axis(device))
 
 
 def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: list[str]) -> Iterator[Effect]:
@@ -119,6 +126,23 @@ def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: 
         yield from source(device)
     except ValueError as error:
         others.append(f"what else may be wrong with {source.__name__.replace('_', ' ')}, because {error}")
+
+
+def _needs_axis(device: Device, effect: Effect) -> bool:
+    """Whether an effect has terms that need an axis in a state whose section has none."""
+    return any(term.needs_axis for state in _straight(device) for term in effect.terms.get(state.name, ()))
+
+
+def _shapes_without_axis(device: Device) -> Iterator[str]:
+    """Shapes that layers of straight chips may have, in words: these are made for bodies that turn about an axis."""
+    roles = {role_of(layer.region): layer.region for state in _straight(device) for layer in state.chip.layers}
+    for role, shape in SHAPED:
+        if role in roles:
+            yield f"{shape} of the {roles[role]}, {NO_AXIS}"
+
+
+def _straight(device: Device) -> list[DeviceState]:
+    return [state for state in device.states if isinstance(state.chip.measure, Straight)]
 
 
 def _profiled(device: Device, effect: Effect) -> str:
@@ -405,7 +429,8 @@ def lengths(device: Device) -> Iterator[Effect]:
         if what in SHAPES or region.startswith(("ports", "electrode")) or (
                 what != "thickness" and name not in device.known):
             continue
-        about = "a wrong thickness" if what == "thickness" else "a wrong radius" if parsed.is_radius else (
+        across = next((each.replace("_", " ") for each in ACROSS if what.endswith(each)), "")
+        about = "a wrong thickness" if what == "thickness" else f"a wrong {across}" if across else (
             "another size than stated")
         yield other_than_stated(device, f"{what} of the {region}", region, "geometry", about,
                                 {name: mistaken_length(name, dimension.value)})

@@ -186,7 +186,8 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--particle", metavar="NAME", help="its material (default: of the state)")
     sub.add_argument("--particle-radius", metavar="LENGTH", help='such as "5 um" (default: of the state)')
     sub.add_argument("--window", metavar="RADIUS",
-                     help="radius about the axis within which the light curve counts them (default: half the cavity's)")
+                     help="radius about the axis, or distance from the middle of a channel, within which the light "
+                     "curve counts them (default: half the cavity's)")
     sub.add_argument("--no-pictures", action="store_true", help="leave pictures and animation out (default: drawn)")
     sub.add_argument("--no-animation", action="store_true", help="leave the animation out (default: a GIF)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)

@@ -98,16 +98,18 @@ def _drawn(
     end = float(found.times[-1])
     # A moment of each stage: levitation in seconds, gathering in minutes.
     stages = (0.0, *(float(found.times[i]) for i in (len(found.times) // 12, len(found.times) // 3)), end)
-    words = f"window: r below {1e3 * window.outer:.3g} mm"
+    measure = found.velocity.mesh.measure
+    inside = measure.within_words(window.outer)
     pictures = [
         Picture(beads.draw_from_above(found, folder / "above_start.png", at=0.0), "from above, at the start"),
         Picture(beads.draw_from_above(found, folder / "above_end.png", at=end),
                 f"from above, after {beads.time_text(end)}; a dot smaller than {beads.LEAST_DOT:.1%} of the picture is "
                 "drawn as large as that"),
         Picture(beads.draw_from_side(found, folder / "side.png", at=stages),
-                "from the side, every particle turned into one half plane, on the Gor'kov potential (without weight)"),
-        Picture(beads.draw_light_curves(found, [(f"r below {1e3 * window.outer:.3g} mm", window)],
-                                        folder / "light_curve.png"), f"shares over time; {words}"),
+                f"from the side{', every particle in one half' if measure.mirror else ''}, on the Gor'kov potential "
+                "(without weight)"),
+        Picture(beads.draw_light_curves(found, [(inside, window)],
+                                        folder / "light_curve.png"), f"shares over time; window: {inside}"),
     ]
     if moving.streaming is not None:
         flow = draw_streaming(moving.streaming, folder / "streaming.png")

@@ -1,13 +1,15 @@
 """The pressure in the cavity as one polynomial, and the potential, force and energy density that follow from it.
 
 A state of the model, full or reduced, gives the pressure on the nodes of the cavity. Sound there has no scale finer
-than its wavelength, so one polynomial over the whole cavity holds it, even in the radius:
+than its wavelength, so one polynomial over the whole cavity holds it:
 
-    p(r, z) = sum_kl C_kl P_k(s) P_l(t),   s = 2 (r / R)^2 - 1,   t = 2 z / H - 1
+    p(r, z) = sum_kl C_kl P_k(s) P_l(t),   s = 2 xi^q - 1,   xi = (r - r_0) / R,   t = 2 z / H - 1
 
-with Legendre's P, z from the floor, R and H radius and height of the cavity. Squares of such fields are polynomials of
-twice the degree, known from their values on Gauss-Legendre points; minima, derivatives and integrals of these are
-exact. Lengths may move: at constant s and t the values change, and R and H with them.
+with Legendre's P, z from the floor, H the height of the cavity. R is its radius, q = 2 and r_0 = 0, so that the field
+is even in r; in a straight section R is its width, r_0 = -R / 2 its left side and q = 1. Where half of that is meshed,
+the pressure is mirrored by its parity. Either way ds is in proportion to the volume. Squares of such fields are
+polynomials of twice the degree, known from their values on Gauss-Legendre points; minima, derivatives and integrals of
+these are exact. Lengths may move: at constant s and t the values change, and R and H with them.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -23,6 +26,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, parent_place
 from geometry.section import cut_section
 from materials.kinds import Fluid
@@ -70,7 +74,7 @@ class Cavity:
     """The cavity of a chip: ``rows`` (n, m) of the unknown pressure at its nodes, -1 where it is zero, the places
     ``r`` (n,) and ``z`` (m,) of these, z from the floor, what fills it, and the particle if there is one.
 
-    ``lengths`` are the parameters that the places follow, of ``start`` (SI).
+    ``lengths`` are the parameters that the places follow, of ``start`` (SI); ``measure`` is that of the section.
     """
 
     rows: NDArray[np.int64]
@@ -81,6 +85,21 @@ class Cavity:
     lengths: tuple[str, ...]
     start: Real
     wave_number: float
+    measure: Measure = ABOUT_AXIS
+
+    @cached_property
+    def across(self) -> Places:
+        """The places across the whole cavity: ``r``, in a straight section mirrored if half of it is meshed."""
+        return Places(self.unfolded(self.r.nominal, -1), self.unfolded(self.r.slopes, -1)) if self.is_half else self.r
+
+    @property
+    def is_half(self) -> bool:
+        """Whether the other half of a straight section is a mirror image of what is meshed."""
+        return isinstance(self.measure, Straight) and self.measure.mirror != 0
+
+    def unfolded(self, values: Any, sign: int) -> Any:
+        """Values (n, ...) at the places of half a cavity, with `sign` times their mirror images before them."""
+        return np.concatenate([sign * values[:0:-1], values]) if self.is_half else values
 
     def change(self, values: Mapping[str, complex]) -> Real:
         """The change (m) of each of ``lengths`` from its start."""
@@ -95,9 +114,9 @@ class Cavity:
     @cached_property
     def polynomials(self) -> Polynomials:
         """The polynomials for the cavity as it is on the mesh."""
-        phases = self.wave_number * self.r.nominal[-1], self.wave_number * self.z.nominal[-1]
-        counts = [min(math.ceil(0.5 * phase) + BEYOND, (2 * nodes) // 3)
-                  for phase, nodes in zip(phases, self.rows.shape, strict=True)]
+        lines = self.across.nominal, self.z.nominal
+        counts = [min(math.ceil(0.5 * self.wave_number * np.ptp(each)) + BEYOND, (2 * each.size) // 3)
+                  for each in lines]
         return Polynomials.of(counts[0], counts[1])
 
 
@@ -119,7 +138,8 @@ def cavity_of(
                        + ", ".join(shapes))
     holes = chip.holes
     if max(hole.inner_radius for hole in holes) - min(hole.inner_radius for hole in holes) > SAME_LENGTH:
-        raise NoCavity("figures of fields need a cavity of one radius throughout its height")
+        raise NoCavity(f"figures of fields need a cavity of one {chip.measure.across.replace('_', ' ')} throughout its "
+                       "height")
     mesh, dofs = section_nodes(operators.mesh)
     nodes = mesh.nodes_of([CAVITY])
     floor, names = holes[0].z_bottom, tuple(lengths)
@@ -141,7 +161,8 @@ def cavity_of(
                                                  for hole in holes)], axis=0)
     return Cavity(
         rows, _interpolated(lines[0], breaks, of_breaks), _interpolated(lines[1] - floor, levels, of_levels), fluid,
-        particle, names, np.array([known[n].value for n in names]), 2.0 * math.pi * frequency / fluid.sound_speed)
+        particle, names, np.array([known[n].value for n in names]), 2.0 * math.pi * frequency / fluid.sound_speed,
+        chip.measure)
 
 
 def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
@@ -194,16 +215,16 @@ class Polynomials:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """The scalars that squares of the pressure depend on besides: frequency Hz, radius and height of the cavity m, and
-    ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
+    """The scalars that squares of the pressure depend on besides: frequency Hz, ``width`` (of a round cavity its
+    radius) and height m, and ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
 
     frequency: Dual
-    radius: Dual
+    width: Dual
     height: Dual
     fluid: Mapping[str, Dual]
 
     def numbers(self) -> dict[str, Dual]:
-        return {"frequency": self.frequency, "radius": self.radius, "height": self.height, **self.fluid}
+        return {"frequency": self.frequency, "width": self.width, "height": self.height, **self.fluid}
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +244,7 @@ class CavityField:
 
     @property
     def mean_energy_density(self) -> Dual:
-        """Over the cavity's volume: the coefficient of P_0 P_0, since r dr is R^2 / 4 ds."""
+        """Over the cavity's volume: the coefficient of P_0 P_0, since ds is in proportion to it."""
         return Dual(float(self.coefficients[ENERGY, 0, 0]), self.gradient[ENERGY, 0, 0])
 
 
@@ -239,14 +260,16 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
         moving: (lengths, k) derivative of the lengths by the parameters.
     """
     polynomials = cavity.polynomials
-    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.r, cavity.z))
+    pressure, slopes = (cavity.unfolded(each, cavity.measure.mirror) for each in (pressure, slopes))
+    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.across, cavity.z))
     counts = polynomials.counts
+    s, by_share, _ = argument(xi, cavity.measure)
     tables = [(derivatives(x, count, 0), derivatives(x, count, 1))
-              for x, count in ((2.0 * xi**2 - 1.0, counts[0]), (2.0 * eta - 1.0, counts[1]))]
+              for x, count in ((s, counts[0]), (2.0 * eta - 1.0, counts[1]))]
     inverse = [np.linalg.pinv(values) for values, _ in tables]
     found = inverse[0] @ pressure @ inverse[1].T
     left = pressure - tables[0][0] @ found @ tables[1][0].T
-    by_s = (4.0 * xi)[:, None] * (tables[0][1] @ found @ tables[1][0].T)
+    by_s = by_share[:, None] * (tables[0][1] @ found @ tables[1][0].T)
     by_t = 2.0 * (tables[0][0] @ found @ tables[1][1].T)
     fixed = slopes - by_s[:, :, None] * by_xi[:, None, :] - by_t[:, :, None] * by_eta[None, :, :]
     changes = np.einsum("an,nmk,bm->kab", inverse[0], fixed, inverse[1], optimize=True)
@@ -271,10 +294,18 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
 
 
 def _scaled(places: Places, change: Real, moving: Real) -> tuple[Real, Real]:
-    """Places as shares of the last one (n,), and their derivatives (n, k)."""
+    """Places as shares of the way from the first to the last one (n,), and their derivatives (n, k)."""
     at, slopes = places.at(change), places.slopes @ moving
+    at, slopes = at - at[0], slopes - slopes[0]
     share = at / at[-1]
     return share, (slopes - share[:, None] * slopes[-1]) / at[-1]
+
+
+def argument(xi: Real, measure: Measure) -> tuple[Real, Real, Real]:
+    """The argument s of the polynomials at shares xi (n,) of the cavity's width, and its two derivatives by these;
+    there is no third one."""
+    q = measure.power
+    return 2.0 * xi**q - 1.0, 2.0 * q * xi ** (q - 1), np.full_like(xi, 2.0 * q * (q - 1))
 
 
 def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
@@ -282,13 +313,14 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
     `found`: quadratic in these, closed formulas of the scalars."""
     polynomials = cavity.polynomials
     (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
-    radius, height, density = scalars["radius"], scalars["height"], scalars["density"]
-    xi = np.sqrt(0.5 * (polynomials.s + 1.0))[:, None]
+    width, height, density = scalars["width"], scalars["height"], scalars["density"]
+    xi = (0.5 * (polynomials.s + 1.0)) ** (1.0 / cavity.measure.power)
+    first, second = (each[:, None] for each in argument(xi, cavity.measure)[1:])
     half, mixed = s0 @ found, s1 @ found
     pressure, along_z = half @ t0.T, (2.0 / height) * (half @ t1.T)
-    along_r, twice_z = (4.0 * xi / radius) * (mixed @ t0.T), (2.0 / height) ** 2 * (half @ t2.T)
-    crossed = (4.0 * xi / radius) * (2.0 / height) * (mixed @ t1.T)
-    twice_r = (4.0 * (mixed @ t0.T) + 16.0 * xi**2 * (s2 @ found @ t0.T)) / radius**2
+    along_r, twice_z = (first / width) * (mixed @ t0.T), (2.0 / height) ** 2 * (half @ t2.T)
+    crossed = (first / width) * (2.0 / height) * (mixed @ t1.T)
+    twice_r = (second * (mixed @ t0.T) + first**2 * (s2 @ found @ t0.T)) / width**2
     slopes = np.stack([along_r, along_z], axis=-1)
     # Euler: -i w rho v = -grad p.
     to_velocity = 1.0 / (2j * math.pi * scalars["frequency"] * density)

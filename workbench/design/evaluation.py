@@ -289,14 +289,15 @@ class _Operating:
         moving = np.array([question.unit(name) for name in cavity.lengths]).reshape(len(cavity.lengths),
                                                                                      len(question.names))
         change = cavity.change(question.values)
-        radius, height = (Dual(float(each.at(change)[-1]), each.slopes[-1] @ moving) for each in (cavity.r, cavity.z))
+        width, height = (Dual(float(np.ptp(each.at(change))), (each.slopes[-1] - each.slopes[0]) @ moving)
+                         for each in (cavity.across, cavity.z))
         fluid = {}
         for name in OF_FLUID:
             key = f"{cavity.fluid.name}.{name}"
             stated = getattr(cavity.fluid, name)
             if stated is not None:
                 fluid[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
-        surroundings = Surroundings(self.frequency, radius, height, fluid)
+        surroundings = Surroundings(self.frequency, width, height, fluid)
         return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], surroundings, change, moving)
 
 

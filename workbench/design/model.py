@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.round_only import check_axisymmetric
 from geometry.stretch import canonical_names, moving_together
 from materials.kinds import Fluid
 from materials.registry import Registry
@@ -213,7 +212,6 @@ def full_evaluation(
     Raises:
         InputError: something in the chip, its materials, the values or the figures.
     """
-    check_axisymmetric(chip, "figures of a design")
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
     lengths = {n: v for n, v in values.items() if ParameterName.parse(n).is_dimension}
     others = {n: v for n, v in values.items() if n not in lengths}

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.round_only import check_axisymmetric
 from workbench.design.axes import centred_in_ranges, with_materials
 from workbench.design.evaluation import Evaluation
 from workbench.design.model import SWEEP, full_evaluation, of_range_model
@@ -61,7 +60,6 @@ class Models(Protocol):
 
 def parts_of(study: Study) -> list[StudyPart]:
     """The parts of a study, states first; their rows together are all rows of the table, each once."""
-    check_axisymmetric(study.chip, "a study")
     found: list[StudyPart] = []
     numbers, choices = study.columns(study.numbers), study.columns(study.choices).astype(np.int64)
     base = centred_in_ranges(study.chip, study.numbers)

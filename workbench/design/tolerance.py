@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.round_only import check_axisymmetric
 from materials.registry import Registry
 from workbench.design.centre import centred_chip
 from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
@@ -175,7 +174,6 @@ def tolerance(
         NotCovered: no model could be made over what is uncertain.
     """
     expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
-    check_axisymmetric(chip, "a tolerance analysis")
     started = time.perf_counter()
     check_jobs(jobs, source="tolerance")
     say = progress or no_progress

@@ -14,19 +14,20 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from geometry.measure import Axisymmetric
 from workbench.acoustics.traps import RASTER_POINTS
-from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField
+from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField, argument
 from workbench.design.dual import Dual
 from workbench.design.legendre import derivatives, legendre_polynomials
 from workbench.model.particles import GRAVITY
 
 Real = NDArray[np.float64]
 
-#: Shares of radius and height below which a step of Newton's method is the last one, and most steps of it.
+#: Shares of width and height below which a step of Newton's method is the last one, and most steps of it.
 SETTLED, STEPS = 1e-8, 60
-#: A curvature of less than this share of the other one, by shares of radius and height, is none: rounding leaves 1e-7.
+#: A curvature of less than this share of the other one, by shares of width and height, is none: rounding leaves 1e-7.
 FLAT = 1e-5
-#: Share of the radius by which a place leaves the axis where the potential has its maximum on it.
+#: Share of the width by which a place leaves the axis where the potential has its maximum on it.
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
@@ -41,7 +42,7 @@ class NoTrap(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class FoundTrap:
-    """The deepest trap at unit voltage: ``place`` (xi, eta) as shares of radius and height, its derivatives ``slopes``
+    """The deepest trap at unit voltage: ``place`` (xi, eta) as shares of width and height, its derivatives ``slopes``
     (2, k); ``depth`` (J), the ``radial`` and the ``axial`` stiffness (N/m)."""
 
     field: CavityField
@@ -53,8 +54,9 @@ class FoundTrap:
 
     @property
     def radius(self) -> Dual:
-        """m."""
-        return self.field.around.radius * Dual(float(self.place[0]), self.slopes[0])
+        """m from the axis, or from the middle of a straight chip, below zero on its left."""
+        middle = 0.0 if isinstance(self.field.cavity.measure, Axisymmetric) else 0.5
+        return self.field.around.width * Dual(float(self.place[0]) - middle, self.slopes[0])
 
     @property
     def height(self) -> Dual:
@@ -80,9 +82,11 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
     along_xi, along_eta = _raster(field)
     values = along_xi @ field.coefficients[POTENTIAL] @ along_eta.T
     (i, j), (k, m) = (np.unravel_index(int(each), values.shape) for each in (np.argmin(values), np.argmax(values)))
-    start = np.array([i, j]) / (np.array(values.shape) - 1.0)
+    # Of a trap and its mirror image the one on the right is meant.
+    right = max(int(i), len(values) - 1 - int(i)) if field.cavity.is_half else int(i)
+    start = np.array([right, j]) / (np.array(values.shape) - 1.0)
     if near is not None:
-        column = min(round(near / field.around.radius.value * (len(values) - 1)), len(values) - 1)
+        column = min(round(near / field.around.width.value * (len(values) - 1)), len(values) - 1)
         start = np.array([column, np.argmin(values[column])]) / (np.array(values.shape) - 1.0)
     place, free = _minimum(field, start)
     along = _at_place(place, field)
@@ -104,7 +108,7 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
 
     lowest, highest = moved(0, 0), _at(field, POTENTIAL, along_xi[k], along_eta[m])
     around = field.around
-    return FoundTrap(field, place, slopes, highest - lowest, moved(2, 0) / around.radius**2.0,
+    return FoundTrap(field, place, slopes, highest - lowest, moved(2, 0) / around.width**2.0,
                      moved(0, 2) / around.height**2.0)
 
 
@@ -152,23 +156,23 @@ def _raster(field: CavityField) -> tuple[Real, Real]:
     """Polynomials in s (i, n) and in t (j, m) on lines a small part of a wavelength apart, both walls included."""
     wavelength = 2.0 * math.pi / field.cavity.wave_number
     counts = [math.ceil(RASTER_POINTS * length.value / wavelength) + 1
-              for length in (field.around.radius, field.around.height)]
+              for length in (field.around.width, field.around.height)]
     in_s, in_t = field.coefficients.shape[1:]
-    return _on_lines(counts[0], in_s, even=True), _on_lines(counts[1], in_t, even=False)
+    return _on_lines(counts[0], in_s, field.cavity.measure.power), _on_lines(counts[1], in_t, 1)
 
 
 @lru_cache(maxsize=64)
-def _on_lines(lines: int, count: int, *, even: bool) -> Real:
-    """Polynomials (lines, count) at equal shares of the radius (`even`) or of the height."""
-    share = np.linspace(0.0, 1.0, lines)
-    return derivatives(2.0 * share**2 - 1.0 if even else 2.0 * share - 1.0, count, 0)
+def _on_lines(lines: int, count: int, power: int) -> Real:
+    """Polynomials (lines, count) in 2 xi^power - 1 at equal shares xi of the width or of the height."""
+    return derivatives(2.0 * np.linspace(0.0, 1.0, lines) ** power - 1.0, count, 0)
 
 
 def _along_xi(xi: float, field: CavityField) -> Real:
-    """Polynomials in s and their first three derivatives by xi (4, n), s = 2 xi^2 - 1."""
-    by_s = legendre_polynomials(np.array([2.0 * xi**2 - 1.0]), field.coefficients.shape[1])[:, 0]
-    return np.stack([by_s[0], 4.0 * xi * by_s[1], 4.0 * by_s[1] + 16.0 * xi**2 * by_s[2],
-                     48.0 * xi * by_s[2] + 64.0 * xi**3 * by_s[3]])
+    """Polynomials in s and their first three derivatives by xi (4, n)."""
+    s, first, second = argument(np.array([xi]), field.cavity.measure)
+    by_s = legendre_polynomials(s, field.coefficients.shape[1])[:, 0]
+    return np.stack([by_s[0], first * by_s[1], second * by_s[1] + first**2 * by_s[2],
+                     3.0 * first * second * by_s[2] + first**3 * by_s[3]])
 
 
 def _along_eta(eta: Real, field: CavityField) -> Real:
@@ -205,6 +209,7 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         NoTrap: no minimum after :data:`STEPS` steps.
     """
     place, potential = start.copy(), field.coefficients[POTENTIAL]
+    about_axis = isinstance(field.cavity.measure, Axisymmetric)
 
     def value(at: Real) -> float:
         in_xi, in_eta = _at_place(at, field)
@@ -217,9 +222,9 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         hessian = _hessian(field, along)
         held = ((place <= 0.0) & (gradient > 0.0)) | ((place >= 1.0) & (gradient < 0.0))
         # On the axis there is no slope along the radius: the curvature tells whether it is a minimum there.
-        held[0] |= place[0] == 0.0 and hessian[0, 0] >= 0.0
+        held[0] |= about_axis and place[0] == 0.0 and hessian[0, 0] >= 0.0
         free = ~held
-        if place[0] == 0.0 and free[0]:
+        if about_axis and place[0] == 0.0 and free[0]:
             place[0] = OFF_AXIS
             continue
         at = np.flatnonzero(free)

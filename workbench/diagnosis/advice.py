@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from geometry.dimension import ACROSS
 from geometry.names import TRANSDUCER, role_of
 from materials.kinds import Fluid, Piezoelectric
 from workbench.campaign.state import DeviceState
@@ -44,9 +45,9 @@ def _of(name: str, states: Sequence[DeviceState]) -> Iterator[str]:
     elif parsed.is_bench and parsed.coefficient in BENCH_LINES:
         yield ("Measure open, short and load at the clips, correct the recordings by them, and state what is left: "
                f'"{name}" = "{BENCH_LINES[parsed.coefficient]}" in [known].')
-    elif parsed.is_dimension and parsed.coefficient in ("thickness", "radius"):
+    elif parsed.is_dimension and parsed.coefficient in ("thickness", *ACROSS):
         film = role_of(parsed.owner) in ("couplant", "bond") and parsed.is_thickness
-        yield (f"Measure the {parsed.coefficient} of the {parsed.owner}"
+        yield (f"Measure the {parsed.coefficient.replace('_', ' ')} of the {parsed.owner}"
                + (" (a microscope on a section, or what the parts' heights leave)" if film else " with a caliper")
                + f', write it into the chip\'s file, and state how exact it is: "{name}" = "{FILM if film else PART}" '
                "in [known].")

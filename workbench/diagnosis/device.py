@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
 from geometry.names import CAVITY, TRANSDUCER
-from geometry.round_only import check_axisymmetric
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.campaign.campaign import Campaign, DeviceState
@@ -162,8 +161,6 @@ def device_model(
         InputError: as `workbench.model.problem.build`, or a layer that cannot have all sizes that are looked at.
         MeshError: a mesh could not be made, or folds where a size is at an end of its range.
     """
-    for state in campaign.states:
-        check_axisymmetric(state.chip, "a diagnosis")
     found, others = catalogue or effects_and_others(
         Device(campaign.states, campaign.known, campaign.fixed, campaign.registry))
     own = {each.name: each.with_rings(widths) if widths else each for each in found

@@ -33,6 +33,10 @@ DIFFERENCE_PLACES = np.arange(-3.0, 4.0)
 FIRST_WEIGHTS = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 SECOND_WEIGHTS = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 
+#: Largest scaled residual of an accepted derivative of a state. Its right side is spread over the parts, where a graded
+#: mesh makes the scaled solution up to a million times as large; rounding then leaves 1e-10 of the right side.
+DERIVATIVE_LIMIT = 1e-8
+
 
 @dataclass(frozen=True, eq=False)
 class LinearisedState:
@@ -194,7 +198,7 @@ class FullSystem:
             moved = np.zeros((state.size, right.shape[1]), dtype=complex)
             for column in range(right.shape[1]):
                 if right[free, column].any():
-                    moved[free, column] = -factor.solve(right[free, column])[0]
+                    moved[free, column] = -factor.solve(right[free, column], DERIVATIVE_LIMIT)[0]
         groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), self.values)
         charge = np.array([-complex(state @ (whole @ state))])
         solution = Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))

@@ -43,15 +43,15 @@ NEIGHBOURING = 1e-4
 class NotConverged(RuntimeError):
     """A linear solve whose residual stayed above the limit, with the frequency, the residual and the iterate."""
 
-    def __init__(self, frequency: float, residual: float, iterate: Complex) -> None:
+    def __init__(self, frequency: float, residual: float, iterate: Complex, limit: float = RESIDUAL_LIMIT) -> None:
         super().__init__(
-            f"the solve at {frequency:.6g} Hz left a scaled residual of {residual:.2e}, above {RESIDUAL_LIMIT:.0e}; "
+            f"the solve at {frequency:.6g} Hz left a scaled residual of {residual:.2e}, above {limit:.0e}; "
             "the model may be singular there (an undamped resonance, a region that is not held by anything)"
         )
-        self.frequency, self.residual, self.iterate = frequency, residual, iterate
+        self.frequency, self.residual, self.iterate, self.limit = frequency, residual, iterate, limit
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (NotConverged, (self.frequency, self.residual, self.iterate))
+        return (NotConverged, (self.frequency, self.residual, self.iterate, self.limit))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,11 +194,11 @@ class Factor:
     scale: Real
     solve_scaled: Callable[[Complex], Complex]
 
-    def solve(self, right: Complex) -> tuple[Complex, float]:
+    def solve(self, right: Complex, limit: float | None = None) -> tuple[Complex, float]:
         """Solution x of matrix x = right (size - 1,) after iterative refinement, and its scaled residual.
 
         Raises:
-            NotConverged: the scaled residual stays above :data:`RESIDUAL_LIMIT`.
+            NotConverged: the scaled residual stays above the `limit`, :data:`RESIDUAL_LIMIT` if None.
         """
         scaled = self.scale * right
         norm = float(np.linalg.norm(scaled))
@@ -210,8 +210,9 @@ class Factor:
             if residual < 1e-14 or residual > 0.5 * previous:
                 break
             x = x + self.solve_scaled(remainder)
-        if not residual <= RESIDUAL_LIMIT:
-            raise NotConverged(self.frequency, residual, self.scale * x)
+        limit = RESIDUAL_LIMIT if limit is None else limit
+        if not residual <= limit:
+            raise NotConverged(self.frequency, residual, self.scale * x, limit)
         return self.scale * x, residual
 
 

@@ -39,6 +39,7 @@ from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
 from workbench.fitting.uncertainty import Direction, HeldOutBand, Noise, ParameterEstimate
 from workbench.jobs.progress import Progress, no_progress
+from workbench.model.hidden import hidden_coefficients
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
@@ -174,7 +175,7 @@ def fit_parameters(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
         (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
-         *refused_steps([*coarse_search.refusals, *search.refusals])),
+         *hidden_findings(recordings), *refused_steps([*coarse_search.refusals, *search.refusals])),
         time.perf_counter() - started, solves,
     )
 
@@ -266,6 +267,16 @@ def _findings(
 def assumed(parameters: Sequence[Parameter]) -> list[str]:
     """A statement of every parameter whose prior nobody stated but its role lets assume."""
     return [f"{p.name} was freed without a tolerance: assumed, {p.assumed}." for p in parameters if p.assumed]
+
+
+def hidden_findings(recordings: Sequence[FitRecording]) -> list[str]:
+    """A statement of what the sections of recordings do not show of their materials, each once; none of round ones."""
+    hidden = dict.fromkeys(name for recording in recordings for name in hidden_coefficients(recording.problem))
+    if not hidden:
+        return []
+    return [f"The model is the plane strain of a cross-section, whose spectrum does not depend on {', '.join(hidden)}: "
+            "what is stated of it stays as it is, and a disc of the material shows it. Resonances along the length are "
+            "not in the model, and would be taken for others."]
 
 
 def refused_steps(refusals: Sequence[str]) -> list[str]:

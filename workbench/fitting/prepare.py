@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.measure import Axisymmetric, Measure, Straight
 from geometry.names import TRANSDUCER
-from geometry.round_only import check_axisymmetric
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.files.errors import InputError, choose
@@ -34,6 +34,7 @@ from workbench.fitting.parameter import (
     shared_gain,
 )
 from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
+from workbench.model.hidden import hidden_coefficients
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import build, fill
 from workbench.results.brief import Brief
@@ -60,8 +61,9 @@ CAPACITANCE_FACTOR = 3.0
 #: the radius (0.5 to 0.6); it may lie this factor from where speed of sound and geometry put it.
 STRONG, FREQUENCY_FACTOR = 0.3, 2.0
 
-#: First root of x J0(x) = (1 - nu) J1(x) for Poisson's ratio 0.31 of poled ceramics: the radial mode of a thin disc.
-RADIAL_ROOT = 2.05
+#: Phase across the radius of the first mode along it: of a thin disc the first root of x J0(x) = (1 - nu) J1(x) for
+#: Poisson's ratio 0.31 of poled ceramics, of a thin plate in plane strain a quarter of a wave across half its width.
+FIRST_PHASE: Mapping[type[Measure], float] = {Axisymmetric: 2.05, Straight: 0.5 * math.pi}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,7 +119,6 @@ def prepare(
         MeshError: the mesh could not be made.
     """
     choose(kind, KINDS, source="fit", field="kind")
-    check_axisymmetric(chip, "a fit")
     state = chip.state(state).name
     where = free_region(chip, state, kind, region)
     if material is not None:
@@ -143,6 +144,10 @@ def prepare(
         build(device, band=meshed_band, accuracy=mesh)
         for mesh in (discretisation(accuracy), discretisation(accuracy).refined(COARSE)))
     moved = parameters(fine, chip, freed.name, wanted)
+    for hidden in hidden_coefficients(fine):
+        if any(parameter.parsed.key == hidden for parameter in moved):
+            raise InputError("fit", "free", hidden, "a coefficient that plane strain shows: the spectrum of a straight "
+                             "chip does not depend on this one; a disc of the material shows it")
     if part.shared_uncertainty and not any(p.is_bench and p.parsed.coefficient == "gain" for p in moved):
         moved = (*moved, shared_gain(part.shared_uncertainty))
     return Prepared(kind, chip, state, freed, (FitRecording(name, fine, part, chip),),
@@ -275,17 +280,22 @@ def check_device(measured: Spectrum, chip: Chip, materials: Mapping[str, Materia
                          f"gives: this recording is not of this device, or one of {_sizes(chip)} is wrong")
     if merit is None or merit.antiresonance is None or not merit.antiresonance.k_effective > STRONG:
         return
-    thickness, radial = _frequencies(chip, transducer)
-    if all(abs(math.log(merit.f0 / expected)) > math.log(FREQUENCY_FACTOR) for expected in (thickness, radial)):
+    thickness, across = _frequencies(chip, transducer)
+    if all(abs(math.log(merit.f0 / expected)) > math.log(FREQUENCY_FACTOR) for expected in (thickness, across)):
         raise InputError(name, "resonance", f"{merit.f0 / 1e3:.4g} kHz measured, strongly coupled",
-                         f"one near {thickness / 1e3:.4g} kHz (through the thickness) or {radial / 1e3:.4g} kHz "
-                         f"(along the radius), which {chip.file} gives: this recording is not of this device, or one "
-                         f"of {_sizes(chip)} is wrong")
+                         f"one near {thickness / 1e3:.4g} kHz (through the thickness) or {across / 1e3:.4g} kHz "
+                         f"(along the {_across(chip)}), which {chip.file} gives: this recording is not of this device, "
+                         f"or one of {_sizes(chip)} is wrong")
 
 
 def _sizes(chip: Chip) -> str:
     layer = chip.transducer
-    return f"thickness {1e3 * layer.thickness.value:.4g} mm and radius {1e3 * layer.radius.value:.4g} mm"
+    return (f"thickness {1e3 * layer.thickness.value:.4g} mm and {_across(chip)} "
+            f"{1e3 * layer.radius.value:.4g} mm")
+
+
+def _across(chip: Chip) -> str:
+    return chip.measure.across.replace("_", " ")
 
 
 def _resonance(measured: Spectrum, name: str) -> Figures | None:
@@ -329,7 +339,7 @@ def _capacitances(chip: Chip, material: Piezoelectric) -> tuple[float, float]:
     for disc in (chip.electrodes.live_disc, chip.electrodes.ground_disc):
         outer = layer.outer_radius if disc.radius is None else disc.radius.value
         inner = 0.0 if disc.inner_radius is None else disc.inner_radius.value
-        areas.append(math.pi * (outer**2 - inner**2))
+        areas.append(chip.measure.device_volume(inner, outer, 1.0))
     # eps^T = eps^S + e c^-1 e^t; the strains along the radius and around it are equal.
     stiffness = np.array([[2.0 * (material.c11 + material.c12).real, 2.0 * complex(material.c13).real],
                           [2.0 * complex(material.c13).real, complex(material.c33).real]])
@@ -340,14 +350,16 @@ def _capacitances(chip: Chip, material: Piezoelectric) -> tuple[float, float]:
 
 
 def _frequencies(chip: Chip, material: Piezoelectric) -> tuple[float, float]:
-    """Fundamental frequencies (Hz) of the transducer alone through its thickness (antiresonance) and along its radius.
+    """Fundamental frequencies (Hz) of the transducer alone through its thickness (antiresonance) and along its radius,
+    or across its width.
 
-    c / (2 h) with the stiffness at constant electric displacement, and :data:`RADIAL_ROOT` c / (2 pi a) with that of a
+    c / (2 h) with the stiffness at constant electric displacement, and :data:`FIRST_PHASE` c / (2 pi a) with that of a
     thin plate.
     """
     layer = chip.transducer
     c11, c13, c33, e33 = (complex(getattr(material, key)).real for key in ("c11", "c13", "c33", "e33"))
     through = math.sqrt((c33 + e33**2 / material.absolute_eps33.real) / material.density)
     along = math.sqrt((c11 - c13**2 / c33) / material.density)
-    return through / (2.0 * layer.thickness.value), RADIAL_ROOT * along / (2.0 * math.pi * layer.outer_radius)
+    return through / (2.0 * layer.thickness.value), (
+        FIRST_PHASE[type(chip.measure)] * along / (2.0 * math.pi * layer.outer_radius))
 

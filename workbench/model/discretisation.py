@@ -130,8 +130,8 @@ def _softness(solid: IsotropicSolid) -> float:
     return (3.0 * bulk + 4.0 * shear) / (2.0 * shear * (3.0 * bulk + shear))
 
 
-#: Discretisations by the largest rms error of ln Z that they leave over the band of every chip in `geometry/chips`, in
-#: every state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
+#: Discretisations by the largest rms error of ln Z that they leave over the band of every round chip in
+#: `geometry/chips`, in every state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
 ROWS: Mapping[float, Discretisation] = {
     5e-3: Discretisation(4, 1.4),  # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
     1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000

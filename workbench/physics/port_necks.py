@@ -52,6 +52,11 @@ class PortNecks(Term):
     material: str
     name: str
 
+    @property
+    def needs_axis(self) -> bool:
+        """True: the openings are spread around the axis; a straight channel has its ports at its ends."""
+        return True
+
     def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.name, ADMISSIBLE, {"share": 0.0, "length": 5e-4, "resistance": 3e5})
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
-from geometry.round_only import check_axisymmetric
+from geometry.measure import ABOUT_AXIS
 from geometry.stretch import admissible_range, canonical_names
 from materials.registry import Registry
 from workbench.fem.operators import assemble
@@ -244,7 +244,6 @@ def range_model(
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
         NotCovered: `limit` solves were not enough; the error carries the model.
     """
-    check_axisymmetric(chip, "a model over ranges of lengths and coefficients, for studies and design")
     model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
     return _last(_growth(model, relative_error, limit, seed, progress))
 
@@ -423,13 +422,16 @@ def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]
 
 
 def fingerprint(problem: Problem) -> str:
-    """A digest of a problem: of its mesh, its terms and its values."""
+    """A digest of a problem: of its mesh and the measure of that, its terms and its values."""
     found = hashlib.sha256()
     found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
     found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
     if problem.mesh.coordinates is not None:
         found.update(np.ascontiguousarray(problem.mesh.coordinates).tobytes())
     found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
+    if problem.mesh.measure != ABOUT_AXIS:
+        # Of a mesh about the axis nothing is added, so that models kept before sections could be straight are known.
+        found.update(repr(problem.mesh.measure).encode())
     return found.hexdigest()
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geometry.measure import Axisymmetric
 from workbench.acoustics.captures import Window, arrived_share, light_curve
 from workbench.acoustics.nodal import FloatArray, raster
 from workbench.acoustics.trajectories import Trajectories
@@ -32,6 +34,8 @@ LEAST_DOT = 0.006
 SCALE_BAR = 0.25
 #: Width of the pictures in inches; that from above is square, so that it lies on a micrograph of the cavity.
 _ABOVE, _SIDE = 6.0, 9.0
+#: Height of a panel over its width from which panels stand in two columns. Doubled, those of a half channel fill pages.
+_BESIDE = 0.5
 #: Points of the raster of the potential along r and z.
 _RASTER = (400, 120)
 #: Frames of an animation, for each second, and dots per inch. Doubled, files are twice (four times) as large.
@@ -39,12 +43,13 @@ FRAMES, FRAMES_PER_SECOND, _DOTS_PER_INCH = 60, 12, 80
 
 
 def draw_from_above(found: Trajectories, path: Path, *, at: float, transparent: bool = False) -> Path:
-    """Draw the particles as seen along the axis at the time `at` (s), with a scale bar and the time. Writes `path`.
+    """Draw the particles as seen along z at the time `at` (s), with a scale bar and the time. Writes `path`.
 
-    The square picture is as wide as the cavity, with no margin: a micrograph cut to the cavity lies below it if it is
-    `transparent`. Dots are as large as the particles, or as :data:`LEAST_DOT` if that is more.
+    The picture is as wide as the cavity, with no margin: a micrograph cut to the cavity lies below it if it is
+    `transparent`. That of a channel shows a piece of it, the channel upright and particles anywhere along it. Dots are
+    as large as the particles, or as :data:`LEAST_DOT` if that is more.
     """
-    figure = new_figure(_ABOVE, _ABOVE)
+    figure = new_figure(_ABOVE, _ABOVE * _View.of(found).tallness)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     dots, stamp = _above(axes, found)
     _move_above(dots, stamp, found, _index(found, at))
@@ -54,23 +59,31 @@ def draw_from_above(found: Trajectories, path: Path, *, at: float, transparent: 
 
 
 def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> Path:
-    """Draw the particles in the r-z half plane on the Gor'kov potential, a panel for each of the times `at` (s). Writes
-    `path`."""
+    """Draw the particles in the section on the Gor'kov potential, a panel for each of the times `at` (s).
+
+    Writes `path`.
+    """
     tall = _heights_enlarged(found)
-    height = 0.35 + (_SIDE - 1.2) * _flatness(found) * tall
-    figure = new_figure(_SIDE, height * len(at) + 1.4)
+    # Panels that are about as high as wide stand side by side.
+    columns = min(len(at), 1 if _flatness(found) * tall < _BESIDE else 2)
+    rows = math.ceil(len(at) / columns)
+    height = 0.35 + (_SIDE - 1.2) / columns * _flatness(found) * tall
+    figure = new_figure(_SIDE, height * rows + 1.4)
     figure.set_layout_engine("constrained")
-    panels = figure.subplots(len(at), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, time in zip(panels, at, strict=True):
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True)
+    for axes in panels.ravel()[len(at):]:
+        axes.remove()
+    for axes, time in zip(panels.ravel(), at, strict=False):
         dots, stamp, shown = _side(axes, found, tall)
         _move_side(dots, stamp, found, _index(found, time))
-    panels[-1].set_xlabel("r (mm)", fontsize=9)
+    for axes in panels.ravel()[len(at) - columns:len(at)]:
+        axes.set_xlabel(f"{found.velocity.mesh.measure.symbol} (mm)", fontsize=9)
     unit = _potential(found)[1]
-    figure.colorbar(shown, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02).set_label(
-        f"Gor'kov potential $U$ ({unit})", fontsize=9)
+    bar = figure.colorbar(shown, ax=list(panels.ravel()[:len(at)]), location="bottom", shrink=0.4, aspect=40, pad=0.02)
+    bar.set_label(f"Gor'kov potential $U$ ({unit})", fontsize=9)
     title = f"{found.report.forces.particle.name}, {2e6 * found.report.forces.particle.radius:.3g} µm"
     if tall > 1.0:
-        title += f"; heights are drawn {tall:.0f} times as large as radii"
+        title += f"; heights are drawn {tall:.0f} times as large as widths"
     figure.suptitle(f"{title}\n{_field_words(found)}", fontsize=9)
     return save_figure(figure, path)
 
@@ -81,6 +94,8 @@ def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]]
     figure = new_figure(7.5, 4.5)
     axes = figure.add_subplot()
     curves = [(f"in the window, {name}", light_curve(found, window), "-") for name, window in windows]
+    if 0 in found.report.forces.mesh.measure.focusing:
+        curves.append(("have focused across the channel", arrived_share(found, found.focused_at), "-."))
     curves += [("have come to levitate", arrived_share(found, found.levitated_at), "--"),
                ("have come to their trap", arrived_share(found, found.trapped_at), "-."),
                ("stopped by a wall or sedimented", arrived_share(found, found.stopped_at), ":")]
@@ -109,13 +124,14 @@ def animate_beads(found: Trajectories, path: Path, *, frames: int = FRAMES) -> P
     if path.suffix.lower() != ".gif":
         raise ValueError(f"cannot write {path.name!r}: the suffix is {path.suffix!r}; expected .gif")
     tall = _heights_enlarged(found)
-    figure = new_figure(_ABOVE, _ABOVE + 1.4)
-    above = figure.add_axes((0.1, 0.24, 0.8, 0.74))
-    side = figure.add_axes((0.1, 0.07, 0.8, 0.13))
+    high = _ABOVE * _View.of(found).tallness + 1.4
+    figure = new_figure(_ABOVE, high)
+    above = figure.add_axes((0.1, 1.776 / high, 0.8, 1.0 - 1.924 / high))
+    side = figure.add_axes((0.1, 0.518 / high, 0.8, 0.962 / high))
     dots, stamp = _above(above, found)
     dots_beside, stamp_beside, _ = _side(side, found, tall)
     side.set_aspect("auto")
-    side.set_xlabel("r (mm)", fontsize=9)
+    side.set_xlabel(f"{found.velocity.mesh.measure.symbol} (mm)", fontsize=9)
     writer = PillowWriter(fps=FRAMES_PER_SECOND)
     with replacing(path) as whole, writer.saving(figure, str(whole), dpi=_DOTS_PER_INCH):
         for index in np.unique(np.linspace(0, len(found.times) - 1, frames).round().astype(int)):
@@ -148,8 +164,34 @@ def _index(found: Trajectories, at: float) -> int:
     return int(np.abs(found.times - at).argmin())
 
 
-def _cavity_radius(found: Trajectories) -> float:
-    return float(found.velocity.mesh.points[:, 0].max())
+@dataclass(frozen=True)
+class _View:
+    """A cavity seen from above: the half width and half length (mm) of the picture, and whether it is round."""
+
+    half_width: float
+    half_length: float
+    is_round: bool
+
+    @classmethod
+    def of(cls, found: Trajectories) -> _View:
+        mesh = found.velocity.mesh
+        width = 1e3 * float(np.abs(mesh.points[:, 0]).max())
+        is_round = isinstance(mesh.measure, Axisymmetric)
+        return cls(width, width if is_round else 0.5e3 * found.strip, is_round)
+
+    @property
+    def tallness(self) -> float:
+        return self.half_length / self.half_width
+
+    def outline(self, axes: Axes) -> None:
+        """Draw the walls: a circle, or the two sides of the channel."""
+        from matplotlib.patches import Circle
+
+        if self.is_round:
+            axes.add_patch(Circle((0.0, 0.0), self.half_width, fill=False, edgecolor=_OUTLINE, linewidth=1.2))
+        else:
+            axes.vlines([-self.half_width, self.half_width], -self.half_length, self.half_length, colors=_OUTLINE,
+                        linewidth=2.4)
 
 
 def _flatness(found: Trajectories) -> float:
@@ -163,23 +205,23 @@ def _heights_enlarged(found: Trajectories) -> float:
 
 
 def _above(axes: Axes, found: Trajectories) -> tuple[EllipseCollection, Text]:
-    """Axes with the cavity's wall, a scale bar, a time stamp and dots without places."""
+    """Axes with the cavity's walls, a scale bar, a time stamp and dots without places."""
     from matplotlib.collections import EllipseCollection
-    from matplotlib.patches import Circle
 
-    radius = 1e3 * _cavity_radius(found)
+    view = _View.of(found)
+    radius, top = view.half_width, view.half_length
     axes.set_xlim(-radius, radius)
-    axes.set_ylim(-radius, radius)
+    axes.set_ylim(-top, top)
     axes.set_aspect("equal")
     axes.axis("off")
-    axes.add_patch(Circle((0.0, 0.0), radius, fill=False, edgecolor=_OUTLINE, linewidth=1.2))
+    view.outline(axes)
     length = 1e3 * scale_bar_length(2e-3 * radius)
-    right, bottom = 0.97 * radius, -0.93 * radius
+    right, bottom = 0.97 * radius, 0.07 * radius - top
     axes.plot([right - length, right], [bottom, bottom], color=_OUTLINE, linewidth=3.0, solid_capstyle="butt")
     factor, unit = prefixed(1e-3 * length, "m")
     axes.text(right - 0.5 * length, bottom + 0.02 * radius, f"{1e-3 * length * factor:g} {unit}", ha="center",
               va="bottom", fontsize=10, color=_OUTLINE)
-    stamp = axes.text(-0.97 * radius, 0.95 * radius, "", ha="left", va="top", fontsize=11, color=_OUTLINE)
+    stamp = axes.text(-0.97 * radius, top - 0.05 * radius, "", ha="left", va="top", fontsize=11, color=_OUTLINE)
     diameter = max(2e3 * found.report.forces.particle.radius, LEAST_DOT * 2.0 * radius)
     dots = EllipseCollection([diameter], [diameter], [0.0], units="xy", facecolors=_DOT, edgecolors="none",
                              offsets=np.empty((0, 2)), offset_transform=axes.transData)

@@ -28,7 +28,8 @@ _STRIP = 9
 
 @dataclass(frozen=True)
 class LivePicture:
-    """A field in the section, mirrored about the axis: ``png`` fills ``window`` (left, right, bottom, top; mm).
+    """A field in the section, mirrored about the axis or at a plane of symmetry: ``png`` fills ``window`` (left, right,
+    bottom, top; mm).
 
     ``low`` and ``high`` in ``unit`` are the values at the ends of ``colours`` (CSS); ``outline`` are lines of regions
     (x, z, x, z; mm), ``marks`` are points (r, z; mm) with their names; ``tall`` is the factor by which heights are
@@ -63,7 +64,7 @@ def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePict
         factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
         values = forces.potential * factor
         marks = tuple((sign * trap.radius * 1e3, trap.height * 1e3, str(trap)) for trap in traps.traps
-                      for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,)))
+                      for sign in ((-1.0, 1.0) if trap.measure.mirror and trap.radius > 0.0 else (1.0,)))
         title = f"Gor'kov potential, {2e6 * forces.particle.radius:.3g} µm {forces.particle.name.split('/')[0]}"
         yield _picture("potential", title, forces.mesh, values, unit, PLAIN_COLOURS,
                        (float(values.min()), float(values.max())), marks, tall=2.0)
@@ -77,13 +78,15 @@ def _signed(
     largest = float(np.nanmax(np.abs(values)))
     factor, shown = prefixed(largest, unit)
     end = largest * factor or 1.0
-    return _picture(name, title, mesh, values * factor, shown, SIGNED_COLOURS, (-end, end), (), tall=tall)
+    return _picture(name, title, mesh, values * factor, shown, SIGNED_COLOURS, (-end, end), (), tall=tall,
+                    image=float(mesh.measure.mirror))
 
 
 def _picture(
     name: str, title: str, mesh: NodalMesh, values: FloatArray, unit: str, colours: str, limits: tuple[float, float],
-    marks: tuple[tuple[float, float, str], ...], *, tall: float,
+    marks: tuple[tuple[float, float, str], ...], *, tall: float, image: float = 1.0,
 ) -> LivePicture:
+    """The picture of `values` (N,), which the mirror image has `image` times, if there is one."""
     from matplotlib import colormaps
     from matplotlib.colors import Normalize, to_hex
     from PIL import Image
@@ -93,15 +96,26 @@ def _picture(
     # The solids are shown among their surroundings; a field of the cavity alone close up.
     shown = mesh.points if len(regions) > 1 else there
     radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
-    across, up = _DOTS // 2, max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
-    r = (np.arange(POINTS_PER_DOT * across) + 0.5) * radius / (POINTS_PER_DOT * across)
+    mirrored = mesh.measure.mirror != 0
+    left, across = (0.0, _DOTS // 2) if mirrored else (-radius, _DOTS)
+    up = max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
+    r = left + (np.arange(POINTS_PER_DOT * across) + 0.5) * (radius - left) / (POINTS_PER_DOT * across)
     z = bottom + (np.arange(POINTS_PER_DOT * up) + 0.5) * (top - bottom) / (POINTS_PER_DOT * up)
     seen = np.ma.masked_invalid(raster(mesh, values, r, z, regions).T[::-1])
     shades = colormaps[colours]
-    coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
-    right = coloured.reshape(up, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+
+    def painted(field: np.ma.MaskedArray) -> NDArray[np.uint8]:
+        coloured = shades.with_extremes(bad="white")(Normalize(*limits)(field), bytes=True)[:, :, :3]
+        dots: NDArray[np.uint8] = coloured.reshape(up, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(
+            axis=(1, 3)).round().astype(np.uint8)
+        return dots
+
+    right = painted(seen)
+    # Of a field that is even the image is the picture itself.
+    other = right if image == 1.0 else painted(image * seen)
+    whole = np.concatenate([other[:, ::-1], right], axis=1) if mirrored else right
     held = io.BytesIO()
-    Image.fromarray(np.concatenate([right[:, ::-1], right], axis=1)).save(held, "png", compress_level=1)
+    Image.fromarray(whole).save(held, "png", compress_level=1)
     strip = ", ".join(to_hex(shades(share)) for share in np.linspace(0.0, 1.0, _STRIP))
     outline = tuple((float(a[0]), float(a[1]), float(b[0]), float(b[1])) for a, b in region_edges(mesh)
                     if max(a[1], b[1]) <= 1e3 * top + 1e-6 and min(a[1], b[1]) >= 1e3 * bottom - 1e-6

@@ -28,7 +28,8 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     forces = report.forces
     nodes = forces.mesh.points[forces.mesh.nodes_of([forces.region])]
     height = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 400)
-    radius = np.linspace(0.0, nodes[:, 0].max(), 400)
+    radius = np.linspace(nodes[:, 0].min(), nodes[:, 0].max(), 400)
+    symbol = trap.measure.symbol
 
     def along(points: list[FloatArray]) -> FloatArray:
         values: FloatArray = interpolate(forces.mesh, forces.potential, np.stack(points, axis=1), [forces.region])
@@ -41,11 +42,12 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     left, right = figure.subplots(1, 2)
     left.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
     left.set_xlabel("z (mm)")
-    left.set_title(f"along r = {trap.radius * 1e3:.3g} mm", fontsize=10)
-    # The other half is the mirror image.
-    right.plot(np.concatenate([-radius[::-1], radius]) * 1e3, np.concatenate([radial[::-1], radial]) * factor,
-               color=LINE_COLOURS[1])
-    right.set_xlabel("r (mm)")
+    left.set_title(f"along {symbol} = {round(trap.radius * 1e3, 6):.3g} mm", fontsize=10)
+    if trap.measure.mirror:
+        # The other half is the mirror image.
+        radius, radial = np.concatenate([-radius[::-1], radius]), np.concatenate([radial[::-1], radial])
+    right.plot(radius * 1e3, radial * factor, color=LINE_COLOURS[1])
+    right.set_xlabel(f"{symbol} (mm)")
     right.set_title(f"along z = {trap.height * 1e3:.3f} mm", fontsize=10)
     left.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
     right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")

@@ -112,7 +112,8 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
     ))
     _show(axes, window, _nodal(forces.mesh, values, window), limits=limits, colours=PLAIN_COLOURS)
     for trap in report.traps:
-        place = [sign * trap.radius * 1e3 for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,))]
+        images = (-1.0, 1.0) if window.is_mirrored and trap.radius > 0.0 else (1.0,)
+        place = [sign * trap.radius * 1e3 for sign in images]
         axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=7,
                   markeredgewidth=1.5, clip_on=False, zorder=5)
     _outline(axes, forces.mesh)
@@ -136,16 +137,16 @@ def draw_streaming(flow: Streaming, path: Path) -> Path:
     limits = (0.0, flow.largest_speed * factor or 1.0)
     _show(axes, window, _nodal(flow.mesh, speed * factor, window), limits=limits, colours=PLAIN_COLOURS)
     _outline(axes, flow.mesh)
-    step = window.right / _ARROWS
+    step, sides = window.right / _ARROWS, (1.0, -1.0) if window.is_mirrored else (1.0,)
     places = np.stack(np.meshgrid(
-        (np.arange(_ARROWS) + 0.5) * step,
+        np.arange(0.5 * step if window.is_mirrored else window.left + 0.5 * step, window.right, step),
         np.arange(window.bottom + 0.5 * step / window.tall, window.top, step / window.tall), indexing="ij"),
         axis=-1).reshape(-1, 2)
     arrows = interpolate(flow.mesh, flow.carrier_velocity, places, [flow.region])
     size = np.linalg.norm(arrows, axis=1)
     seen = size > max(least, np.finfo(float).tiny)  # NaN, outside the region, is not.
     ends, ways = places[seen] * 1e3, arrows[seen] / size[seen, None]
-    for side in (1.0, -1.0):
+    for side in sides:
         axes.quiver(side * ends[:, 0], ends[:, 1], side * ways[:, 0], ways[:, 1], angles="xy", pivot="middle",
                     color="white", units="inches", scale=1.0 / (0.7 * step / window.right * 0.5 * _WIDTH), width=0.012)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"speed of the liquid ({unit})")

@@ -29,13 +29,27 @@ DEFINITIONS = {
                "the lowest pass, its weight included; 0 where the weight pulls it out of the trap.",
     "axial barrier": "the barrier on the way along z alone; other ways may be lower.",
     "radial barrier": "the barrier on the way along r alone; other ways may be lower.",
+    "vertical barrier": "the barrier on the way along z alone; other ways may be lower.",
+    "lateral barrier": "the barrier on the way across the channel alone; other ways may be lower.",
     "lift / weight": "largest force against the net weight on the vertical line through the trap, over the net weight: "
                      "below 1 the particle falls (or rises) out of the trap. Empty where a wall carries it.",
     "share": "part of the cavity's volume from which particles come to this trap.",
-    "stiffness": "force per displacement about the trap, along r and along z; of a trap at a wall the curvature of the "
-                 "potential there, which may be negative.",
-    "focusing time": "time from 90 % to 10 % of a quarter wavelength from the trap, along z, against drag and weight; "
-                     "empty where a particle that starts there does not get to the trap.",
+    "stiffness": "force per displacement about the trap, along r (x in a channel) and along z; of a trap at a wall the "
+                 "curvature of the potential there, which may be negative.",
+    "focusing time": "time from 90 % to 10 % of a quarter wavelength from the trap, along z (in a channel, along the "
+                     "stiffer direction), against drag and weight; empty where a particle that starts there does not "
+                     "get to the trap. Across to a line, the way to the side wall counts if it is shorter.",
+    "per Vpp^2": "mean E_ac over the square of the voltage at the electrodes, peak to peak, J/(m^3 V^2).",
+    "per W": "mean E_ac over the electrical power into the whole length of the chip, J/(m^3 W).",
+    "|p| across, mid-height": "largest pressure amplitude on the line across the channel at mid-height.",
+    "uneven over the height": "range of the pressure amplitude over the height, where it is largest across, over its "
+                              "mean there: 0 for half a wave across between hard walls.",
+    "critical diameter": "diameter of a particle that radiation and streaming along plane walls move alike; smaller "
+                         "ones follow the flow.",
+    "line across": "place across of a line along the channel that particles focus to, whatever their height.",
+    "depth": "energy, averaged over the height, that parts the line from a deeper one or, for the deepest, from the "
+             "highest place.",
+    "share of the width": "part of the channel's width from which particles come to this line.",
     "MAPE of |Z|": "mean absolute percentage error: the mean over the points of ||Z_sim| - |Z_meas|| / |Z_meas|.",
     "rms of ln(Z_sim / Z_meas)": "root mean square of the complex logarithm: relative error of magnitude and error of "
                                  "phase in radian together.",

@@ -53,12 +53,14 @@ def _spread(value: float | None, spread: float | None) -> str:
 
 def rest_table(found: Trajectories) -> TextTable:
     """Traps of the sound alone, and the places next to them where the particle rests with its weight and the flow."""
-    rows = []
+    rows, measure = [], found.report.forces.mesh.measure
+    symbol, digits = measure.symbol, measure.decimals + 1
     for number, (trap, rest) in enumerate(zip(found.report.traps, found.rest, strict=True), start=1):
         holds = np.isfinite(rest).all()
-        rows.append((str(number), f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}",
-                     f"r {1e3 * rest[0]:.3f}, z {1e3 * rest[1]:.3f}" if holds else "on a wall" if trap.on_wall else
-                     "none", str(int((found.trap == number - 1).sum()))))
+        alone, resting = (f"{symbol} {1e3 * r:.{digits}f}, z {1e3 * z:.{digits}f}" for r, z in (
+            (trap.radius, trap.height), rest))
+        place = resting if holds else "on a wall" if trap.on_wall else "none"
+        rows.append((str(number), alone, place, str(int((found.trap == number - 1).sum()))))
     return TextTable(("trap", "of the sound alone (mm)", "place of rest (mm)", "particles there"), tuple(rows))
 
 
@@ -67,13 +69,14 @@ def motion_answer(found: Trajectories) -> str:
     excitation, count = found.report.excitation, found.count
     voltage = 2.0 * excitation.voltage * found.voltage_factor
     ends = [f"{percent(float((found.fate == fate).mean()))} {fate.words}" for fate in
-            (Fate.TRAPPED, Fate.LEVITATED, Fate.MOVING, Fate.SEDIMENTED, Fate.AT_WALL) if (found.fate == fate).any()]
+            (Fate.TRAPPED, Fate.FOCUSED, Fate.LEVITATED, Fate.MOVING, Fate.SEDIMENTED, Fate.AT_WALL)
+            if (found.fate == fate).any()]
     text = (f"After {time_text(float(found.times[-1]))} at {excitation.frequency / 1e6:.4f} MHz and {voltage:.3g} Vpp, "
             f"of {count} evenly spread {particle_words(found.report.forces)}: {', '.join(ends)}.")
-    levitation = capture_statistics(found)[0]
-    if levitation.ninety is not None:
-        text += (f" {percent(levitation.share)} come to levitate, nine tenths of these within "
-                 f"{time_text(levitation.ninety)}.")
+    first = capture_statistics(found)[0]
+    if first.ninety is not None:
+        verb = "focus across the channel" if 0 in found.report.forces.mesh.measure.focusing else "come to levitate"
+        text += f" {percent(first.share)} {verb}, nine tenths of these within {time_text(first.ninety)}."
     return text
 
 
@@ -107,7 +110,8 @@ def write_trajectories(found: Trajectories, path: Path) -> Path:
         np.savez_compressed(
             whole, times_s=found.times, positions_m=found.positions, azimuths_rad=found.azimuths, fate=found.fate,
             fate_words=np.array([fate.words for fate in Fate]), trap=found.trap, rest_m=found.rest,
-            levitated_at_s=found.levitated_at, trapped_at_s=found.trapped_at, stopped_at_s=found.stopped_at)
+            levitated_at_s=found.levitated_at, focused_at_s=found.focused_at, trapped_at_s=found.trapped_at,
+            stopped_at_s=found.stopped_at)
     return path
 
 

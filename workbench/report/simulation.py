@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.measure import Axisymmetric
+from geometry.names import CAVITY
+from materials.kinds import Fluid
 from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
 from workbench.model.numbers import ParameterName
 from workbench.model.particles import net_weight
@@ -27,8 +30,9 @@ from workbench.report.resonances import (
     resonances_table,
     single_fits_record,
 )
+from workbench.simulation.channel import channel_figures
 from workbench.simulation.gathering import Gathering
-from workbench.simulation.run import Simulation
+from workbench.simulation.run import Simulation, Snapshot
 
 
 def field_table(report: TrapReport) -> TextTable:
@@ -52,14 +56,39 @@ def traps_table(report: TrapReport) -> TextTable:
     for trap in report.traps:
         seconds = time_to(report, trap)
         rows.append((
-            f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}{', on a wall' if trap.on_wall else ''}",
-            f"{1e3 * trap.above_floor:.3f}", *(_femtojoules(each) for each in (
+            f"{trap.measure.symbol} {1e3 * trap.radius:.{trap.measure.decimals + 1}f}, z "
+            f"{1e3 * trap.height:.{trap.measure.decimals + 1}f}{', on a wall' if trap.on_wall else ''}",
+            f"{1e3 * trap.above_floor:.{trap.measure.decimals + 1}f}", *(_femtojoules(each) for each in (
                 trap.barrier, trap.axial_barrier, trap.radial_barrier)),
             "" if trap.lift is None or not weight else number_text(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
             f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
             "" if seconds is None else number_text(seconds, 3)))
-    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
-                      "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
+    across, up = report.forces.mesh.measure.directions
+    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", f"{up} barrier (fJ)",
+                      f"{across} barrier (fJ)", "lift / weight", "share (%)", "stiffness (pN/mm)",
+                      "focusing time (s)"), tuple(rows))
+
+
+def channel_tables(shot: Snapshot) -> list[TextTable]:
+    """Figures of the channel of a straight chip, and the lines that its particles focus to; nothing for a round chip
+    and for a state without liquid."""
+    if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
+        return []
+    found = channel_figures(shot)
+    tables = [TextTable(
+        ("mean E_ac (J/m^3)", "per Vpp^2", "per W", "|p| across, mid-height (kPa)", "uneven over the height (%)",
+         "critical diameter (um)"),
+        ((number_text(found.energy_density, 3), number_text(found.energy_per_square_volt, 3),
+          number_text(found.energy_per_watt, 3), number_text(1e-3 * float(found.across[:, 1].max())),
+          number_text(100.0 * found.unevenness, 2),
+          "" if found.critical_diameter is None else number_text(1e6 * found.critical_diameter, 3)),))]
+    if found.lines:
+        tables.append(TextTable(
+            ("line across (mm)", "depth (fJ)", "share of the width (%)", "stiffness (pN/mm)", "focusing time (s)"),
+            tuple((f"x {1e3 * line.place:.4f}{', at the side wall' if line.at_side else ''}",
+                   number_text(1e15 * line.depth, 3), f"{100.0 * line.share:.0f}", number_text(1e9 * line.stiffness, 3),
+                   "" if line.time is None else number_text(line.time, 3)) for line in found.lines)))
+    return tables
 
 
 def _femtojoules(barrier: float | None) -> str:
@@ -129,6 +158,7 @@ def write_simulation_report(
         blocks: list[Block] = []
         if run.traps is not None:
             blocks += [field_table(run.traps), traps_table(run.traps)]
+        blocks += channel_tables(run)
         sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
                          [*blocks, *pictures[run.state]]))
     used = TextTable(("state", "region", "material", "source"), tuple(
@@ -182,9 +212,24 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "share_settled": run.traps.settled,
             "traps": [_trap_record(trap) for trap in run.traps.traps],
         }
+    record |= _channel_record(run)
     record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
     record["seconds"] = dict(run.seconds)
     return record
+
+
+def _channel_record(shot: Snapshot) -> dict[str, Any]:
+    """The figures of the channel of a straight chip; empty for others."""
+    if not channel_tables(shot):
+        return {}
+    found = channel_figures(shot)
+    return {"channel": {
+        "mean_energy_density_j_m3": found.energy_density, "per_square_vpp_j_m3_v2": found.energy_per_square_volt,
+        "per_watt_j_m3_w": found.energy_per_watt, "unevenness_over_height": found.unevenness,
+        "across_m_pa": found.across.tolist(), "up_m_pa": found.up.tolist(),
+        "critical_diameter_m": found.critical_diameter, "focus_time_s": found.focus_time,
+        "lines": [{"x_m": line.place, "depth_j": line.depth, "share_of_width": line.share, "at_side_wall": line.at_side,
+                   "stiffness_n_m": line.stiffness, "focus_time_s": line.time} for line in found.lines]}}
 
 
 def _trap_record(trap: Trap) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
 from materials.kinds import Fluid
+from workbench.acoustics.channel import focus_lines
 from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.nodal import raster
 from workbench.acoustics.traps import Trap, TrapReport, find_traps, time_to
@@ -46,9 +46,8 @@ class Gathering:
 
 
 def gathering(shot: Snapshot) -> Gathering | None:
-    """The answer whether and where the particles of a state gather; None without a cavity, and for a straight chip,
-    which has no particles yet."""
-    if not isinstance(shot.chip.measure, Axisymmetric) or CAVITY not in shot.chip.materials(shot.state):
+    """The answer whether and where the particles of a state gather; None without a cavity."""
+    if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
     if not isinstance(fluid, Fluid) or fluid.density < GAS:
@@ -69,6 +68,9 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     share = sum(trap.share for trap in held)
     if share < LEAST_SHARE:
         where = _on_walls(report)
+        across = _across(report, at) if 0 in report.forces.mesh.measure.focusing else None
+        if across is not None:
+            return Gathering(state, *across)
         return Gathering(state, False, (
             f"{at}, {who} do not gather in the liquid" + (f": they come to rest {where}." if where else "."),
             *_why_not(report, free)))
@@ -82,8 +84,8 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     seconds = time_to(report, best)
     voltage = 2.0 * excitation.voltage
     if seconds is None:
-        sentences.append("One that starts a quarter wavelength above or below it on the same vertical line does not "
-                         "get there: another trap, a wall or its weight takes it.")
+        sentences.append(f"One that starts a quarter wavelength {trap_sides(best)} does not get there: another trap, a "
+                         "wall or its weight takes it.")
     elif seconds > SLOW:
         quick = voltage * math.sqrt(seconds / 10.0)
         sentences.append(f"Focusing is slow: {rounded(seconds)} s from a quarter wavelength away; it is faster by the "
@@ -97,13 +99,36 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
     return Gathering(state, kept and (seconds is None or seconds <= SLOW), tuple(sentences))
 
 
+def _across(report: TrapReport, at: str) -> tuple[bool, tuple[str, ...]] | None:
+    """Whether particles that no trap holds at a height gather in lines across a channel, and sentences on that; None if
+    they do not come to any line in the liquid."""
+    lines = [line for line in focus_lines(report.forces) if not line.at_side]
+    share = sum(line.share for line in lines)
+    if share < LEAST_SHARE:
+        return None
+    places = "; ".join(line.measure.place_words(line.place) for line in sorted(lines, key=lambda line: -line.share)[:3])
+    times = [line.time for line in lines if line.time is not None]
+    sentences = [f"{at}, {percent(share)} of evenly spread {particle_words(report.forces)} gather across the channel: "
+                 f"{places}."]
+    slowest = max(times, default=None)
+    if slowest is not None:
+        sentences.append(f"From the sides of the channel, or a quarter wavelength away, they are there in "
+                         f"{rounded(slowest)} s.")
+    where = _on_walls(report)
+    sentences.append("No trap holds them at a height" + (f": they come to rest {where}." if where else "."))
+    held = max(line.depth for line in lines)
+    if held < THERMAL:
+        sentences.append("Thermal motion carries them out of the line.")
+    return held >= THERMAL and (slowest is None or slowest <= SLOW), tuple(sentences)
+
+
 def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
     which = f"the strongest trap ({place_words(trap)})" if several else "the trap"
     if trap.barrier is None:
         words = f"Nothing leads out of {which}"
     else:
         words = (f"To leave {which} one needs {rounded(trap.barrier * 1e15)} fJ (along z {_femto(trap.axial_barrier)}, "
-                 f"along r {_femto(trap.radial_barrier)})")
+                 f"along {trap.measure.symbol} {_femto(trap.radial_barrier)})")
         if trap.barrier < THERMAL:
             words += ", which thermal motion gives it"
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
@@ -175,19 +200,29 @@ def _on_walls(report: TrapReport) -> str:
 
 def place_words(trap: Trap) -> str:
     """The place of a trap, in words."""
-    across = "on the axis" if trap.radius == 0.0 else f"in a ring of radius {trap.radius * 1e3:.2f} mm"
-    return f"{across}, {trap.above_floor * 1e3:.2f} mm above the floor"
+    return f"{trap.measure.place_words(trap.radius)}, {_above_floor(trap)}"
+
+
+def trap_sides(trap: Trap) -> str:
+    """The places from which a particle's time to a trap is counted."""
+    beside = ", or on the same level to either side" if 0 in trap.measure.focusing else ""
+    return f"above or below it on the same vertical line{beside}"
+
+
+def _above_floor(trap: Trap) -> str:
+    return f"{trap.above_floor * 1e3:.{trap.measure.decimals}f} mm above the floor"
 
 
 def _wall_words(trap: Trap, forces: ParticleForces) -> str:
     nodes = forces.mesh.points
     if trap.above_floor < _AT * float(np.ptp(nodes[:, 1])):
         wall = "on the floor"
-    elif trap.radius > (1.0 - _AT) * nodes[:, 0].max():
-        return f"at the side wall {trap.above_floor * 1e3:.2f} mm above the floor"
+    elif abs(trap.radius) > (1.0 - _AT) * np.abs(nodes[:, 0]).max():
+        return f"at the side wall {_above_floor(trap)}"
     else:
         wall = "at the lid"
-    return f"{wall} {'on the axis' if trap.radius == 0.0 else f'at r = {trap.radius * 1e3:.2f} mm'}"
+    words = trap.measure.place_words(trap.radius)
+    return f"{wall} {words.replace('in a ring of radius', 'at r =')}"
 
 
 def particle_words(forces: ParticleForces) -> str:

@@ -14,7 +14,6 @@ from typing import cast
 import numpy as np
 
 from geometry.names import CAVITY
-from geometry.round_only import check_axisymmetric
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.heat import EMPTY, STILL_AIR, Heating, check_peclet, conducted_heat, thermal_influence
@@ -79,7 +78,6 @@ def heating(
             loses nothing, or a flow that carries more heat than conduction does.
     """
     expect(result, Snapshot, reader="read_chip", source="heating", field="result")
-    check_axisymmetric(result.chip, "heating")
     liquid = result.problem.materials.get(CAVITY)
     if flow_speed and isinstance(liquid, Fluid):
         check_peclet(liquid, flow_speed, cavity_height(result))

@@ -135,7 +135,8 @@ class Simulation(Snapshot, Shown):
                  f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
                 ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
         if self.traps is not None:
-            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, {1e3 * trap.above_floor:.3g} mm above the floor, barrier "
+            rows += [("trap", f"{trap.measure.symbol} {1e3 * trap.radius:.3g} mm, "
+                      f"{1e3 * trap.above_floor:.3g} mm above the floor, barrier "
                       f"{barrier_words(trap.barrier)}, {100.0 * trap.share:.0f} % of the cavity")
                      for trap in self.traps.traps[:3]]
         rows += [("finding", text) for text in self.findings]

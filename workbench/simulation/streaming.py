@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.names import CAVITY
-from geometry.round_only import check_axisymmetric
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.flow_forces import TemperatureSlopes
@@ -43,7 +42,6 @@ def streaming(
         InputError: no liquid in the cavity, or one without viscosity; a temperature of another shape, or without a law
             of the liquid at it.
     """
-    check_axisymmetric(shot.chip, "streaming")
     fluid = shot.problem.materials.get(CAVITY)
     if not isinstance(fluid, Fluid):
         raise InputError("streaming", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a liquid in the "

@@ -1,0 +1,193 @@
+"""Figures of the sound in a straight channel: energy density, pressure across and up, lines that particles focus to.
+
+Particles focus across a channel within seconds, and come to rest at some height, or at its floor or lid, within
+minutes. The lines across are therefore those of the potential averaged over the height.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.measure import Measure
+from workbench.acoustics.basins import find_basins, label_basins
+from workbench.acoustics.fields import Fields
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
+from workbench.acoustics.nodal import FloatArray, NodalArray, interpolate, raster
+from workbench.acoustics.streaming import critical_diameter
+from workbench.model.particles import FluidProperties, Particle, viscosity
+from workbench.results.brief import Brief
+
+#: Points per wavelength of sound across the channel, and number of them up, of a profile. Lines lie within (pi / 64)^2
+#: of a wavelength where the force between two points is taken as linear.
+POINTS_PER_WAVELENGTH, POINTS_UP = 128, 41
+#: Depth of a line as a share of the span of the potential below which it may be an artefact of the mesh.
+LEAST_LINE = 1e-2
+#: Shares of a quarter wavelength, or of the way to a side wall, that a time to focus is counted between: those of
+#: `traps.focus_time`.
+COUNTED_FROM, COUNTED_TO = 0.9, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FocusLine:
+    """A line along the channel that particles focus to across it, and in a half section its image too.
+
+    ``place`` x in m; ``depth`` J below the potential, averaged over the height, that parts it from a deeper line or,
+    for the deepest, below the highest; ``share`` of the channel's width that drains to it; ``stiffness`` N/m; ``time``
+    s from 90 to 10 % of a quarter wavelength beside it, or of the way to the side wall if that is nearer, at
+    mid-height; None where particles do not get there from either side. ``at_side`` wall: no place in the liquid.
+    """
+
+    place: float
+    depth: float
+    share: float
+    stiffness: float
+    time: float | None
+    at_side: bool
+    measure: Measure
+
+    def __str__(self) -> str:
+        time = "" if self.time is None else f", {self.time:.3g} s from beside it"
+        return (f"{self.measure.place_words(self.place)}{' at the side wall' if self.at_side else ''}: "
+                f"{100.0 * self.share:.0f} % of the width{time}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ChannelFigures(Brief):
+    """Figures of a straight channel at one frequency and drive.
+
+    ``power`` W for the length of the chip. ``energy_density`` J/m^3, the mean over the channel, also by the square of
+    the voltage at the electrodes (``energy_per_square_volt``, J/(m^3 Vpp^2)) and by the power (``energy_per_watt``,
+    J/(m^3 W)). ``across`` (n, 2) are x in m and |p| in Pa at mid-height, ``up`` (m, 2) heights above the floor and |p|
+    where that is largest across. ``lines`` of focusing, deepest first, are empty without a particle, and
+    ``critical_diameter`` (m), of a particle that radiation and streaming move alike, is then None.
+    """
+
+    excitation: Excitation
+    power: float
+    energy_density: float
+    across: FloatArray
+    up: FloatArray
+    lines: tuple[FocusLine, ...]
+    critical_diameter: float | None
+
+    @property
+    def energy_per_square_volt(self) -> float:
+        return self.energy_density / (2.0 * self.excitation.voltage) ** 2
+
+    @property
+    def energy_per_watt(self) -> float:
+        return self.energy_density / self.power
+
+    @property
+    def unevenness(self) -> float:
+        """Largest difference of |p| along the height where it is largest across, over its mean there."""
+        return float(np.ptp(self.up[:, 1]) / self.up[:, 1].mean())
+
+    @property
+    def focus_time(self) -> float | None:
+        """Time (s) of a particle to the deepest of the lines."""
+        return self.lines[0].time if self.lines else None
+
+    def __str__(self) -> str:
+        largest = 1e-3 * float(self.across[:, 1].max())
+        figures = (f"mean E_ac {self.energy_density:.3g} J/m^3, {self.energy_per_square_volt:.3g} J/m^3 per Vpp^2, "
+                   f"{self.energy_per_watt:.3g} J/m^3 per W; |p| up to {largest:.4g} kPa across, "
+                   f"uneven by {100.0 * self.unevenness:.2g} % over the height")
+        critical = "" if self.critical_diameter is None else (
+            f"\ncritical diameter {1e6 * self.critical_diameter:.3g} um")
+        return "\n".join([figures, *(f"  focus {line}" for line in self.lines)]) + f"{critical}\n{self.excitation}"
+
+
+def channel_of(
+    fields: Fields, excitation: Excitation, *, region: str, forces: ParticleForces | None = None,
+) -> ChannelFigures:
+    """The figures of the channel `region` of `fields`, with the lines of the particle of `forces`."""
+    mesh = fields.mesh
+    nodes = mesh.points[mesh.nodes_of([region])]
+    (left, floor), (right, lid) = nodes.min(axis=0), nodes.max(axis=0)
+
+    def pressure(x: FloatArray, z: FloatArray) -> FloatArray:
+        found: NodalArray = interpolate(mesh, fields.pressure, np.stack(np.broadcast_arrays(x, z), axis=1), [region])
+        return np.abs(found)
+
+    x = np.linspace(left, right, 2 * POINTS_UP - 1)
+    across = np.stack([x, pressure(x, np.array(0.5 * (floor + lid)))], axis=1)
+    z = np.linspace(floor, lid, POINTS_UP)
+    up = np.stack([z - floor, pressure(x[across[:, 1].argmax()], z)], axis=1)
+    factor = 0.0 if forces is None else forces.scattering.contrast_factor
+    return ChannelFigures(
+        excitation=excitation, power=fields.power, energy_density=excitation.mean_energy_density, across=across, up=up,
+        lines=() if forces is None else focus_lines(forces),
+        critical_diameter=None if forces is None or not factor else critical_diameter(
+            factor, forces.fluid, fields.frequency))
+
+
+def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
+    """The lines along a straight channel that particles focus to across it, deepest first."""
+    mesh = forces.mesh
+    (left, floor), (right, lid) = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    wavelength = forces.fluid.sound_speed / forces.excitation.frequency
+    x = np.linspace(left, right, max(3, math.ceil(POINTS_PER_WAVELENGTH * (right - left) / wavelength)))
+    z = np.linspace(floor, lid, POINTS_UP)
+    potential, force = (np.trapezoid(raster(mesh, values, x, z, [forces.region]), z, axis=1) / (lid - floor)
+                        for values in (forces.potential, forces.force[:, 0]))
+    force[mesh.mirrors.on(x)] = 0.0
+    span = float(np.ptp(potential))
+    label = label_basins(potential[:, None], least=LEAST_LINE * span)[:, 0]
+    widths = np.gradient(x)
+    widths[[0, -1]] *= 0.5
+    found = []
+    for (i, _), highest in find_basins(potential[:, None]):
+        depth = highest - float(potential[i])
+        if depth <= LEAST_LINE * span:
+            continue
+        place, stiffness = _zero(x, force, i)
+        # At a plane of symmetry the channel goes on.
+        at_side = i in (0, len(x) - 1) and not mesh.mirrors.on(x[i])
+        found.append(FocusLine(
+            place=mesh.mirrors.snapped(place), depth=depth, share=float(widths[label == i].sum() / widths.sum()),
+            stiffness=stiffness, at_side=bool(at_side), measure=mesh.measure,
+            time=_time(forces, place, 0.5 * (floor + lid), 0.25 * wavelength)))
+    return tuple(sorted(found, key=lambda line: -line.depth))
+
+
+def half_wave_focus_time(
+    particle: Particle, fluid: FluidProperties, contrast_factor: float, *, energy_density: float, wavenumber: float,
+    start: float, stop: float,
+) -> float:
+    """Time (s) in which an ideal half wave brings a particle from `start` to `stop`, m from the node of the pressure.
+
+        t = 3 eta / (4 a^2 Phi k^2 E) ln[tan(k start) / tan(k stop)]
+
+    (Bruus, Lab Chip 12, 1014, 2012.) `energy_density` J/m^3 is p0^2 / (4 rho c^2).
+    """
+    rate = 4.0 * particle.radius**2 * contrast_factor * wavenumber**2 * energy_density / (3.0 * viscosity(fluid))
+    return math.log(math.tan(wavenumber * start) / math.tan(wavenumber * stop)) / rate
+
+
+def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
+    """Where the `force` (n,) next to the point `i` of `x` (n,) falls through zero, and its stiffness (N/m) there; the
+    point itself where it does not."""
+    stiffness = float(-np.gradient(force, x)[i])
+    for first in (i - 1, i):
+        if 0 <= first < len(x) - 1 and force[first] > 0.0 >= force[first + 1]:
+            share = force[first] / (force[first] - force[first + 1])
+            return float(x[first] + share * (x[first + 1] - x[first])), stiffness
+    return float(x[i]), stiffness
+
+
+def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
+    """Time (s) to a line, the shorter one of those from its two sides."""
+    mesh, found = forces.mesh, []
+    ends = (float(mesh.points[:, 0].max()), float(mesh.points[:, 0].min()))
+    for side, end, mirror in zip((1.0, -1.0), ends, (mesh.mirrors.right, mesh.mirrors.left), strict=True):
+        reach = quarter if mirror is not None else min(quarter, abs(end - place))
+        try:
+            found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * reach,
+                                          stop=place + side * COUNTED_TO * reach))
+        except ValueError:
+            continue
+    return min(found, default=None)
