@@ -153,7 +153,7 @@ class DiagnosisSearch:
         if ends[0].cost > sum(state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
         for name, search in searches:
-            if null.fits or self.is_explained(found):
+            if self.is_explained(found):
                 break
             if self.is_over:
                 self.undone.append(name)
