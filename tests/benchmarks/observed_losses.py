@@ -82,6 +82,11 @@ def trial(folder: Path, number: int) -> tuple[str, list[str]]:
     return name, named
 
 
+def lossy(name: str) -> str:
+    """What loses by a hypothesis: "the liquid", or the solid that its name ends with; others are themselves."""
+    return "the liquid" if name == CASES[0][0] else name.split(" of ")[-1] if " loss of " in name else name
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=20)
@@ -91,8 +96,8 @@ def main() -> None:
     for number in range(options.first, options.first + options.trials):
         with tempfile.TemporaryDirectory() as name:
             truth, named = trial(Path(name), number)
-        right += [each == truth for each in named]
-    print(f"named rightly in {right[0]} of {options.trials} by Z alone, in {right[1]} with the focusing time")
+        right += [lossy(each) == lossy(truth) for each in named]
+    print(f"what loses is named in {right[0]} of {options.trials} by Z alone, in {right[1]} with the focusing time")
 
 
 if __name__ == "__main__":

@@ -225,9 +225,8 @@ class System:
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         groups = operators.coefficients.groups(np.ones(1), values)
-        every = [operators.matrix(constants) for _, constants in groups]
         #: Indices of the entries of every group that are not zero, and these: groups of boundaries have few.
-        self._entries = [(where, entries[where]) for entries in every for where in (np.flatnonzero(entries),)]
+        self._entries = [operators.summed(constants).nonzero() for _, constants in groups]
 
     def factors(self, frequencies: Real) -> Complex:
         """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""

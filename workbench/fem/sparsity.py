@@ -82,6 +82,11 @@ class Symmetric:
         """Its entries in the order of `Pattern.matrix`."""
         return self.upper[self.pattern.mirror]
 
+    def nonzero(self) -> tuple[NDArray[np.int64], Complex]:
+        """The indices of its entries that are not zero, in the order of `Pattern.matrix`, and these."""
+        where = np.flatnonzero((self.upper != 0.0)[self.pattern.mirror])
+        return where, self.upper[self.pattern.mirror[where]]
+
     def times(self, state: NDArray[np.inexact]) -> Complex:
         """Its product with a state (size,)."""
         triangle, diagonal = self._triangle
