@@ -104,7 +104,8 @@ def check_cavity(
         if layer.bore is not None:
             raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
                              "either the cavity_radius of a cavity or the inner_radius of an empty ring")
-        if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
+        (left, right), (low, high) = layer.sides, layer.hole_sides
+        if low < left + SAME_LENGTH or high > right - SAME_LENGTH:
             raise InputError(
                 file,
                 f"layers[{i}].{key}",
@@ -121,7 +122,7 @@ def check_cavity(
                     _hole(layer),
                     f"a closed cavity: a layer {side} {layer.region!r}; {CLOSED}",
                 )
-            if layers[j].outer_radius < layer.inner_radius + SAME_LENGTH:
+            if layers[j].sides[0] > low - SAME_LENGTH or layers[j].sides[1] < high + SAME_LENGTH:
                 raise InputError(
                     file,
                     f"layers[{i}].{key}",

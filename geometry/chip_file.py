@@ -86,6 +86,8 @@ def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict
         found["bottom"] = _length(layer.z_bottom)
     if layer.profile is not None:
         found["profile"] = _profile(layer.profile, folder)
+    found |= {key: _length(size) for key, size in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset))
+              if size}
     if layer.poled != "up":
         found["poled"] = layer.poled
     if layer.region == TRANSDUCER:

@@ -20,7 +20,7 @@ _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter",
                "inner_radius", "inner_diameter", "bottom", "profile", *SHAPES)
 _TRANSDUCER_KEYS = ("electrodes", "poled")
 _STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
-                        "cavity_width", "bottom")
+                        "cavity_width", "bottom", "offset", "cavity_offset")
 
 
 def read_text(table: FileTable, key: str) -> str:
@@ -97,6 +97,8 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
             profile=profile,
             bore=_optional_radius(table, f"inner_{across}", f"inner_{doubled}"),
             poled="down" if _either(table, "poled", "up", "down") == "down" else "up",
+            offset=table.quantity("offset", "length", 0.0),
+            cavity_offset=table.quantity("cavity_offset", "length", 0.0),
             live=_further_live(table) if role == TRANSDUCER and region != TRANSDUCER else None,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )

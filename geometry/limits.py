@@ -24,14 +24,11 @@ ONE_CAVITY = (f"{AXISYMMETRIC}, with one cavity; of two cavities model the one w
 
 CLOSED = ('of an open well or channel state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
 
-STRAIGHT = "what is symmetric about the middle of the chip, x = 0, with one channel there"
+#: Advice for what a straight chip has off its middle, by other names than its own.
+OFF_THE_MIDDLE = ('offset = "0.5 mm" of a layer, cavity_offset of a channel, in a chip with symmetry = "none": how far '
+                  "its middle is to the right of that of the chip")
 
-#: Advice for what a straight chip has off its middle.
-IN_THE_MIDDLE = (f"{STRAIGHT}; a plate, a layer or a channel off to one side is not modelled yet: state it in the "
-                 "middle, which leaves out what its place alone drives (half a wave across the channel under a full "
-                 "electrode); symmetry = \"odd\" with a gap in the live electrode drives that too")
-
-ONE_CHANNEL = (f"{STRAIGHT}; of several channels model the one with the particles, and state the walls around the "
+ONE_CHANNEL = ("one channel; of several channels model the one with the particles, and state the walls around the "
                "others as solid")
 
 UPRIGHT = ("layers with plane faces and upright sides: etch profiles, sloping and rounded walls of a straight chip are "
@@ -50,8 +47,7 @@ NOT_KEYS: Mapping[str, str] = {
 
 #: Keys that people write in a straight chip for what it cannot have yet, and the advice for each.
 NOT_STRAIGHT: Mapping[str, str] = {
-    **dict.fromkeys(("offset", "centre", "center", "x", "position", "x_offset", "left", "right", "side"),
-                    IN_THE_MIDDLE),
+    **dict.fromkeys(("centre", "center", "x", "position", "x_offset", "left", "right", "side"), OFF_THE_MIDDLE),
     **dict.fromkeys(("channels", "cavities", "channel_count", "count", "pitch", "spacing", "cavity_widths"),
                     ONE_CHANNEL),
     **dict.fromkeys(("undercut", "taper", "slope", "etch_angle", "wall_angle", "sidewall_angle", "fillet",

@@ -47,6 +47,8 @@ class Layer:
     `geometry.shapes`. ``profile`` is an outline other than a rectangle, see `geometry.profile`; ``thickness`` is then
     the distance of the layer above from the bottom of this one. A transducer is ``poled`` up or down along z; every
     transducer but the lowest has electrodes that cover its faces, of which ``live`` is the one at the drive voltage.
+    In a straight chip, the middle of the layer is ``offset`` (m) to the right of that of the chip, and the middle of
+    its part of the channel ``cavity_offset``.
     """
 
     region: str
@@ -65,6 +67,8 @@ class Layer:
     bore: Dimension | None = None
     poled: Literal["up", "down"] = "up"
     live: Literal["top", "bottom"] | None = None
+    offset: float = 0.0
+    cavity_offset: float = 0.0
 
     @property
     def z_top(self) -> float:
@@ -81,6 +85,16 @@ class Layer:
     def outer_radius(self) -> float:
         """Radius of the layer, metres."""
         return self.radius.value
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Places (m) of its outer sides in a straight chip."""
+        return self.offset - self.outer_radius, self.offset + self.outer_radius
+
+    @property
+    def hole_sides(self) -> tuple[float, float]:
+        """Places (m) of the sides of its part of a straight channel; equal without one."""
+        return self.cavity_offset - self.inner_radius, self.cavity_offset + self.inner_radius
 
     @property
     def shapes(self) -> dict[str, Dimension]:

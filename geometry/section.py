@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,6 @@ from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Parity, Straight
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
 from geometry.parts import ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
-
-Piece = TypeVar("Piece", "Rectangle", "Electrode")
 
 #: Marks an empty cell of :meth:`Section.grid`.
 VOID = -1
@@ -168,18 +165,14 @@ def section_of_layers(
 ) -> Section:
     """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile.
 
-    A straight section without a plane of symmetry is whole: every piece is mirrored at x = 0.
+    A straight section without a plane of symmetry is whole: every layer reaches to both sides of its middle.
     """
-    rectangles = [
-        Rectangle(layer.region, layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
-        for layer in layers
-    ]
-    rectangles += [Rectangle(CAVITY, 0.0, hole.inner_radius, hole.z_bottom, hole.z_top) for hole in layers
-                   if hole.cavity_radius is not None]
-    lines = [each for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)]
-    if isinstance(measure, Straight) and not measure.planes:
-        rectangles = [each for half in rectangles for each in _whole(half)]
-        lines = [each for half in lines for each in _whole(half)]
+    is_whole = isinstance(measure, Straight) and not measure.planes
+    rectangles = [piece for layer in layers for piece in _solids(layer, is_whole=is_whole)]
+    rectangles += [Rectangle(CAVITY, hole.hole_sides[0] if is_whole else 0.0, hole.hole_sides[1], hole.z_bottom,
+                             hole.z_top) for hole in layers if hole.cavity_radius is not None]
+    lines = [piece for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)
+             for piece in (_whole(each, layer.offset) if is_whole else [each])]
     pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)
     radii = _merged(r for piece in pieces for r in (piece.r_inner, piece.r_outer))
     heights = _merged(z for rectangle in rectangles for z in (rectangle.z_bottom, rectangle.z_top))
@@ -207,11 +200,21 @@ def _faces(transducer: Layer, electrodes: Electrodes) -> list[Electrode]:
             face(ELECTRODE_GROUND, own.ground_disc, on_top=own.live != "top")]
 
 
-def _whole(half: Piece) -> list[Piece]:
-    """A piece of the right half and its mirror image, from left to right; one piece if they touch."""
+def _solids(layer: Layer, *, is_whole: bool) -> list[Rectangle]:
+    """The pieces of a layer in the right half of a section, or in a whole one, from left to right."""
+    (left, right), (low, high) = layer.sides, layer.hole_sides
+    widths = [(layer.inner_radius, layer.outer_radius)] if not is_whole else (
+        [(left, low), (high, right)] if layer.inner_radius else [(left, right)])
+    return [Rectangle(layer.region, *width, layer.z_bottom, layer.z_top) for width in widths]
+
+
+def _whole(half: Electrode, middle: float) -> list[Electrode]:
+    """An electrode right of the `middle` (m) of its plate, from there, and its mirror image, from left to right; one
+    piece if they touch."""
     if half.r_inner == 0.0:
-        return [replace(half, r_inner=-half.r_outer)]
-    return [replace(half, r_inner=-half.r_outer, r_outer=-half.r_inner), half]
+        return [replace(half, r_inner=middle - half.r_outer, r_outer=middle + half.r_outer)]
+    return [replace(half, r_inner=middle - half.r_outer, r_outer=middle - half.r_inner),
+            replace(half, r_inner=middle + half.r_inner, r_outer=middle + half.r_outer)]
 
 
 def _merged(values: Iterable[float]) -> dict[float, float]:

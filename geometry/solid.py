@@ -123,7 +123,8 @@ def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
     """Layers with plane faces and upright sides, and the cavity, by region."""
     measure = chip.measure
     found = {layer.region: [_ring(cadquery, layer, measure)] for layer in chip.layers}
-    return found | {CAVITY: [_full(cadquery, hole.inner_radius, hole, measure) for hole in chip.holes]}
+    return found | {CAVITY: [_full(cadquery, hole.inner_radius, hole, measure, hole.cavity_offset)
+                             for hole in chip.holes]}
 
 
 def _pieces(chip: Chip, layers: tuple[Layer, ...]) -> int:
@@ -145,22 +146,25 @@ def _turned(chip: Chip) -> dict[str, list[Shape]]:
     return found
 
 
-def _full(cadquery: ModuleType, distance: float, layer: Layer, measure: Measure) -> Shape:
-    """A layer without a hole that reaches to a `distance` (m) from the axis, or from the middle."""
+def _full(cadquery: ModuleType, distance: float, layer: Layer, measure: Measure, middle: float = 0.0) -> Shape:
+    """A layer without a hole that reaches to a `distance` (m) from the axis, or to both sides of a `middle` (m)."""
     height, up = MILLIMETRES * layer.thickness.value, cadquery.Vector(0.0, 0.0, 1.0)
     bottom, reach = MILLIMETRES * layer.z_bottom, MILLIMETRES * distance
     body: Shape
     if isinstance(measure, Straight):
         left, long = (reach if measure.sides == 2 else 0.0), MILLIMETRES * measure.length
-        body = cadquery.Solid.makeBox(left + reach, long, height, cadquery.Vector(-left, -0.5 * long, bottom), up)
+        body = cadquery.Solid.makeBox(left + reach, long, height, cadquery.Vector(
+            MILLIMETRES * middle - left, -0.5 * long, bottom), up)
     else:
         body = cadquery.Solid.makeCylinder(reach, height, cadquery.Vector(0.0, 0.0, bottom), up)
     return body
 
 
 def _ring(cadquery: ModuleType, layer: Layer, measure: Measure) -> Shape:
-    whole = _full(cadquery, layer.outer_radius, layer, measure)
-    return whole if not layer.inner_radius else whole.cut(_full(cadquery, layer.inner_radius, layer, measure))
+    whole = _full(cadquery, layer.outer_radius, layer, measure, layer.offset)
+    if not layer.inner_radius:
+        return whole
+    return whole.cut(_full(cadquery, layer.inner_radius, layer, measure, layer.cavity_offset))
 
 
 def _fused(shapes: list[Shape]) -> Shape:

@@ -5,9 +5,10 @@ The keys of a chip file that say so, and what such a chip may not have yet.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, dimension_text
+from geometry.dimension import SAME_LENGTH, dimension_text, millimetres
 from geometry.limits import NOT_STRAIGHT, UPRIGHT
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
 from geometry.parts import Electrodes, Layer, Ports
@@ -60,8 +61,8 @@ def check_straight(
     """Check that a straight chip has only what such chips may have so far.
 
     Raises:
-        InputError: ports, a profile or shape of a layer, planes of symmetry that do not bound the section,
-            or a live electrode across a plane of odd symmetry.
+        InputError: ports, a profile or shape of a layer, planes of symmetry that do not bound the section, an offset
+            beside one, a layer beside the one below, or a live electrode across a plane of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
         return
@@ -74,6 +75,15 @@ def check_straight(
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
         if stated:
             raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", UPRIGHT)
+        for key, offset in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset)):
+            if offset and measure.planes:
+                raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset where a plane of "
+                                 'symmetry is; symmetry = "none" under [chip] meshes both sides')
+    for i, (below, layer) in enumerate(itertools.pairwise(layers), 1):
+        if min(layer.sides[1], below.sides[1]) < max(layer.sides[0], below.sides[0]) + SAME_LENGTH:
+            left, right = map(millimetres, below.sides)
+            raise InputError(file, f"layers[{i}].offset", millimetres(layer.offset),
+                             f"a layer that lies on {below.region!r}, from {left} to {right}")
     gap = electrodes.live_disc.inner_radius
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),

@@ -12,7 +12,7 @@ import pytest
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
 from geometry.chip_section import volumes
-from geometry.limits import IN_THE_MIDDLE, ONE_CHANNEL, UPRIGHT
+from geometry.limits import OFF_THE_MIDDLE, ONE_CHANNEL, UPRIGHT
 from geometry.measure import ABOUT_AXIS, Parity, Straight
 from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
@@ -100,7 +100,9 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('ground_half_width = "2 mm"', 'ground_radius = "2 mm"', "ground_half_width"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "3 deg"', "upright sides.*etch profiles"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nundercut = "3 um"', "state the width at half the height"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "off to one side is not modelled yet"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "no offset where.*none"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"', "no offset where.*none"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nx_offset = "0.5 mm"', "cavity_offset of a channel"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nchannels = 3', "of several channels model the one with"),
     ('cavity_width = "380 um"', 'cavity_width = "4 mm"', "cavity_half_width.*narrower than its layer"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "profiles"),
@@ -150,6 +152,35 @@ def test_a_mesh_names_the_plane_and_all_pieces_of_an_electrode() -> None:
     assert ends.min() == pytest.approx(-2.5e-3)
 
 
+OFF = CHIP.replace('"even"', '"none"').replace(
+    'role = "transducer"', 'role = "transducer"\noffset = "-0.3 mm"').replace(
+    'cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.2 mm"')
+
+
+def test_parts_off_the_middle_are_where_their_offsets_put_them(tmp_path: Path) -> None:
+    found = replace(chip(OFF), file=str(tmp_path / "chip.toml"))
+    assert read_chip(write_chip(found, tmp_path / "chip.toml")) == found
+    section = cut_section(found)
+    reach = {region: (min(p.r_inner for p in section.rectangles if p.region == region),
+                      max(p.r_outer for p in section.rectangles if p.region == region)) for region in section.regions}
+    half = found.transducer.outer_radius
+    assert reach["transducer"] == pytest.approx((-0.3e-3 - half, -0.3e-3 + half))
+    assert reach["cavity"] == pytest.approx((10e-6, 390e-6))
+    assert reach["sidewall"] == pytest.approx((-1.5e-3, 1.5e-3))
+    live = [(each.r_inner, each.r_outer) for each in section.electrodes if each.name == "electrode_live"]
+    assert live == [reach["transducer"]]
+    assert volumes(found) == pytest.approx(volumes(chip()), rel=1e-12)
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('offset = "-0.3 mm"', 'offset = "5 mm"', "lies on 'transducer'"),
+    ('cavity_offset = "0.2 mm"', 'cavity_offset = "1.4 mm"', "narrower than its layer"),
+])
+def test_parts_that_miss_each_other_are_told(old: str, new: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        chip(OFF.replace(old, new))
+
+
 def test_sections_that_make_no_sense_are_refused() -> None:
     plate = (Rectangle("transducer", 0.0, 1e-3, 0.0, 1e-3),)
     lines = (Electrode("electrode_live", 0.0, 1e-3, 0.0), Electrode("electrode_ground", 0.0, 1e-3, 1e-3))
@@ -161,7 +192,7 @@ def test_sections_that_make_no_sense_are_refused() -> None:
 
 def test_limits_of_straight_chips_are_documented() -> None:
     text = " ".join((Path(__file__).resolve().parent.parent / "docs" / "model.md").read_text(encoding="utf-8").split())
-    for words in (IN_THE_MIDDLE, ONE_CHANNEL, UPRIGHT):
+    for words in (OFF_THE_MIDDLE, ONE_CHANNEL, UPRIGHT):
         assert words in text
 
 

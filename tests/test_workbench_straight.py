@@ -135,3 +135,37 @@ def test_a_plate_under_full_electrodes_has_the_capacitance_of_its_area() -> None
     found = clamped_capacitance(assemble(problem.mesh, problem.terms), problem.values, 1e3)
     # The field is uniform.
     assert found == pytest.approx(eps * 5e-3 * 0.02 / 1e-3, rel=1e-9)
+
+
+def offset_chip(plate: float, others: float = 0.0) -> Chip:
+    """The chip with its plate, and with all else, that far (m) to the right."""
+    there = chip(SPLIT.replace('"even"', '"none"').replace(", live_inner_half_width = \"0.3 mm\"", ""))
+    return replace(there, layers=tuple(replace(
+        layer, offset=plate if layer is there.transducer else others,
+        cavity_offset=0.0 if layer.cavity_radius is None else others) for layer in there.layers))
+
+
+def test_offsets_are_places_and_no_more() -> None:
+    """A chip moved as a whole is the same, and one turned round too."""
+    found = {}
+    for name, offsets in {"as it is": (0.0, 0.0), "moved": (0.4e-3, 0.4e-3), "right": (0.4e-3, 0.0),
+                          "left": (-0.4e-3, 0.0)}.items():
+        problem = build(fill(offset_chip(*offsets)), accuracy=COARSE)
+        found[name] = impedance(problem)
+    assert found["moved"] == pytest.approx(found["as it is"], rel=1e-9)
+    assert found["left"] == pytest.approx(found["right"], rel=1e-9)
+    assert abs(found["right"] / found["as it is"] - 1.0) > 1e-3
+
+
+def test_a_plate_off_the_middle_drives_half_a_wave_across_the_channel() -> None:
+    """Under one in the middle, the pressure at both side walls is the same."""
+    uneven = []
+    for offset in (0.0, 0.4e-3):
+        fields = snapshot(offset_chip(offset), None, FREQUENCY, accuracy=COARSE).fields
+        x = fields.mesh.points[:, 0]
+        inside = np.zeros(len(x), dtype=bool)
+        inside[fields.mesh.nodes_of(["cavity"])] = True
+        left, right = (fields.pressure[inside & (np.abs(x - place) < 1e-9)].mean() for place in (-190e-6, 190e-6))
+        uneven.append(abs(left - right) / abs(left + right))
+    assert uneven[0] < 1e-8
+    assert uneven[1] > 0.1
