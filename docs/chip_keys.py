@@ -40,10 +40,12 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
+        "open": "`true` for a well without a lid: the surface of the liquid is free",
+        "fill": "the depth of the liquid in a well, below its rim or up to it",
     },
     "`[[layers]]`": {
         "role": "what the layer is for, one of " + ", ".join(f"`{role}`" for role in ROLES)
-                + "; roles may be left out and repeated, but there is exactly one transducer",
+                + "; roles may be left out and repeated, but there is a transducer",
         "material": "the name of a material, such as `pla/acevedo_2026`, or `pla` where that is clear",
         "density": "of a part that was weighed, in place of its material's",
         "thickness": "of the layer",
@@ -57,7 +59,10 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
-        "electrodes": "of the transducer alone, see below",
+        "inner_radius": "of a ring around a bore that holds nothing",
+        "inner_diameter": "twice that, in place of it",
+        "poled": "of a transducer, `up` (if not given) or `down`",
+        "electrodes": "of a transducer alone, see below; of those above the lowest, `live` alone",
     },
     "`[[layers]]`, of a straight chip": {
         "role": "as of a round chip",
@@ -69,6 +74,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "cavity_half_width": "of a channel through the layer, from its middle; channels are in neighbouring layers",
         "cavity_width": "twice that, in place of it",
         "bottom": "as of a round chip",
+        "offset": "how far the middle of the layer is to the right of that of the chip, where `symmetry` is `none`",
+        "cavity_offset": "the same of the channel",
+        "poled": "as of a round chip",
         "electrodes": "of the transducer alone, see below",
     },
     "`electrodes`, of the transducer's layer in a straight chip": {
@@ -156,6 +164,8 @@ TAKES: Mapping[str, str] = {
     "profile": "a table", "points": "a list of points",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
+    "open": "`true` or `false`", "poled": "text", "live": "text", "fill": "a length",
+    **dict.fromkeys(("offset", "cavity_offset", "inner_radius", "inner_diameter"), "a length"),
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
        for size in ("radius", "diameter", "half_width", "width")},

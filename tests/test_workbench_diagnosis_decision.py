@@ -186,6 +186,19 @@ def test_the_noise_that_may_be_left_changes_a_verdict() -> None:
     assert verdict(left=3.0, criteria=Criteria(inflated=4.0)).verdict == EXPLAINED
 
 
+def test_an_observation_at_odds_is_not_explained() -> None:
+    """However little is left of Z."""
+    def found(distance: float, *others: Evidence) -> str:
+        null = replace(NOTHING, observed=distance)
+        return decide((null, *others), COUNT, stated_explains=True).verdict
+
+    assert found(3.0) == NO_MISMATCH
+    assert found(4.0) == UNEXPLAINED
+    leads = effect("leads", 40.0)
+    assert found(0.0, leads) == MISSING
+    assert found(9.0, replace(leads, observed=8.0)) == UNEXPLAINED
+
+
 def test_an_effect_that_takes_all_but_a_trace_is_said_whatever_the_trace_is() -> None:
     left = replace(effect("leads", 40.0), inflation=3.0, share=0.95)
     found = verdict(left)

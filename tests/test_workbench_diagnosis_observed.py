@@ -22,7 +22,7 @@ from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.observed import NotObservable, region_volumes
-from workbench.diagnosis.weighting import Weighting
+from workbench.diagnosis.weighting import Weighting, furthest_observation
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
@@ -259,8 +259,8 @@ def test_observations_that_are_not_there_yet_are_offered(read: Callable[[str], C
     without = device_model(read(kept.replace("[states.filled.observations]", "").replace(FOCUSING, "")), accuracy=0.02)
     state = without.campaign.fitted[0]
     lowest = state.measured.frequency[np.argmin(np.abs(state.measured.impedance))]
-    known = device_model(read(kept.replace('"20 Vpp"', '"10 Vpp"').replace('"1.01 MHz"', f'"{lowest / 1e6:.12g} MHz"')),
-                         accuracy=0.02)
+    at = f'"{lowest / 1e6:.12g} MHz"'
+    known = device_model(read(kept.replace('"20 Vpp"', '"100 Vpp"').replace('"1.01 MHz"', at)), accuracy=0.02)
     own, rows = without.index("sidewall.thickness"), 2 * state.noise.size
     places = [without.stated, without.stated]
     places[1] = places[1] + 20e-6 * (np.arange(places[1].size) == own)
@@ -295,6 +295,14 @@ def test_a_stated_uncertainty_neither_inflates_nor_counts_in_an_inflation(model:
         assert found.inflation == pytest.approx([alone.inflation[0], 1.0, 1.0, 1.0, 1.0])
         assert found.points == pytest.approx([alone.points[0], 1.0, 1.0, 1.0, 1.0])
     assert alone.inflation[0] > 2.0
+
+
+def test_the_furthest_observation_is_in_its_uncertainties(model: Model) -> None:
+    states = model.campaign.fitted
+    left = [np.full(state.noise.size, 0.3 + 0.0j) for state in states]
+    # The ring is known to 3 %, the impedance does not count.
+    assert furthest_observation(states, left) == pytest.approx(10.0)
+    assert furthest_observation(states[:1], left[:1]) == 0.0
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from workbench.acoustics.nodal import NodalMesh, interpolate
 from workbench.acoustics.particle_velocity import particle_velocity
 from workbench.acoustics.starts import draw_starts
 from workbench.acoustics.trajectories import Fate, Trajectories, follow, record_times
-from workbench.acoustics.traps import TrapReport, find_traps
+from workbench.acoustics.traps import TrapReport, find_traps, focus_time
 from workbench.acoustics.walls import walls_of
 from workbench.files.errors import InputError
 from workbench.model.particles import Particle, drag_coefficient, net_weight, particle_from
@@ -59,6 +59,14 @@ def silent(particle: Particle) -> TrapReport:
     forces = report_of(particle, across=3, up=3).forces
     still = replace(forces, force=np.zeros_like(forces.force), potential=np.zeros_like(forces.potential))
     return TrapReport(forces=still, traps=())
+
+
+def test_there_is_no_time_to_a_trap_that_a_bead_sinks_past() -> None:
+    """At a tenth of the pressure a hundredth of the force: it leads down to the trap, and cannot hold the weight."""
+    assert focus_time(report_of(bead(1050.0))) is not None
+    weak = report_of(bead(1050.0), p0=1e4)
+    assert weak.traps[0].lift < net_weight(bead(1050.0), WATER)  # type: ignore[operator]
+    assert focus_time(weak) is None
 
 
 # --- closed forms ----------------------------------------------------------------------------------------------------

@@ -179,7 +179,9 @@ class _Landscape:
         at = divmod(rest, self.total.shape[1])
         lies = bool(self.walls[i, j])
         lift = self._lift(i, j)
-        if rest in self.taken or self.by_sound[at] != self.by_sound[i, j] or (self.walls[at] and not lies):
+        # At a wall that faces another way, another wall carries the particle.
+        elsewhere = self.walls[at] and not (lies and float(self.outward[i, j] @ self.outward[at]) >= 0.5)
+        if rest in self.taken or self.by_sound[at] != self.by_sound[i, j] or elsewhere:
             return _Held(0.0, 0.0, 0.0, lift, 0.0)
         self.taken.add(rest)
         others = self.walls.copy()
@@ -231,8 +233,8 @@ def focus_time(report: TrapReport) -> float | None:
     """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
 
     In a straight section the line runs across the channel instead where the trap is stiffer that way, or where that is
-    the only way. None if there is no trap, or if a particle starting there is not drawn all the way down: a wall is in
-    between, or the field is too weak against the particle's weight.
+    the only way. None if there is no trap, or if a particle starting there does not come to rest at it: a wall is in
+    between, or the field is too weak to draw it down all the way, or to hold it against its weight.
     """
     return None if not report.traps else _time_from(report, report.traps[0], 1.0)
 
@@ -249,6 +251,8 @@ def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     stiffness = (trap.radial_stiffness, trap.axial_stiffness)
     for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
         begin = (trap.radius, trap.height)[axis]
+        if axis == 1 and trap.lift is not None and trap.lift < abs(net_weight(forces.particle, forces.fluid)):
+            continue
         try:
             return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],
                                     start=begin + 0.9 * quarter, stop=begin + 0.1 * quarter)

@@ -119,7 +119,8 @@ def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float =
     The way may begin above the lid, up to `beyond` as a share of the height: the force goes on there along its tangent.
 
     Raises:
-        NoTrap: the way leaves the cavity by more, or the force does not lead down all of it.
+        NoTrap: the way leaves the cavity by more, the force does not lead down all of it, or the particle sinks past
+            the trap, or rises past it.
     """
     field = trap.field
     particle, around = field.cavity.particle, field.around
@@ -147,6 +148,12 @@ def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float =
     by_all = weight.gradient - slopes * square_of_voltage.value - np.outer(here, square_of_voltage.gradient)
     if not (down > 0.0).all():
         raise NoTrap("a particle a quarter wavelength above the deepest trap does not get there")
+    # The weight is carried by a wall, or by the sound between there and a quarter wavelength further.
+    sense = -math.copysign(1.0, weight.value)
+    beyond_trap = np.clip(base.value + sense * rise.value * np.linspace(0.0, 1.0, RASTER_POINTS), 0.0, 1.0)
+    against = -sense * square_of_voltage.value * (along_xi[0] @ force @ _along_eta(beyond_trap, field)[0].T)
+    if np.ptp(beyond_trap) > SETTLED and against.max() < abs(weight.value):
+        raise NoTrap("the field is too weak to hold a particle in the deepest trap against its weight")
     time = Dual(float(weights @ (1.0 / down)), -(weights / down**2) @ by_all)
     # Stokes' drag, as `particles.drag_coefficient`.
     return time * quarter * around.fluid["shear_viscosity"] * (0.5 * (FROM - TO) * 6.0 * math.pi * particle.radius)

@@ -22,10 +22,11 @@ from workbench.diagnosis.findings import Alternative, Found, Refitted
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import options
+from workbench.diagnosis.observed import NotObservable
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Remainder, SuspectPlace, estimates
 from workbench.fem.solve import one_thread
-from workbench.files.errors import expect
+from workbench.files.errors import InputError, expect
 from workbench.fitting.measurement_model import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, no_progress
@@ -85,9 +86,15 @@ def diagnose_model(
     """:func:`diagnose` of a model, on one thread: last digits depend on their number."""
     started = time.perf_counter()
     search = DiagnosisSearch(model, progress, until=None if minutes is None else started + 60.0 * minutes)
-    stated = as_stated(search)
-    check_assignment(model.campaign, stated[:len(model.campaign.fitted)])
-    found = appraised(model, search.run(workers), stated, criteria=search.criteria, started=started)
+    try:
+        stated = as_stated(search)
+        check_assignment(model.campaign, stated[:len(model.campaign.fitted)])
+        results = search.run(workers)
+    except NotObservable as error:
+        observation, _, reason = str(error).partition(": ")
+        raise InputError(model.campaign.file, "observations", observation, "an observation that the chip as stated can "
+                         f"have: {reason}; state another frequency or a stronger drive, or leave it out") from error
+    found = appraised(model, results, stated, criteria=search.criteria, started=started)
     description = remainder_description(model, found.found, found.conclusion, found.criteria)
     return replace(found, description=description, seconds=time.perf_counter() - started)
 

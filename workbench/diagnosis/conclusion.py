@@ -12,6 +12,7 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import TERM, Criteria
+from workbench.diagnosis.weighting import furthest_observation
 
 #: Standard deviations to either side of a 95 % interval.
 DEVIATIONS = 1.96
@@ -58,7 +59,8 @@ def evidence(model: Model, refit: Refitted, base: Explanation) -> Evidence:
             z_scores[name] = moved / error if error > 0.0 else math.inf if moved > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence, tuple(effect.name for effect in hypothesis.effects),
                     hypothesis.is_outside, z_scores, refit.held_out, found.inflation,
-                    found.misfit, explained_share(model, base, found))
+                    found.misfit, explained_share(model, base, found),
+                    furthest_observation(found.weighting.states, found.log_ratio))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:

@@ -34,7 +34,8 @@ class Evidence:
     the others, both up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of the parameters that
     it moves from the null hypothesis, in standard deviations; ``inflation`` is how many times the stated noise it
     leaves in a recording with all its deviations, ``misfit`` how many times its numbers alone leave; ``share`` is the
-    part of the mismatch that it takes away.
+    part of the mismatch that it takes away; ``observed`` the largest distance of an observation beside Z from what it
+    predicts, in standard uncertainties.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Evidence:
     inflation: float = 1.0
     misfit: float = 1.0
     share: float = 0.0
+    observed: float = 0.0
 
     @property
     def total(self) -> float:
@@ -98,7 +100,7 @@ def decide(
     if together < math.log(criteria.accepted):
         hint = together > math.log(criteria.hinted)
         verdict = HINT if hint else NO_MISMATCH if stated_explains else EXPLAINED
-        if nothing[0].inflation > criteria.inflated:
+        if _leaves(nothing[0], criteria):
             verdict = UNEXPLAINED
         return Decision(verdict, nothing[0], (), log_odds)
     close = [each for each in (*others, nothing[0])
@@ -112,10 +114,15 @@ def decide(
         if nothing[0].misfit > criteria.inflated:
             return Decision(UNEXPLAINED, best, rivals, log_odds)
         return Decision(HINT, nothing[0], (), log_odds)
-    if best.inflation > criteria.inflated and best.share < criteria.most:
+    if _leaves(best, criteria) and best.share < criteria.most:
         # The remainder is neither an inaccuracy of the model nor a trace.
         return Decision(UNEXPLAINED, nothing[0], (), log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
+
+
+def _leaves(each: Evidence, criteria: Criteria) -> bool:
+    """Whether more than noise is left by an explanation, or an observation at odds with it."""
+    return each.inflation > criteria.inflated or each.observed > criteria.at_odds
 
 
 def _adds(each: Evidence, evidences: Sequence[Evidence], log_odds: Mapping[str, float], criteria: Criteria) -> bool:

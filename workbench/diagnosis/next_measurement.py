@@ -51,6 +51,9 @@ STANDARDS = {"series_resistance": 0.02, "series_inductance": 3e-9, "parallel_cap
 #: temperature in the steady state, of which convection alone leaves as much.
 UNCERTAINTIES = {FOCUSING_TIME: 0.1, TEMPERATURE_RISE: 0.2}
 
+#: Drive that observations are planned under: the weight of a bead hardly counts beside the sound.
+PLANNED = VoltageDrive(100.0)
+
 #: Measurements that need predictions which a diagnosis does not make.
 NOT_COMPARED = "another temperature of the liquid, a wider band, the states held out"
 
@@ -149,7 +152,7 @@ def _observations(model: Model) -> Iterator[tuple[Observation, str]]:
                                    f"{UNCERTAINTIES[TEMPERATURE_RISE]:.0%}")):
             if (state.name, kind) not in there and _is_observable(state, kind):
                 lowest = int(np.argmin(np.abs(state.measured.impedance)))
-                yield Observation(kind, state.name, 1.0, UNCERTAINTIES[kind], VoltageDrive(),
+                yield Observation(kind, state.name, 1.0, UNCERTAINTIES[kind], PLANNED,
                                   float(state.measured.frequency[lowest]), 0,
                                   Cooling(CAVITY) if kind == TEMPERATURE_RISE else None), words
 

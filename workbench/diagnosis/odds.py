@@ -42,8 +42,9 @@ class Criteria:
             noise.
         most: share of the mismatch that an effect has to take away to be named where more than that is left: all but a
             tenth, so that nobody takes the rest for the larger part.
-        at_odds: distance from its prior, in standard uncertainties, beyond which a parameter is at odds with it: of a
-            hundred parameters, one in twenty campaigns. Doubled, mistakes that campaigns state are not mentioned.
+        at_odds: distance from its prior, in standard uncertainties, beyond which a parameter is at odds with it, and of
+            an observation from its prediction: of a hundred parameters, one in twenty campaigns. Doubled, mistakes that
+            campaigns state are not mentioned.
     """
 
     accepted: float = 20.0

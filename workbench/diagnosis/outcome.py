@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from materials.assumed import is_lossless
+from materials.kinds import Piezoelectric
 from workbench.campaign.campaign import Campaign
+from workbench.campaign.observation import Observation
 from workbench.campaign.state import DeviceState, StateFit, fitted_spectrum
 from workbench.catalogue.effect import Effect
 from workbench.diagnosis.advice import advice
@@ -185,6 +188,15 @@ class Diagnosis(Shown):
         found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
         return tuple(sorted(found, key=lambda each: -abs(each.sigmas or 0.0)))
 
+    def _observations_at_odds(self) -> list[tuple[Observation, float]]:
+        """The fitted observations at odds with what was found, and their distances in standard uncertainties."""
+        found = []
+        for state, fit in zip(self.campaign.fitted, self.best, strict=False):
+            if (own := state.observation) is not None:
+                distance = abs(math.log(fit.impedance[0].real / own.value)) / own.uncertainty
+                found += [(own, distance)] if distance > self.criteria.at_odds else []
+        return found
+
     @property
     def where(self) -> tuple[str, ...]:
         """The regions of the established effects, all regions of a material included, or else the one that there is
@@ -305,6 +317,9 @@ class Diagnosis(Shown):
         if self.at_odds:
             formatted = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
             result.append(f"In standard uncertainties, at odds with what is known: {formatted}.")
+        by = "what was found" if self.established else "the known parameters"
+        result += [f"{_capital(each.name)}: {each.value:.4g} {each.unit} is {distance:.3g} standard uncertainties from "
+                   f"the prediction by {by}." for each, distance in self._observations_at_odds()]
         count = len(self.campaign.fitted)
         result += [f"{after.name}, held out: a reduced chi-square of {before.reduced:.3g} by the known parameters"
                    + (f", {after.reduced:.3g} with what was found." if self.established else ".")
@@ -324,6 +339,12 @@ class Diagnosis(Shown):
                    f"of one of them may pass for missing physics. State a tolerance of each length in {files}, such as "
                    'thickness = { value = "20 um", tolerance = "5 um" }, and an uncertainty of each coefficient in the '
                    "file of its material, or both in [known] of a campaign file.")
+        lossless = {m.name: None for state in self.states for m in state.materials.values()
+                    if isinstance(m, Piezoelectric) and is_lossless(m)}
+        for name in lossless:
+            yield (f"{name} states no loss, and none is assumed here, unlike in a simulation: its resonances are "
+                   "narrower than any that is recorded. State mechanical_q and dielectric_loss_tangent in an entry of "
+                   "your own, or fit the disc.")
         tied = [f"{name} stands for {_listed(others)}" for name, others in self.campaign.tied.items()
                 if name in self.campaign.known]
         if tied:

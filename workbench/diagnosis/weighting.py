@@ -103,3 +103,10 @@ class Weighting:
         """The weights of these states and then of others."""
         return Weighting((*self.states, *other.states), np.concatenate([self.inflation, other.inflation]),
                          np.concatenate([self.points, other.points]))
+
+
+def furthest_observation(states: Sequence[DeviceState], log_ratio: Sequence[Complex]) -> float:
+    """The largest distance of an observation of some states from its prediction, ln(predicted / measured) as
+    `log_ratio` (n,) of each, in its standard uncertainties; 0 without observations."""
+    return max((float(np.abs(log / state.noise).max()) for state, log in zip(states, log_ratio, strict=True)
+                if state.observation is not None), default=0.0)

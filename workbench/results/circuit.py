@@ -11,6 +11,7 @@ the loss tangent of the static capacitance. One branch is fitted by :func:`fit_c
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -356,7 +357,9 @@ class SolvedCircuit:
     def _exponential(self, powers: Mapping[int, float], constant: float = 0.0) -> FittedNumber:
         """e to a constant and a weighted sum of logarithms of the vector, with its standard error."""
         places, weights = list(powers), np.array(list(powers.values()))
-        value = math.exp(constant + float(weights @ self.circuit.vector()[places]))
+        logarithm = constant + float(weights @ self.circuit.vector()[places])
+        # Of a branch that hardly matters, a number may be beyond all floating-point numbers.
+        value = math.exp(logarithm) if logarithm < math.log(sys.float_info.max) else math.inf
         variance = float(weights @ self.covariance[np.ix_(places, places)] @ weights)
         return FittedNumber(value, value * math.sqrt(max(variance, 0.0)))
 
