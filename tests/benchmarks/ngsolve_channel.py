@@ -4,8 +4,8 @@
 
 Both programs solve the chip at the same frequencies, in processes of their own, and E_ac is the mean over the channel
 at 1 V. Its f0 and the width of its peak come from both in the same way. NGSolve (the extra `oracle`) has triangles of
-order 5 graded three times by 0.15 towards every corner and towards the edge of the split electrode, in
-plane strain, and these conditions at the walls of the channel (Bach and Bruus, J. Acoust. Soc. Am. 144, 766, 2018):
+order 5 graded three times by 0.15 towards every corner and towards the edge of the split electrode, in plane strain,
+and these conditions at the walls of the channel (Bach and Bruus, J. Acoust. Soc. Am. 144, 766, 2018):
 
     tangential   - beta / (rho w^2) (d_t p - rho w^2 u_t) (d_t q - rho w^2 v_t)    beta = (1 + i) delta / 2
     thermal      - (gamma - 1) (1 + i) delta_t / (2 rho c^2) p q
