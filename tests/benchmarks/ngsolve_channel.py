@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import ngsolve_chip as oracle
 import numpy as np
-from measurements import Measurements, measurements, with_json
+from measurements import Measurements, alone, measurements, with_json
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 
@@ -188,8 +188,8 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         inviscid = layers == "off"
         frequency = peak_near(chip, inviscid, 1e6 * options.near)
         curves: Mapping[str, Curve] = {
-            "NGSolve": oracle.alone(by_ngsolve, chip, inviscid, frequency, settings),
-            "workbench": oracle.alone(by_workbench, chip, inviscid, frequency, options.accuracy)}
+            "NGSolve": alone(by_ngsolve, chip, inviscid, frequency, settings),
+            "workbench": alone(by_workbench, chip, inviscid, frequency, options.accuracy)}
         peaks = {program: curve.peak() for program, curve in curves.items()}
         for program, found in peaks.items():
             print(f"| {layers} | {program} | {curves[program].unknowns} | {1e-6 * found['f0']:.6f} | "

@@ -18,14 +18,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import multiprocessing
 import os
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -41,7 +38,7 @@ from scipy.sparse.linalg import splu
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
 
-from measurements import Measurements, measurements, with_json  # noqa: E402
+from measurements import Measurements, alone, measurements, with_json  # noqa: E402
 from support import pot  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
@@ -451,14 +448,6 @@ def swept(
 
 
 # --------------------------------------------------------------------------------------------------------------------
-
-
-def alone(function: Any, *arguments: object) -> Run:
-    """The function in a process of its own: the two programs bring libraries of the same name."""
-    with ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"),
-                             initializer=warnings.simplefilter, initargs=("ignore",)) as process:
-        run: Run = process.submit(function, *arguments).result()
-        return run
 
 
 def main() -> None:
