@@ -101,6 +101,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "ground_diameter": "twice `ground_radius`, in place of it",
         "ground_inner_diameter": "twice `ground_inner_radius`, in place of it",
     },
+    "`electrodes`, of a transducer above the lowest": {
+        "live": "the face at the drive voltage, `top` or `bottom`; its electrodes cover its faces",
+    },
     "`profile`, of a layer": {
         "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
         "script": "a Python file beside the chip file that draws the layer with CadQuery",

@@ -18,7 +18,8 @@ class MeshSize:
     ``minimum_through_thickness``: elements across the thinnest layer. ``minimum_through_quarter_wave``: elements across
     a layer that is thicker than a quarter of the slowest wavelength in it. ``corner_refinement``: largest size of the
     elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube at
-    the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
+    the ends of electrodes; 1 leaves them alike. ``cavity_corner``: largest size of the elements in the corners of the
+    cavity, relative to its longer side. ``growth``: ratio between neighbouring elements from there on.
     ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
     takes. ``levels``: heights (m) of further lines of nodes; the near field of a film decays within them. ``radii``:
     radii (m) of further lines of nodes, at which a layer may end within the section's own; those very close to another
@@ -32,6 +33,7 @@ class MeshSize:
     minimum_through_thickness: int = 1
     minimum_through_quarter_wave: int = 1
     corner_refinement: float = 1.0
+    cavity_corner: float = math.inf
     growth: float = 4.0
     skins: Mapping[str, float] = field(default_factory=dict)
     levels: tuple[float, ...] = ()
@@ -55,6 +57,8 @@ class MeshSize:
                 refuse(name, getattr(self, name), "1 or more")
         if not 0.0 < self.corner_refinement <= 1.0:
             refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
+        if not self.cavity_corner > 0.0:
+            refuse("cavity_corner", self.cavity_corner, "a ratio above 0")
         if not self.growth > 1.0:
             refuse("growth", self.growth, "a ratio above 1")
         for region, share in self.skins.items():

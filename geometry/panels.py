@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from geometry.mesh_size import MeshSize
 from geometry.names import CAVITY, TRANSDUCER, role_of
-from geometry.section import VOID, Section
+from geometry.section import Section
 from workbench.files.errors import InputError
 
 COUPLANT = "couplant"
+BOND = "bond"
 
 #: Roles of regions that hold a fluid, or nothing.
 FLUID_ROLES = (CAVITY, COUPLANT)
@@ -46,19 +47,20 @@ class Panel:
 
 def _panels(
     breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
-    minimum: NDArray[np.int64], cuts: Sequence[float] = (),
+    minimum: NDArray[np.int64], cuts: Sequence[float] = (), shortest: Mapping[float, float],
 ) -> list[Panel]:
     """Panels of the intervals between `breaks`: elements no longer than `largest`, at least `minimum` of them (one
     value per interval each).
 
-    They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
-    at each of the `cuts` too.
+    They are graded towards the breaks in `graded`, to elements of that share of the largest, and of the length in
+    `shortest` where that is less. There is a line of nodes at each of the `cuts` too.
     """
     panels: list[Panel] = []
     for i, (start, end, limit, least) in enumerate(zip(breaks, breaks[1:], largest, minimum, strict=False)):
         inner = [cut for cut in sorted(cuts) if start < cut < end]
         for low, high in pairwise([start, *inner, end]):
-            ends = (graded.get(low, 1.0), graded.get(high, 1.0))
+            ends = (min(graded.get(low, 1.0), shortest.get(low, math.inf) / limit),
+                    min(graded.get(high, 1.0), shortest.get(high, math.inf) / limit))
             lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else int(least))
             knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
             knots[-1] = high
@@ -131,6 +133,18 @@ def _ceiling(quotient: float) -> int:
     return max(1, math.ceil(quotient * (1.0 - 1e-12)))
 
 
+def _reentrant(section: Section, *, fluids: bool) -> list[tuple[float, float]]:
+    """Places r, z of the re-entrant corners of the solids, or if `fluids` of all that the section holds."""
+    # VOID is -1: the last entry.
+    counts = np.array([fluids or role_of(region) not in FLUID_ROLES for region in section.regions] + [False])
+    solid = counts[section.grid()]
+    quarters = np.stack([solid[1:, 1:], solid[1:, :-1], solid[:-1, 1:], solid[:-1, :-1]])
+    # Two solids in opposite quarters meet in an edge; side by side they have a plane face.
+    opposite = (quarters.sum(axis=0) == 2) & (quarters[0] == quarters[3])
+    found = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
+    return [(section.r_breaks[i], section.z_breaks[j]) for j, i in found]
+
+
 def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
     """Radii and heights that the mesh is graded towards, and the relative size of the elements there.
 
@@ -138,15 +152,8 @@ def _corners(section: Section, refinement: float) -> tuple[dict[float, float], d
     smaller by the cube of `refinement`: with its first power Z of a disc was wrong by 0.65 %, with its square by 0.08
     %. The compliant rim of a couplant is too thin for a field of its own across: its radius counts, not its heights.
     """
-    fluid = [role_of(region) in FLUID_ROLES for region in section.regions]
-    cells = section.grid()
-    solid = (cells != VOID) & ~np.append(fluid, True)[cells]  # VOID is -1: the last entry
-    quarters = np.stack([solid[1:, 1:], solid[1:, :-1], solid[:-1, 1:], solid[:-1, :-1]])
-    # Two solids in opposite quarters meet in an edge; side by side they have a plane face.
-    opposite = (quarters.sum(axis=0) == 2) & (quarters[0] == quarters[3])
-    corners = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
-    radii = {section.r_breaks[i]: refinement for _, i in corners}
-    heights = {section.z_breaks[j]: refinement for j, _ in corners}
+    corners = _reentrant(section, fluids=False)
+    radii, heights = ({place[axis]: refinement for place in corners} for axis in (0, 1))
     goes_on = set(section.measure.ends(section.r_breaks).values())
     for couplant in (p for p in section.rectangles if role_of(p.region) == COUPLANT):
         radii |= dict.fromkeys({couplant.r_inner, couplant.r_outer} - goes_on, refinement)
@@ -155,6 +162,28 @@ def _corners(section: Section, refinement: float) -> tuple[dict[float, float], d
         ends = {electrode.r_inner, electrode.r_outer} - rims
         radii |= dict.fromkeys(ends, refinement**3)
         heights |= {electrode.z: refinement**3} if ends else {}
+    return radii, heights
+
+
+def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float], dict[float, float]]:
+    """Radii and heights of the corners of something small, and the largest size (m) of the elements there.
+
+    In those of the cavity it is a share, `size.cavity_corner`, of the longer of its two sides, that across from the
+    axis or the middle. The singular field in a corner of a cavity of sides a < b holds a share a / b of the
+    cavity's energy, of which elements of size h leave out what goes with h / a: its frequency is wrong in proportion to
+    h / b. A channel is short against the wavelength, and elements that are short against the wavelength alone are not
+    short in it. Where a bond ends in a step it is its thickness, within which the field of its end decays.
+    """
+    radii, heights = dict[float, float](), dict[float, float]()
+    for cavity in (p for p in section.rectangles if role_of(p.region) == CAVITY):
+        longer = max(cavity.r_outer - max(cavity.r_inner, 0.0), cavity.z_top - cavity.z_bottom)
+        for r, z in _reentrant(section, fluids=False):
+            if r in (cavity.r_inner, cavity.r_outer) and z in (cavity.z_bottom, cavity.z_top):
+                radii[r] = heights[z] = size.cavity_corner * longer
+    for bond in (p for p in section.rectangles if role_of(p.region) == BOND and size.corner_refinement < 1.0):
+        for r, z in _reentrant(section, fluids=True):
+            if r in (bond.r_inner, bond.r_outer) and z in (bond.z_bottom, bond.z_top):
+                radii[r] = min(radii.get(r, math.inf), bond.z_top - bond.z_bottom)
     return radii, heights
 
 
@@ -167,6 +196,7 @@ def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]
     if math.isinf(max(columns.max(), rows.max())):
         raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
     radii, heights = _corners(section, size.corner_refinement)
+    shortest = _local_lengths(section, size)
     cuts = list(size.levels)
     for rectangle in section.rectangles:
         skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
@@ -175,6 +205,6 @@ def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]
     least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
     return (
         _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int),
-                cuts=apart(size.radii, section.r_breaks)),
-        _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
+                cuts=apart(size.radii, section.r_breaks), shortest=shortest[0]),
+        _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts, shortest=shortest[1]),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -179,6 +180,27 @@ def test_parts_off_the_middle_are_where_their_offsets_put_them(tmp_path: Path) -
 def test_parts_that_miss_each_other_are_told(old: str, new: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         chip(OFF.replace(old, new))
+
+
+@pytest.mark.parametrize("symmetry", ["even", "none"])
+def test_elements_in_corners_of_a_channel_and_at_the_end_of_a_bond_are_of_their_size(symmetry: str) -> None:
+    section = cut_section(chip(CHIP.replace('"even"', f'"{symmetry}"')))
+    size = MeshSize(dict.fromkeys(section.regions, 1500.0), 2.5e6, 1.5, 4, corner_refinement=0.5, cavity_corner=0.1)
+
+    def steps(place: float, axis: int) -> list[float]:
+        """Lengths (m) of the elements on both sides of a place."""
+        nodes = np.unique(np.round(mesh_section(section, size).mesh.p[axis], 12))
+        at = int(np.abs(nodes - place).argmin())
+        return [float(nodes[at + 1] - nodes[at]), float(nodes[at] - nodes[at - 1])]
+
+    # A tenth of the 190 um from the middle to the side wall, whichever part of the channel is meshed; the channel
+    # stands on 1.52 mm.
+    for place, axis in ((190e-6, 0), (1.52e-3, 1), (1.68e-3, 1)):
+        assert max(steps(place, axis)) <= 19e-6 * (1.0 + 1e-9)
+    assert max(steps(1.5e-3, 0)) <= 20e-6 * (1.0 + 1e-9)  # the bond is 20 um thick
+    # A corner that is not the channel's has what it had: half of the 0.4 mm of an element.
+    size = replace(size, cavity_corner=math.inf)
+    assert max(steps(190e-6, 0)) > 50e-6
 
 
 def test_sections_that_make_no_sense_are_refused() -> None:

@@ -368,7 +368,7 @@ def test_figures_of_a_channel_go_with_the_square_of_the_drive() -> None:
 
 
 @pytest.mark.parametrize(("name", "frequency", "least"), [
-    ("silicon_glass_channel", 1.94e6, 5.0), ("polymer_channel", 1.23e6, 0.5)])
+    ("silicon_glass_channel", 1.94e6, 5.0), ("polymer_channel", 1.23e6, 0.5), ("glass_channel", 1.892e6, 1.0)])
 def test_shipped_channels_focus_in_the_middle(name: str, frequency: float, least: float) -> None:
     there = wb.read_chip(Path(geometry.__file__).parent / "chips" / f"{name}.toml")
     found, beside = (wb.channel_figures(wb.snapshot(there, "filled", each, accuracy=COARSE))

@@ -4,6 +4,7 @@
     python tests/benchmarks/discretisation.py --accuracy 5e-4       # one row
     python tests/benchmarks/discretisation.py --try 4 1.8 0.12 8 1.5 0.6   # a row that is not in the table
     python tests/benchmarks/discretisation.py --held-out            # cases that no row was chosen on
+    python tests/benchmarks/discretisation.py --straight            # the straight chips, of which only corners were
 
 The error is the rms of ln Z over the chip's band against the workbench's own converged solution: order 6, elements
 half as large, graded more steeply. Beside it the error that `workbench.simulation.mesh_error` estimates. The held-out
@@ -31,7 +32,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, Dimension, read_chip  # noqa: E402
-from geometry.measure import Axisymmetric  # noqa: E402
+from geometry.measure import Axisymmetric, Straight  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.files.errors import InputError  # noqa: E402
@@ -75,11 +76,11 @@ def converged(chip: Chip, state: str, band: tuple[float, float], folder: Path) -
     return found
 
 
-def chips() -> Iterator[tuple[str, Chip, str, tuple[float, float]]]:
-    """The round chips and states that the rows are chosen on."""
+def chips(straight: bool = False) -> Iterator[tuple[str, Chip, str, tuple[float, float]]]:
+    """The round chips and states that the rows are chosen on, or the straight ones."""
     for path in sorted((ROOT / "geometry" / "chips").glob("*.toml")):
         chip = read_chip(path)
-        for state in chip.states if isinstance(chip.measure, Axisymmetric) else ():
+        for state in chip.states if isinstance(chip.measure, Straight if straight else Axisymmetric) else ():
             yield f"{path.stem} {state.name}", chip, state.name, chip.band
 
 
@@ -106,6 +107,7 @@ def main() -> None:
     parser.add_argument("--try", dest="tried", nargs=6, type=float, action="append", default=[],
                         metavar=("ORDER", "ELEMENTS", "CORNER", "GROWTH", "TRANSDUCER", "GAS"))
     parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--straight", action="store_true", help="straight chips in place of the round ones")
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--keep", type=Path, default=ROOT / "out" / "converged", help="folder of converged spectra")
     with_json(parser)
@@ -124,7 +126,7 @@ def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
         print(f"{label}: {made}")
         print(f"{'':44}{'unknowns':>9}{'error %':>9}{'estimate':>9}{'model s':>9}{'est. s':>8}")
         worst = 0.0
-        for name, chip, state, band in held_out() if arguments.held_out else chips():
+        for name, chip, state, band in held_out() if arguments.held_out else chips(arguments.straight):
             if arguments.only not in name:
                 continue
             try:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,6 +53,13 @@ def measurements(path: Path | None) -> Iterator[Measurements]:
                 "command": [Path(sys.argv[0]).name, *sys.argv[1:]], "commit": _commit(),
                 "python": platform.python_version(), "processors": os.cpu_count(), "figures": found.figures,
             }, indent=2) + "\n", encoding="utf-8")
+
+
+def alone(function: Callable[..., Any], *arguments: object) -> Any:
+    """What a function returns in a process of its own: programs that are compared bring libraries of the same name."""
+    with ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"),
+                             initializer=warnings.simplefilter, initargs=("ignore",)) as process:
+        return process.submit(function, *arguments).result()
 
 
 def _commit() -> str:

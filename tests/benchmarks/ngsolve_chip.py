@@ -18,14 +18,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import multiprocessing
 import os
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -41,10 +38,11 @@ from scipy.sparse.linalg import splu
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
 
-from measurements import Measurements, measurements, with_json  # noqa: E402
+from measurements import Measurements, alone, measurements, with_json  # noqa: E402
 from support import pot  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
+from geometry.measure import Axisymmetric, Measure, Parity  # noqa: E402
 from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
 from geometry.parts import Dimension  # noqa: E402
 from geometry.section import Section  # noqa: E402
@@ -176,7 +174,8 @@ def by_ngsolve(chip: Chip, registry: Registry, state: str, settings: Settings) -
     shape = list(sides(chip, section.r_breaks))
     mesh = triangles(ngsolve, geom2d, section, shape, materials, float(frequency[-1]), settings)
     lap("mesh")
-    parts, electrode = matrices(ngsolve, mesh, materials, settings.order)
+    space, kept, electrode = unknowns(ngsolve, mesh, materials, settings.order, section.measure)
+    parts = matrices(ngsolve, mesh, materials, space, kept, section.measure)
     lap("assembly")
     # Equally spaced: at Chebyshev points the same number of states leaves up to ten times the error in the middle.
     nodes = np.linspace(frequency[0], frequency[-1], settings.solves)
@@ -197,10 +196,12 @@ def triangles(
 ) -> Any:
     """The section in triangles, graded towards its corners, its upright sides moved as the `shape` of the chip says.
 
-    Boundaries are named after what holds there: the axis, an electrode, a release, or a contact ``fluid_direction``; an
-    electrode under a fluid is both, ``electrode_live_fluid_direction``.
+    Boundaries are named after what holds there: the axis or a plane of symmetry at the left end, an electrode, a
+    release, or a contact ``fluid_direction``; an electrode under a fluid is both, ``electrode_live_fluid_direction``.
     """
     r, z = section.r_breaks, section.z_breaks
+    (end,) = section.measure.ends(r)
+    ends_of_electrodes = {(place, e.z) for e in section.electrodes for place in (e.r_inner, e.r_outer)}
     # What is on all sides of a break: the regions counted from 1, 0 where there is nothing.
     cells = np.pad(section.grid() + 1, 1)
     for number, region in enumerate(section.regions, start=1):
@@ -221,15 +222,18 @@ def triangles(
             straight = (around[0] == around[1]).all() or (around[:, 0] == around[:, 1]).all()
             # The free edge of one solid alone is no singularity that shows, nor is a point on the axis.
             singular = column > 0 and not straight and np.count_nonzero(around) > 1
+            # An electrode that ends on a plane face is one, straight or not.
+            singular |= straight and column > 0 and (r[column], z[row]) in ends_of_electrodes
             points[column, row] = geometry.AppendPoint(r[column] + moved(r[column], z[row]), z[row],
                                                        hpref=1 if singular else 0)
         return points[column, row]
 
-    def name(first: int, second: int, height: float | None) -> str:
-        """Of an edge between two regions, the second of them above or to the right."""
+    def name(first: int, second: int, height: float | None, begin: float = 0.0) -> str:
+        """Of an edge between two regions, the second of them above or to the right, that begins at that radius."""
         ahead, behind = ("right", "left") if height is None else ("up", "down")
         one, other = (section.regions[number - 1] if number else None for number in (first, second))
-        parts = [e.name for e in section.electrodes if e.z == height and TRANSDUCER in (one, other)]
+        parts = [e.name for e in section.electrodes
+                 if e.z == height and e.r_inner <= begin < e.r_outer and TRANSDUCER in (one, other)]
         for solid, fluid, direction in ((one, other, ahead), (other, one, behind)):
             if fluid is not None and isinstance(materials[fluid], Fluid):
                 parts.append(RELEASE if solid is None else f"{fluid}_{direction}")
@@ -244,19 +248,19 @@ def triangles(
                 ends = [geometry.AppendPoint(r[column + 1] - settings.fillet, z[row]), point(column + 1, row),
                         geometry.AppendPoint(r[column + 1], z[row] + settings.fillet)]
                 geometry.Append(["line", point(column, row), ends[0]], leftdomain=above, rightdomain=below,
-                                bc=name(below, above, z[row]))
+                                bc=name(below, above, z[row], r[column]))
                 geometry.Append(["line", ends[0], ends[1]], leftdomain=solid, rightdomain=below, bc="free")
                 geometry.Append(["spline3", *ends], leftdomain=above, rightdomain=solid, bc=name(above, solid, None))
             elif below != above:
                 geometry.Append(["line", point(column, row), point(column + 1, row)], leftdomain=above,
-                                rightdomain=below, bc=name(below, above, z[row]))
+                                rightdomain=below, bc=name(below, above, z[row], r[column]))
     for column in range(len(r)):
         for row in range(len(z) - 1):
             left, right = (int(number) for number in cells[row + 1, column:column + 2])
             if left != right:
                 begin = ends[2] if (column, row) == corner else point(column, row)
                 geometry.Append(["line", begin, point(column, row + 1)], leftdomain=left,
-                                rightdomain=right, bc=name(left, right, None) if column else AXIS)
+                                rightdomain=right, bc=name(left, right, None) if column else end)
     for number, region in enumerate(section.regions, start=1):
         geometry.SetMaterial(number, region)
         if region in materials:
@@ -276,38 +280,78 @@ def _cavity_floor(section: Section, r: Sequence[float], z: Sequence[float]) -> t
     return r.index(cavity.r_outer), z.index(cavity.z_bottom)
 
 
+def unknowns(
+    ngsolve: ModuleType, mesh: Any, materials: Mapping[str, Material], order: int, measure: Measure
+) -> tuple[Any, NDArray[np.int64], Complex]:
+    """The space of displacement, potential and pressure; the unknowns (n,) of it that are free or on the electrode; and
+    the state (n,) that is 1 V on the electrode and zero elsewhere.
+
+    The potential of the live electrode is that of its vertices, whose functions add up to one there.
+    """
+    solids = "|".join(name for name, material in materials.items() if not isinstance(material, Fluid))
+    fluids = "|".join(name for name, material in materials.items() if isinstance(material, Fluid))
+    electrodes, release = f"{ELECTRODE_LIVE}.*|{ELECTRODE_GROUND}.*", RELEASE
+    ((end, parity),) = ((AXIS, Parity.EVEN),) if isinstance(measure, Axisymmetric) else measure.planes.items()
+    held = {"dirichletx" if parity is Parity.EVEN else "dirichlety": end}
+    if parity is Parity.ODD:
+        electrodes, release = f"{electrodes}|{end}", f"{release}|{end}"
+    space = ngsolve.FESpace([
+        ngsolve.VectorH1(mesh, order=order, definedon=mesh.Materials(solids), complex=True, **held),
+        ngsolve.H1(mesh, order=order, definedon=mesh.Materials(TRANSDUCER), dirichlet=electrodes, complex=True),
+        ngsolve.H1(mesh, order=order, definedon=mesh.Materials(fluids), dirichlet=release, complex=True),
+    ])
+    live = ngsolve.GridFunction(space)
+    live.components[1].Set(1.0, definedon=mesh.Boundaries(f"{ELECTRODE_LIVE}.*"))
+    electrode = np.array(live.vec.FV().NumPy())
+    kept = np.flatnonzero(np.array(space.FreeDofs(), dtype=bool) | (electrode != 0.0))
+    return space, kept, electrode[kept]
+
+
+def depth(ngsolve: ModuleType, measure: Measure) -> Any:
+    """The weight of a small area: 2 pi r, or the length of a straight chip for both of its halves."""
+    return 2.0 * np.pi * ngsolve.x if isinstance(measure, Axisymmetric) else measure.copies * measure.length
+
+
+def wall(ngsolve: ModuleType, boundary: str) -> tuple[Any, Any] | None:
+    """The normal out of the solid on a contact of this name, whichever way its edge was drawn, and the tangent; None of
+    another boundary."""
+    direction = DIRECTIONS.get(boundary.rpartition("_")[2])
+    if direction is None:
+        return None
+    drawn = ngsolve.specialcf.normal(2)
+    normal = ngsolve.IfPos(drawn[0] * direction[0] + drawn[1] * direction[1], drawn, -drawn)
+    return normal, ngsolve.CF((-normal[1], normal[0]))
+
+
+def assembled(form: Any, kept: NDArray[np.int64]) -> sparse.csr_matrix:
+    """The matrix of a form on the `kept` unknowns."""
+    form.Assemble()
+    entries, columns, starts = (np.array(each) for each in form.mat.CSR())
+    return sparse.csr_matrix((entries, columns, starts), shape=(form.space.ndof,) * 2)[kept][:, kept]
+
+
 def matrices(
-    ngsolve: ModuleType, mesh: Any, materials: Mapping[str, Material], order: int
-) -> tuple[dict[int, sparse.csr_matrix], Complex]:
-    """The model as matrices by their power of w, e^{-i w t}, on the unknowns that are free and on the electrode.
+    ngsolve: ModuleType, mesh: Any, materials: Mapping[str, Material], space: Any, kept: NDArray[np.int64],
+    measure: Measure,
+) -> dict[float, sparse.csr_matrix]:
+    """The model as matrices (n, n) by their power of w, e^{-i w t}, on the unknowns that are free and on the electrode.
 
         solids   eps(v) : C : eps(u) - rho w^2 u.v
         ceramic  + eps(v) e^T grad(phi) + grad(psi) e eps(u) - grad(psi) . epsilon grad(phi)
         fluids   (1 / (rho w^2)) grad(p).grad(q) - (1 / (rho c^2)) p q
         contact  p (v.n) + q (u.n)            n out of the solid
 
-    with the weight 2 pi r dr dz. The potential of the live electrode is that of its vertices, whose functions add up to
-    one there.
-
-    Returns:
-        {power: (n, n)}, and the state (n,) that is 1 V on the electrode and zero elsewhere.
+    with the weight 2 pi r dr dz, or in a straight chip length dx dz, without the hoop strain.
     """
-    solids = "|".join(name for name, material in materials.items() if not isinstance(material, Fluid))
-    fluids = "|".join(name for name, material in materials.items() if isinstance(material, Fluid))
-    electrodes = f"{ELECTRODE_LIVE}.*|{ELECTRODE_GROUND}.*"
-    space = ngsolve.FESpace([
-        ngsolve.VectorH1(mesh, order=order, definedon=mesh.Materials(solids), dirichletx=AXIS, complex=True),
-        ngsolve.H1(mesh, order=order, definedon=mesh.Materials(TRANSDUCER), dirichlet=electrodes, complex=True),
-        ngsolve.H1(mesh, order=order, definedon=mesh.Materials(fluids), dirichlet=RELEASE, complex=True),
-    ])
     (u, phi, p), (v, psi, q) = space.TnT()
-    weight = 2.0 * np.pi * ngsolve.x
+    weight, is_round = depth(ngsolve, measure), isinstance(measure, Axisymmetric)
     forms = {power: ngsolve.BilinearForm(space) for power in (0, 2, -2)}
 
     def strain(w: Any) -> tuple[Any, Any, Any, Any]:
         """rr, tt, zz, 2rz."""
         slope = ngsolve.Grad(w)
-        return slope[0, 0], w[0] / ngsolve.x, slope[1, 1], slope[0, 1] + slope[1, 0]
+        return (slope[0, 0], w[0] / ngsolve.x if is_round else 0.0 * w[0], slope[1, 1],
+                slope[0, 1] + slope[1, 0])
 
     (rr, tt, zz, rz), (rr_v, tt_v, zz_v, rz_v) = strain(u), strain(v)
     for region, material in materials.items():
@@ -340,35 +384,20 @@ def matrices(
             + c13 * ((rr + tt) * zz_v + zz * (rr_v + tt_v)) + c33 * zz * zz_v + c44 * rz * rz_v) * inside
         forms[2] += -weight * material.density * u * v * inside
     for boundary in dict.fromkeys(mesh.GetBoundaries()):
-        direction = DIRECTIONS.get(boundary.rpartition("_")[2])
-        if direction is not None:
-            # Along the direction, whichever way the edge was drawn.
-            drawn = ngsolve.specialcf.normal(2)
-            along = drawn[0] * direction[0] + drawn[1] * direction[1]
-            normal = ngsolve.IfPos(along, drawn, -drawn)
+        if (directions := wall(ngsolve, boundary)) is not None:
+            normal, _ = directions
             on = ngsolve.ds(definedon=mesh.Boundaries(boundary), bonus_intorder=1)
             forms[0] += weight * (p.Trace() * (v.Trace() * normal) + q.Trace() * (u.Trace() * normal)) * on
-    live = ngsolve.GridFunction(space)
-    live.components[1].Set(1.0, definedon=mesh.Boundaries(f"{ELECTRODE_LIVE}.*"))
-    electrode = np.array(live.vec.FV().NumPy())
-    # Kept: what is free or on the electrode.
-    kept = np.flatnonzero(np.array(space.FreeDofs(), dtype=bool) | (electrode != 0.0))
-    found = {}
-    for power, form in forms.items():
-        form.Assemble()
-        entries, columns, starts = (np.array(each) for each in form.mat.CSR())
-        matrix = sparse.csr_matrix((entries, columns, starts), shape=(space.ndof, space.ndof))
-        found[power] = matrix[kept][:, kept]
-    return found, electrode[kept]
+    return {power: assembled(form, kept) for power, form in forms.items()}
 
 
-def at(parts: Mapping[int, sparse.csr_matrix], frequency: float) -> sparse.csr_matrix:
+def at(parts: Mapping[float, sparse.csr_matrix], frequency: float) -> sparse.csr_matrix:
     """A(w)."""
     return sum((2.0 * np.pi * frequency) ** power * matrix for power, matrix in parts.items())
 
 
 def solved(
-    parts: Mapping[int, sparse.csr_matrix], electrode: Complex, frequencies: Real, ordering: str
+    parts: Mapping[float, sparse.csr_matrix], electrode: Complex, frequencies: Real, ordering: str
 ) -> tuple[list[Any], Real]:
     """(frequency, state (n,)) at 1 V for every frequency, and the scale (free unknowns,) they were solved with."""
     free = np.flatnonzero(electrode == 0.0)
@@ -393,13 +422,13 @@ def solved(
     return states, scale
 
 
-def charges(parts: Mapping[int, sparse.csr_matrix], states: list[Any]) -> Complex:
+def charges(parts: Mapping[float, sparse.csr_matrix], states: list[Any]) -> Complex:
     """Q = -x^T A x (number of states,) at 1 V."""
     return np.array([-state @ (at(parts, frequency) @ state) for frequency, state in states])
 
 
 def swept(
-    parts: Mapping[int, sparse.csr_matrix], electrode: Complex, states: list[Any], scale: Real, frequencies: Real
+    parts: Mapping[float, sparse.csr_matrix], electrode: Complex, states: list[Any], scale: Real, frequencies: Real
 ) -> Complex:
     """Z (number of frequencies,), e^{-i w t}, on the real and imaginary parts of the states."""
     free = np.flatnonzero(electrode == 0.0)
@@ -419,14 +448,6 @@ def swept(
 
 
 # --------------------------------------------------------------------------------------------------------------------
-
-
-def alone(function: Any, *arguments: object) -> Run:
-    """The function in a process of its own: the two programs bring libraries of the same name."""
-    with ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"),
-                             initializer=warnings.simplefilter, initargs=("ignore",)) as process:
-        run: Run = process.submit(function, *arguments).result()
-        return run
 
 
 def main() -> None:
