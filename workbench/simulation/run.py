@@ -233,7 +233,6 @@ def simulate(
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
-    expect(chip, Chip, reader="read_chip", source="simulate", field="chip")
     _check_operation(chip, at, drive, source="simulate", field="at")
     lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
@@ -317,6 +316,7 @@ def _undamped(device: FilledChip) -> str:
 
 
 def _check_operation(chip: Chip, frequency: float | None, drive: Drive | None, *, source: str, field: str) -> None:
+    expect(chip, Chip, reader="read_chip", source=source, field="chip")
     if frequency is not None and "band" not in chip.unusual:
         check_frequency(frequency, chip.band, source=source, field=field)
     check_drive(drive, source=source)
@@ -371,7 +371,6 @@ def snapshot(
         InputError: a mistake in the chip, its materials or the arguments.
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
-    expect(chip, Chip, reader="read_chip", source="snapshot", field="chip")
     _check_operation(chip, frequency, drive, source="snapshot", field="frequency")
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     progress("mesh", 0.0)
