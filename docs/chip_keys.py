@@ -22,7 +22,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     "The file": {
         "chip": "what the whole is called, and the band it is meant for",
         "layers": "the layers from bottom to top, each under `[[layers]]`",
-        "cavity": "the ports of the cavity",
+        "cavity": "the ports of the cavity, and whether it is an open well",
         "states": "the states a chip is used in, each under `[states.NAME]`; without any there is one, `default`",
     },
     "`[chip]`": {
@@ -40,10 +40,13 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
+        "open": "whether the liquid's surface is free: no layer covers the cavity; `true` if not given beside `fill`, "
+                "otherwise `false`",
+        "fill": "the depth of the liquid in an open well; all of it if not given",
     },
     "`[[layers]]`": {
         "role": "what the layer is for, one of " + ", ".join(f"`{role}`" for role in ROLES)
-                + "; roles may be left out and repeated, but there is exactly one transducer",
+                + "; roles may be left out and repeated, but there is a transducer",
         "material": "the name of a material, such as `pla/acevedo_2026`, or `pla` where that is clear",
         "density": "of a part that was weighed, in place of its material's",
         "thickness": "of the layer",
@@ -51,13 +54,16 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "diameter": "twice the radius, in place of it",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
         "cavity_diameter": "twice that radius, in place of it",
+        "inner_radius": "of a ring around a bore that holds nothing",
+        "inner_diameter": "twice that radius, in place of it",
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
         "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
-        "electrodes": "of the transducer alone, see below",
+        "electrodes": "of a transducer alone, see below",
+        "poled": "of a transducer alone: `up` (if not given) or `down`",
     },
     "`[[layers]]`, of a straight chip": {
         "role": "as of a round chip",
@@ -69,7 +75,13 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "cavity_half_width": "of a channel through the layer, from its middle; channels are in neighbouring layers",
         "cavity_width": "twice that, in place of it",
         "bottom": "as of a round chip",
-        "electrodes": "of the transducer alone, see below",
+        "offset": "how far its middle is to the right of that of a chip with `symmetry = \"none\"`; 0 if not given",
+        "cavity_offset": "the same of the channel",
+        "electrodes": "of a transducer alone, see below",
+        "poled": "as of a round chip",
+    },
+    "`electrodes`, of a further transducer": {
+        "live": "its face at the drive voltage, `top` or `bottom`; its electrodes cover its faces",
     },
     "`electrodes`, of the transducer's layer in a straight chip": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
@@ -156,6 +168,8 @@ TAKES: Mapping[str, str] = {
     "profile": "a table", "points": "a list of points",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
+    "fill": "a length", "offset": "a length", "cavity_offset": "a length", "open": "`true` or `false`",
+    "inner_radius": "a length", "inner_diameter": "a length", "poled": "text", "live": "text",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
        for size in ("radius", "diameter", "half_width", "width")},
