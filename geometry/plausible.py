@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 from geometry.dimension import ACROSS, Dimension
 from geometry.measure import ABOUT_AXIS, Measure, Straight
@@ -164,13 +165,14 @@ def check_frequency(frequency: object, band: tuple[float, float], *, source: str
         InputError: no number, or one outside :data:`FREQUENCY`, with the one that was probably meant: of those by a
             slip of the unit or of the sign the nearest to the band.
     """
-    if isinstance(frequency, float | int) and frequency in FREQUENCY:
+    # Numbers of numpy are numbers too.
+    if isinstance(frequency, Real) and float(frequency) in FREQUENCY:
         return float(frequency)
     expected = (f"a frequency in Hz of {FREQUENCY.low:g} to {FREQUENCY.high:g}, at which {FREQUENCY.what} works; the "
                 f"band of this chip is {band[0]:.10g} to {band[1]:.10g} Hz")
     meant: tuple[str, ...] = ()
-    if isinstance(frequency, float | int) and 0.0 < abs(frequency) < math.inf:
-        slips = [each for factor in (1.0, *SLIPS) if (each := abs(frequency) * factor) in FREQUENCY]
+    if isinstance(frequency, Real) and 0.0 < abs(float(frequency)) < math.inf:
+        slips = [each for factor in (1.0, *SLIPS) if (each := abs(float(frequency)) * factor) in FREQUENCY]
         nearest = min(slips, key=lambda each: abs(math.log(each**2 / (band[0] * band[1]))), default=None)
         meant = () if nearest is None else (f"{nearest:.10g} Hz",)
     raise InputError(source, field, frequency, expected, meant)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Window:
     def __post_init__(self) -> None:
         for name in ("inner", "outer", "bottom", "top"):
             value = getattr(self, name)
-            if not isinstance(value, float | int):
+            if not isinstance(value, Real):
                 raise InputError("Window", name, value, "a length in m, such as 1e-3")
         if not (0.0 <= self.inner < self.outer and self.bottom < self.top):
             raise InputError("Window", "inner, outer, bottom, top", f"{self.inner:g} to {self.outer:g} m along r and "

@@ -66,9 +66,8 @@ def trajectories(
     if not expect_number(duration, positive, source="trajectories", field="duration") > 0.0:
         raise InputError("trajectories", "duration", duration, positive)
     expect_whole(seed, SEED, source="trajectories", field="seed", low=0)
-    if isinstance(voltage_factor, float | int):
-        check_scaled(2.0 * shot.traps.excitation.voltage, voltage_factor, source="trajectories",
-                     field="voltage_factor")
+    factor = expect_number(voltage_factor, "a positive number", source="trajectories", field="voltage_factor")
+    check_scaled(2.0 * shot.traps.excitation.voltage, factor, source="trajectories", field="voltage_factor")
     forces = shot.traps.forces
     _check_small(shot.chip, shot.state, forces.particle.radius, forces.fluid.sound_speed / shot.fields.frequency)
     record = record_times(duration) if times is None else np.asarray(times, dtype=float)
