@@ -22,7 +22,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     "The file": {
         "chip": "what the whole is called, and the band it is meant for",
         "layers": "the layers from bottom to top, each under `[[layers]]`",
-        "cavity": "the ports of the cavity",
+        "cavity": "the ports of the cavity, and whether it is an open well",
         "states": "the states a chip is used in, each under `[states.NAME]`; without any there is one, `default`",
     },
     "`[chip]`": {
@@ -40,8 +40,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
-        "open": "`true` for a well without a lid: the surface of the liquid is free",
-        "fill": "the depth of the liquid in a well, below its rim or up to it",
+        "open": "whether the liquid's surface is free: no layer covers the cavity; `true` if not given beside `fill`, "
+                "otherwise `false`",
+        "fill": "the depth of the liquid in an open well; all of it if not given",
     },
     "`[[layers]]`": {
         "role": "what the layer is for, one of " + ", ".join(f"`{role}`" for role in ROLES)
@@ -53,16 +54,16 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "diameter": "twice the radius, in place of it",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
         "cavity_diameter": "twice that radius, in place of it",
+        "inner_radius": "of a ring around a bore that holds nothing",
+        "inner_diameter": "twice that radius, in place of it",
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
         "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
-        "inner_radius": "of a ring around a bore that holds nothing",
-        "inner_diameter": "twice that, in place of it",
-        "poled": "of a transducer, `up` (if not given) or `down`",
-        "electrodes": "of a transducer alone, see below; of those above the lowest, `live` alone",
+        "electrodes": "of a transducer alone, see below",
+        "poled": "of a transducer alone: `up` (if not given) or `down`",
     },
     "`[[layers]]`, of a straight chip": {
         "role": "as of a round chip",
@@ -74,10 +75,13 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "cavity_half_width": "of a channel through the layer, from its middle; channels are in neighbouring layers",
         "cavity_width": "twice that, in place of it",
         "bottom": "as of a round chip",
-        "offset": "how far the middle of the layer is to the right of that of the chip, where `symmetry` is `none`",
+        "offset": "how far its middle is to the right of that of a chip with `symmetry = \"none\"`; 0 if not given",
         "cavity_offset": "the same of the channel",
+        "electrodes": "of a transducer alone, see below",
         "poled": "as of a round chip",
-        "electrodes": "of the transducer alone, see below",
+    },
+    "`electrodes`, of a further transducer": {
+        "live": "its face at the drive voltage, `top` or `bottom`; its electrodes cover its faces",
     },
     "`electrodes`, of the transducer's layer in a straight chip": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
@@ -100,9 +104,6 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "live_inner_diameter": "twice `live_inner_radius`, in place of it",
         "ground_diameter": "twice `ground_radius`, in place of it",
         "ground_inner_diameter": "twice `ground_inner_radius`, in place of it",
-    },
-    "`electrodes`, of a transducer above the lowest": {
-        "live": "the face at the drive voltage, `top` or `bottom`; its electrodes cover its faces",
     },
     "`profile`, of a layer": {
         "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
@@ -167,8 +168,8 @@ TAKES: Mapping[str, str] = {
     "profile": "a table", "points": "a list of points",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
-    "open": "`true` or `false`", "poled": "text", "live": "text", "fill": "a length",
-    **dict.fromkeys(("offset", "cavity_offset", "inner_radius", "inner_diameter"), "a length"),
+    "fill": "a length", "offset": "a length", "cavity_offset": "a length", "open": "`true` or `false`",
+    "inner_radius": "a length", "inner_diameter": "a length", "poled": "text", "live": "text",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
        for size in ("radius", "diameter", "half_width", "width")},
@@ -230,7 +231,11 @@ def plausible_page() -> str:
               for role, each in plausible.THICKNESSES.items()),
             ("radius of a layer", plausible.RADIUS, "length"),
             ("radius of a cavity", plausible.CAVITY_RADIUS, "length"),
+            ("radius of the hole of a ring", plausible.BORE, "length"),
             ("radius of an electrode", plausible.ELECTRODE_RADIUS, "length"),
+            ("radius of the hole, or half the gap, in an electrode", plausible.ELECTRODE_GAP, "length"),
+            ("length of a straight chip", plausible.LENGTH, "length"),
+            ("depth of the liquid in a well", plausible.FILL, "length"),
             ("diameter and height of ports", plausible.PORT, "length"),
             ("radius of a particle", plausible.PARTICLE_RADIUS, "length"),
             ("density of a layer that was weighed", plausible.DENSITY, "density"),

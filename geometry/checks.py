@@ -22,7 +22,8 @@ _OF_CAVITY: Mapping[type[Measure], str] = {Axisymmetric: ONE_CAVITY, Straight: O
 
 
 def check_dimensions(
-    layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], file: str
+    layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], file: str,
+    measure: Measure = ABOUT_AXIS,
 ) -> None:
     """Check that lengths are above zero, tolerances below them, and the ends of the `band` (Hz) in order.
 
@@ -36,9 +37,9 @@ def check_dimensions(
         for i, layer in enumerate(layers)
         for name, dimension in (
             ("thickness", layer.thickness),
-            ("radius", layer.radius),
-            ("cavity_radius", layer.cavity_radius),
-            ("inner_radius", layer.bore),
+            (measure.across, layer.radius),
+            (f"cavity_{measure.across}", layer.cavity_radius),
+            (f"inner_{measure.across}", layer.bore),
         )
         if dimension is not None
     ]
@@ -102,8 +103,8 @@ def check_cavity(
                 f"inner_{measure.across}"
             )
         if layer.bore is not None:
-            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
-                             "either the cavity_radius of a cavity or the inner_radius of an empty ring")
+            raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
+                             f"either the {key} of a cavity or the inner_{measure.across} of an empty ring")
         (left, right), (low, high) = layer.sides, layer.hole_sides
         if low < left + SAME_LENGTH or high > right - SAME_LENGTH:
             raise InputError(
@@ -131,7 +132,7 @@ def check_cavity(
                     f"{millimetres(layers[j].outer_radius)}",
                 )
             if layers[j].bore is not None:
-                raise InputError(file, f"layers[{j}].inner_radius", millimetres(layers[j].inner_radius),
+                raise InputError(file, f"layers[{j}].inner_{measure.across}", millimetres(layers[j].inner_radius),
                                  f"a closed cavity: no hole in {layers[j].region!r} {side} it; {CLOSED}")
     if places and places != list(range(places[0], places[-1] + 1)):
         gap = next(i for i in range(places[0], places[-1]) if i not in places)
@@ -142,6 +143,19 @@ def check_cavity(
             f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers; "
             f"{one_cavity}",
         )
+    if is_open and places:
+        _check_uncovered(layers, places[-1], file)
+
+
+def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
+    """Check that no layer covers the open cavity, whose uppermost hole is in ``layers[top]``."""
+    above = layers[top + 1] if top + 1 < len(layers) else None
+    if above is None or above.bore is not None or above.profile is not None:
+        return
+    (left, right), (low, high) = above.sides, layers[top].hole_sides
+    if left < low + SAME_LENGTH and right > high - SAME_LENGTH:
+        raise InputError(file, "cavity.open", True, f"a free surface: {above.region!r} covers the cavity; leave out "
+                         "that layer, give it a hole, or state open = false")
 
 
 def _hole(layer: Layer) -> str:
@@ -227,21 +241,25 @@ def _nearest(profile: Profile, layer: Layer) -> float:
     return min(sizes.get(radius, 0.0) if isinstance(radius, str) else radius for radius in radii)
 
 
-def check_electrodes(electrodes: Electrodes, bore: float, rim: float, file: str) -> None:
-    """Check that the electrodes lie on the transducer, whose radii are `bore` and `rim` (metres)."""
+def check_electrodes(
+    electrodes: Electrodes, bore: float, rim: float, file: str, measure: Measure = ABOUT_AXIS
+) -> None:
+    """Check that the electrodes lie on the transducer, whose radii (half widths) are `bore` and `rim` (metres)."""
+    across = measure.across
+    said = across.replace("_", " ")
     choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
         if radius > rim + SAME_LENGTH:
-            raise InputError(file, f"{name}.radius",
+            raise InputError(file, f"{name}.{across}",
                              millimetres(radius) if disc.radius is None else dimension_text(disc.radius),
-                             f"at most the transducer's radius, {millimetres(rim)}")
+                             f"at most the transducer's {said}, {millimetres(rim)}")
         if disc.inner_radius is not None and disc.inner_radius.value < bore - SAME_LENGTH:
-            raise InputError(file, f"{name}.inner_radius", dimension_text(disc.inner_radius),
-                             f"at least the transducer's inner radius, {millimetres(bore)}")
+            raise InputError(file, f"{name}.inner_{across}", dimension_text(disc.inner_radius),
+                             f"at least the transducer's inner {said}, {millimetres(bore)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
-            raise InputError(file, f"{name}.inner_radius", dimension_text(disc.inner_radius),
-                             f"below its radius, {millimetres(radius)}")
+            raise InputError(file, f"{name}.inner_{across}", dimension_text(disc.inner_radius),
+                             f"below its {said}, {millimetres(radius)}")
 
 
 def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
@@ -272,7 +290,9 @@ def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
         )
 
 
-def check_states(states: Sequence[State], layers: Sequence[Layer], file: str) -> None:
+def check_states(
+    states: Sequence[State], layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS
+) -> None:
     """Check that the cavity has a filling in every state, and that a particle fits into it."""
     holes = [layer for layer in layers if layer.cavity_radius is not None]
     if not states:
@@ -283,7 +303,7 @@ def check_states(states: Sequence[State], layers: Sequence[Layer], file: str) ->
             raise InputError(file, f"{place}.cavity", None, f'what fills the cavity: a material or "{VACUUM}"')
         if not holes and state.cavity is not None:
             raise InputError(
-                file, f"{place}.cavity", state.cavity, "no cavity entry: no layer has a cavity_radius"
+                file, f"{place}.cavity", state.cavity, f"no cavity entry: no layer has a cavity_{measure.across}"
             )
         if state.temperature is not None and not (math.isfinite(state.temperature) and state.temperature > 0.0):
             raise InputError(file, f"{place}.temperature", state.temperature, "a temperature above absolute zero")

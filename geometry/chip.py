@@ -64,15 +64,17 @@ class Chip:
 
     def __post_init__(self) -> None:
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
-        checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
+        checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file, self.measure)
         checks.check_cavity(self.layers, self.file, self.measure, is_open=self.is_open)
         checks.check_shapes(self.layers, self.file)
         checks.check_stack(self.layers, self.file)
-        checks.check_electrodes(self.electrodes, self.transducer.inner_radius, self.transducer.outer_radius, self.file)
+        checks.check_electrodes(self.electrodes, self.transducer.inner_radius, self.transducer.outer_radius, self.file,
+                                self.measure)
         checks.check_shared_electrodes(self.layers, self.electrodes, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
-        checks.check_states(self.states, self.layers, self.file)
-        plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file)
+        checks.check_states(self.states, self.layers, self.file, self.measure)
+        plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
+                                  measure=self.measure, is_open=self.is_open)
 
     @cached_property
     def holes(self) -> tuple[Layer, ...]:
@@ -245,7 +247,8 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure)
     cavity = root.table("cavity").only(("ports", "open", "fill"))
-    layers, is_open = read_well(cavity, layers)
+    unusual = head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual")
+    layers, is_open = read_well(cavity, layers, measure, unusual)
     return Chip(
         name=read_text(head, "name"),
         layers=layers,
@@ -258,5 +261,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         file=source,
         measure=measure,
         is_open=is_open,
-        unusual=head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual"),
+        unusual=unusual,
     )

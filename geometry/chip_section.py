@@ -9,7 +9,7 @@ from geometry import revolution
 from geometry.chip import Chip
 from geometry.free_section import FreeSection
 from geometry.measure import Straight
-from geometry.names import TRANSDUCER
+from geometry.names import OUTSIDE, TRANSDUCER
 from geometry.parts import Electrodes, Layer
 from geometry.section import Section, cut_section, section_of_layers
 from geometry.shapes import outlines
@@ -33,6 +33,15 @@ def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeS
     if not chip.is_profiled:
         return cut_section(chip)
     return _free_section(chip.layers, chip.electrodes, chip.file, () if like is None else like.cuts)
+
+
+def outer_boundaries(chip: Chip) -> tuple[str, ...]:
+    """Names of the boundaries between the parts of `chip` and its surroundings, which a holder may touch, sorted.
+
+    Raises:
+        InputError, SolidError: as in :func:`chip_section`.
+    """
+    return tuple(name for name in chip_section(chip).boundary_names() if name.endswith(f"|{OUTSIDE}"))
 
 
 @lru_cache(maxsize=32)

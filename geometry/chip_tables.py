@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -11,6 +11,7 @@ from geometry.limits import CLOSED, FILL_KEYS, NOT_KEYS
 from geometry.measure import Measure, Straight
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
+from geometry.plausible import FILL_KEY, check_length
 from geometry.profile import AXES, Profile, StepPart, read_profile
 from geometry.straight import refuse_round_keys
 from workbench.files.errors import InputError, choose
@@ -128,13 +129,16 @@ def _either(table: FileTable, key: str, one: str, other: str) -> str:
     return choose(table.text(key, one), (one, other), source=table.source, field=table.at(key))
 
 
-def read_well(table: FileTable, layers: tuple[Layer, ...]) -> tuple[tuple[Layer, ...], bool]:
+def read_well(
+    table: FileTable, layers: tuple[Layer, ...], measure: Measure, unusual: Sequence[str] = ()
+) -> tuple[tuple[Layer, ...], bool]:
     """The layers with the walls of a well cut at the surface of the liquid, and whether the cavity is open.
 
     Walls above the surface are rings around an empty bore, of which the lowest is named next to the wall it is of.
 
     Raises:
-        InputError: a fill that is not inside the cavity, or of a cavity that is said to be closed.
+        InputError: a fill that is not inside the cavity, one of no usual depth that is not `unusual`, or of a cavity
+            that is said to be closed.
     """
     is_open = table.flag("open", default="fill" in table)
     if "fill" not in table:
@@ -143,10 +147,12 @@ def read_well(table: FileTable, layers: tuple[Layer, ...]) -> tuple[tuple[Layer,
         raise table.error("fill", "no fill, which leaves the surface free, where open = false")
     holes = [layer for layer in layers if layer.cavity_radius is not None]
     depth = table.quantity("fill", "length")
+    if depth > 0.0 and holes:
+        check_length(FILL_KEY, depth, source=table.source, field=table.at("fill"), unusual=unusual)
     height = holes[-1].z_top - holes[0].z_bottom if holes else 0.0
     if not 0.0 < depth < height + SAME_LENGTH:
         raise table.error("fill", f"a depth of the liquid above zero and at most the height of the cavity, "
-                          f"{millimetres(height)}" if holes else "no fill: no layer has a cavity_radius")
+                          f"{millimetres(height)}" if holes else f"no fill: no layer has a cavity_{measure.across}")
     surface, found = holes[0].z_bottom + depth, list[Layer]()
     for layer in layers:
         if layer.cavity_radius is None or layer.z_top < surface + SAME_LENGTH:

@@ -29,6 +29,8 @@ def export_step(chip: Chip, path: Path) -> Path:
 def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str, Path]:
     """Write every part to ``<folder>/<region>.stl``, flat triangles within `deviation` (metres) of the true surface.
 
+    A substrate and the sidewall on it that are of one material are one part, ``substrate.stl``.
+
     Raises:
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
     """

@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 from geometry.dimension import ACROSS, Dimension
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, TRANSDUCER, role_of
 from geometry.parts import Layer, State
 from workbench.files.errors import InputError, choose
@@ -48,9 +50,17 @@ THICKNESSES: Mapping[str, Range] = {
 #: Other lengths (m) by name.
 RADIUS = Range(0.1e-3, 200e-3, "the radius of a part")
 CAVITY_RADIUS = Range(20e-6, 150e-3, "the radius of a cavity")
+BORE = Range(20e-6, 200e-3, "the hole of a ring")
 ELECTRODE_RADIUS = Range(10e-6, 200e-3, "the radius of an electrode")
+ELECTRODE_GAP = Range(1e-6, 200e-3, "the hole or the gap in an electrode")
+#: The longest is that of figures by the metre, which a chip without a stated length has.
+LENGTH = Range(0.1e-3, 1.0, "a straight chip along its channel")
+FILL = Range(5e-6, 100e-3, "the liquid in a well")
 PORT = Range(5e-6, 50e-3, "a port")
 PARTICLE_RADIUS = Range(10e-9, 0.5e-3, "the radius of a particle")
+
+#: Names of the depth of a liquid and of the length of a straight chip, which are no dimensions by name, in ``unusual``.
+FILL_KEY, LENGTH_KEY = "fill", "length"
 
 #: Other quantities: K, Hz, kg/m^3.
 TEMPERATURE = Range(253.15, 423.15, "a chip in use")
@@ -73,20 +83,24 @@ def range_of(name: str) -> Range | None:
     """The range of a dimension of a chip by its name; None for shapes and sizes of profiles, which are checked against
     their layers."""
     region, _, what = name.rpartition(".")
+    if name in (FILL_KEY, LENGTH_KEY):
+        return FILL if name == FILL_KEY else LENGTH
     if region.startswith("electrode_"):
-        return ELECTRODE_RADIUS if what in ACROSS else None
+        return ELECTRODE_RADIUS if what in ACROSS else ELECTRODE_GAP if what.startswith("inner_") else None
     if region == "ports":
         return PORT
     if what.startswith("cavity_") or (region == CAVITY and what in ACROSS):
         return CAVITY_RADIUS
     if what == "thickness":
         return THICKNESSES.get(role_of(region), THICKNESSES["layer"])
+    if what.startswith("inner_"):
+        return BORE
     return RADIUS if what in ACROSS else None
 
 
 def check_plausible(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], states: Sequence[State],
-    unusual: Sequence[str], file: str,
+    unusual: Sequence[str], file: str, *, measure: Measure = ABOUT_AXIS, is_open: bool = False,
 ) -> None:
     """Check that lengths, band, densities, temperatures and particles are of usual sizes, except those listed as
     `unusual`. `named` are all lengths by name.
@@ -95,11 +109,15 @@ def check_plausible(
         InputError: the first unusual size, or an unusual name that the chip does not have.
     """
     stated = list(_stated(layers, named, states))
+    # The depth of a liquid is checked where it is read: afterwards it is the thickness of a wall.
+    more = [*([FILL_KEY] if is_open else []), *([LENGTH_KEY] if isinstance(measure, Straight) else [])]
     for name in unusual:
-        choose(name, ["band", *(each for each, _, _, _ in stated)], source=file, field="chip.unusual")
+        choose(name, ["band", *more, *(each for each, _, _, _ in stated)], source=file, field="chip.unusual")
     for name, value, usual, kind in stated:
         if name not in unusual and usual is not None and value not in usual:
             raise implausible(name, value, usual, kind, file)
+    if isinstance(measure, Straight):
+        check_length(LENGTH_KEY, measure.length, source=file, field=f"chip.{LENGTH_KEY}", unusual=unusual)
     if "band" not in unusual:
         check_band(layers, band, file)
 
@@ -138,6 +156,26 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
         return
     shown = f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}"
     raise InputError(source, field, shown, f"{expected}; {_how('band')}", _meant_band(band, thickness))
+
+
+def check_frequency(frequency: object, band: tuple[float, float], *, source: str, field: str) -> float:
+    """The frequency (Hz) at which a chip meant for a `band` (Hz) is driven.
+
+    Raises:
+        InputError: no number, or one outside :data:`FREQUENCY`, with the one that was probably meant: of those by a
+            slip of the unit or of the sign the nearest to the band.
+    """
+    # Numbers of numpy are numbers too.
+    if isinstance(frequency, Real) and float(frequency) in FREQUENCY:
+        return float(frequency)
+    expected = (f"a frequency in Hz of {FREQUENCY.low:g} to {FREQUENCY.high:g}, at which {FREQUENCY.what} works; the "
+                f"band of this chip is {band[0]:.10g} to {band[1]:.10g} Hz")
+    meant: tuple[str, ...] = ()
+    if isinstance(frequency, Real) and 0.0 < abs(float(frequency)) < math.inf:
+        slips = [each for factor in (1.0, *SLIPS) if (each := abs(float(frequency)) * factor) in FREQUENCY]
+        nearest = min(slips, key=lambda each: abs(math.log(each**2 / (band[0] * band[1]))), default=None)
+        meant = () if nearest is None else (f"{nearest:.10g} Hz",)
+    raise InputError(source, field, frequency, expected, meant)
 
 
 def implausible(name: str, value: float, usual: Range, kind: str, source: str, field: str | None = None) -> InputError:

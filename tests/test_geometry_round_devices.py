@@ -94,6 +94,20 @@ def test_solids_have_the_volumes_of_the_section() -> None:
             assert volume(made[name]) == pytest.approx(expected, rel=1e-12), name
 
 
+FILLED = '[states.filled]\ncavity = "water"\n'
+OPEN = (transducer("2 mm"), layer("sidewall", "5 mm", 'cavity_radius = "3 mm"'), layer("superstrate", "1 mm"))
+
+
+@pytest.mark.parametrize("above", [
+    layer("superstrate", "1 mm", 'inner_radius = "1 mm"'), layer("superstrate", "1 mm", radius="2 mm")])
+def test_a_layer_that_leaves_some_of_the_surface_free_may_lie_on_an_open_cavity(above: str) -> None:
+    assert read(*OPEN[:-1], above, '[cavity]\nopen = true\n', FILLED).is_open
+
+
+def test_an_unusual_depth_may_be_insisted_on() -> None:
+    assert again(read('unusual = ["fill"]\n', *OPEN[:-1], '[cavity]\nfill = "5 mm"\n', FILLED)).unusual == ("fill",)
+
+
 @pytest.mark.parametrize(("parts", "field", "said"), [
     ((transducer("2 mm"), transducer("1 mm", 'electrodes = { live = "top" }')), "layers[1].electrodes.live",
      'upper face is live'),
@@ -104,6 +118,10 @@ def test_solids_have_the_volumes_of_the_section() -> None:
     ((transducer("2 mm", 'inner_radius = "3 mm"\nelectrodes = { live_inner_radius = "2 mm" }'),),
      "electrode_live.inner_radius", "at least the transducer's inner radius, 3 mm"),
     ((transducer("2 mm", 'inner_radius = "3 mm"\ninner_diameter = "6 mm"'),), "layers[0].inner_diameter", ""),
+    ((transducer("2 mm", 'inner_diameter = "6 um"'),), "transducer.inner_radius", "did you mean '3 mm'"),
+    ((transducer("2 mm", 'electrodes = { live_inner_radius = "0.5 um" }'),), "electrode_live.inner_radius", "gap"),
+    ((*OPEN, '[cavity]\nopen = true\n', FILLED), "cavity.open", "'superstrate' covers the cavity"),
+    ((*OPEN[:-1], '[cavity]\nfill = "2 um"\n', FILLED), "cavity.fill", "did you mean '2 mm'"),
     ((transducer("2 mm"), layer("layer", "1 mm", 'poled = "down"')), "layers[1].poled", "unknown"),
 ])
 def test_a_mistake_is_named(parts: tuple[str, ...], field: str, said: str) -> None:

@@ -62,7 +62,7 @@ def test_the_command_writes_trajectories_pictures_and_a_report(
     assert set(record["liquid"]["causes_rms_m_s"]) == {"walls", "absorption", "heat", "buoyancy"}
     assert 0.0 < record["liquid"]["mean_k"]["cavity"] < record["liquid"]["peak_k"]
     assert sum(record["fate"].values()) == 30
-    assert record["fate"]["sedimented"] == words.count("sedimented")
+    assert record["fate"][Fate.SEDIMENTED.words] == words.count(Fate.SEDIMENTED.words)
     assert record["captures"][0]["name"] == "came to levitate"
     header, *rows = (out / "light_curve.csv").read_text().splitlines()
     assert header.startswith("time_s,in_window,")
@@ -92,6 +92,12 @@ def test_without_a_frequency_the_field_is_that_of_f0_and_pictures_can_be_left_ou
     (["--drive", "10 Vpp", "--minutes", "0"], "--minutes: received 0.0; expected a time above zero"),
     (["--drive", "10 Vpp", "--minutes", "nan"], "--minutes: received nan"),
     (["--drive", "10 Vpp", "--count", "0"], "--count: received 0; expected at least one particle"),
+    (["--drive", "10 Vpp", "--seed", "-1"], "--seed: received -1; expected a whole number of 0 or more"),
+    (["--drive", "10 Vpp", "--holder", "substrate|outside", "--flow", "none"],
+     "--holder: received 'substrate|outside'; expected no holder beside --flow none"),
+    (["--drive", "10 Vpp", "--convection", "5 W/(m^2 K)", "--flow", "sound"],
+     "--convection: received '5 W/(m^2 K)'; expected no convection beside --flow sound"),
+    (["--drive", "10 Vpp", "--holder", "cavity|substrate"], "--holder: received 'cavity|substrate'; expected one of"),
     (["--drive", "10 Vpp", "--window", "0 mm"], "--window: received '0 mm'; expected a length above zero"),
     (["--drive", "10 Vpp", "--window", "5"], "--window: received '5'; expected a length in one of"),
     (["--drive", "10 Vpp", "--particle", "polystyren"], "did you mean 'polystyrene'"),
@@ -191,6 +197,44 @@ def test_trajectories_of_a_simulated_state(shot: wb.Snapshot) -> None:
     np.testing.assert_allclose(both[0].positions, both[1].positions, atol=1e-12)
     assert np.abs(both[0].positions - found.positions).max() > 1e-7
     assert set(both[0].fate) <= set(map(int, Fate))
+
+
+def test_without_f0_the_middle_of_the_band_is_said(cell: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    # A band between two resonances.
+    assert main(["particles", str(cell), "--drive", "1 Vpp", "--minutes", "0.1", "--count", "5", "--no-pictures",
+                 "--flow", "none", "--from", "700 kHz", "--to", "702 kHz", "--accuracy", "5 %", "-o", str(out)]) == 0
+    record = standard_json(out / "particles.json")
+    assert record["frequency_hz"] == pytest.approx(701e3)
+    assert "the field is that of 0.701 MHz, the middle of the band, because there is no f0" in record["findings"][0]
+
+
+def test_another_voltage_labels_its_results(shot: wb.Snapshot) -> None:
+    found = wb.trajectories(shot, 1.0, particles=2, voltage_factor=0.5)
+    assert shot.traps is not None
+    once, half = shot.traps.excitation, found.forces.excitation
+    assert half.description == "5 Vpp at the electrodes"
+    assert (half.voltage, half.energy_density) == pytest.approx((0.5 * once.voltage, 0.25 * once.energy_density))
+    assert "5 Vpp at the electrodes" in str(found)
+    with pytest.raises(InputError, match=r"voltage_factor: received 300\.0; expected at most 200, which makes 2000"):
+        wb.trajectories(shot, 1.0, voltage_factor=300.0)
+
+
+def test_the_result_in_place_of_its_array_and_texts_in_place_of_numbers_are_refused(shot: wb.Snapshot) -> None:
+    flow: Any = wb.streaming(shot)
+    with pytest.raises(InputError, match=r"flow: received 'Streaming'; expected .*flow\.carried_on\(shot"):
+        trajectories(shot, 10.0, flow=flow)
+    motion: Any = wb.liquid_motion(shot, by="none")
+    with pytest.raises(InputError, match=r"flow: received 'LiquidMotion'; expected .*flow\.velocity"):
+        trajectories(shot, 10.0, flow=motion)
+    text: Any = "30 s"
+    with pytest.raises(InputError, match=r"duration: received '30 s'; expected a positive time in s, such as 30\.0"):
+        trajectories(shot, text)
+    with pytest.raises(InputError, match=r"seed: received -1; expected a whole number of 0 or more"):
+        trajectories(shot, 10.0, seed=-1)
+    text = "1 mm"
+    with pytest.raises(InputError, match=r"Window: outer: received '1 mm'; expected a length in m, such as 1e-3"):
+        wb.Window(outer=text)
 
 
 def test_what_no_trajectories_can_be_made_of_is_refused(shot: wb.Snapshot) -> None:

@@ -65,6 +65,7 @@ def test_typed_resistances_stay() -> None:
     ({"computed": "cavty"}, r"thermal.computed: received 'cavty'.*did you mean 'cavity'"),
     ({"computed": "cavity", "all": "3 K/W"}, r"thermal.all: received 'all'; expected one of computed, convection, hol"),
     ({"computed": "cavity", "convection": "10 K/W"}, r"thermal.convection: .*W/\(m\^2 K\)"),
+    ({"computed": "cavity", "holder": "electrode_live"}, r"thermal.holder: .*expected one of [^,]*\|outside, "),
     ({"computed": "cavity", "holder": "lid"}, r"thermal.holder: received 'lid'"),
     ({"convection": "10 W/(m^2 K)"}, r"thermal.convection: received 'convection'; expected one of .*computed"),
     ({}, r'or computed = "cavity"'),

@@ -325,6 +325,7 @@ def test_the_furthest_observation_is_in_its_uncertainties(model: Model) -> None:
     ('value = ["0.4 mm"]', 'value = ["0.4 mm", "2 mm"]', "ring_radii.value", "below that of the cavity, 1.6 mm"),
     ('value = ["0.4 mm"]', 'value = ["0.4"]', "ring_radii.value[0]", "mm"),
     ('holder = "transducer|outside"', 'holder = "transducer|outsid"', "temperature_rise.holder", "transducer|outside"),
+    ('holder = "transducer|outside"', 'holder = "electrode_live"', "temperature_rise.holder", "|outside"),
     ('holder = "transducer|outside"', 'part = "bond"', "temperature_rise.part", "substrate"),
     ('holder = "transducer|outside"', 'convection = "0 W/(m^2 K)"', "temperature_rise.convection", "above zero"),
 ])

@@ -423,6 +423,11 @@ def test_a_simulation_is_heated_and_its_liquid_warmed(run: wb.Simulation) -> Non
     with pytest.raises(InputError, match="speed of the flow"):
         wb.heating(run, flow_speed=1e-3)
     assert wb.heating(run, flow_speed=1e-6).peak == heat.peak
+    with pytest.raises(InputError, match=r"flow_speed: received -1\.0; expected a speed in m/s of 0 or more"):
+        wb.heating(run, flow_speed=-1.0)
+    with pytest.raises(InputError, match=r"holder: received 'cavity\|substrate'; expected .*\|outside") as caught:
+        wb.heating(run, holder="cavity|substrate")
+    assert "electrode" not in caught.value.expected
     warm = wb.liquid_warming(run, heat)
     assert warm.rise == heat.parts["cavity"].mean
     # Marczak 1997 at 25 degC: 2.68 m/s a kelvin; Kell 1975: 2.57e-4 1/K.
@@ -459,3 +464,12 @@ def test_liquid_warming_needs_a_liquid_and_a_law() -> None:
     found = wb.liquid_warming(thick, wb.heating(thick))
     assert found.rise > 0.0
     assert (found.speed_slope, found.resonance_shift) == (None, None)
+    with pytest.raises(InputError, match=r"heat: received 'temperatures .*'; expected wb\.heating of this result"):
+        wb.liquid_warming(thick, wb.heating(empty))
+    fine = wb.snapshot(cell("glycerol_water_50"), "filled", FREQUENCY, accuracy=quadratic(5.0))
+    with pytest.raises(InputError, match="heat: received 'temperatures on another mesh'"):
+        wb.liquid_warming(thick, wb.heating(fine))
+    heat = wb.heating(thick)
+    lighter = replace(heat.parts["cavity"], capacity=0.9 * heat.parts["cavity"].capacity)
+    with pytest.raises(InputError, match="heat: received 'temperatures of another cavity'"):
+        wb.liquid_warming(thick, replace(heat, parts={**heat.parts, "cavity": lighter}))

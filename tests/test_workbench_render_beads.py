@@ -92,4 +92,4 @@ def test_the_animation_has_its_frames(found: Trajectories, tmp_path: Path) -> No
 
 def test_another_voltage_is_said(found: Trajectories, tmp_path: Path) -> None:
     path = beads.draw_light_curves(replace(found, voltage_factor=2.0), [], tmp_path / "light.svg")
-    assert "2 times the voltage of" in path.read_text()
+    assert found.forces.at_voltage(2.0).excitation.description in path.read_text()

@@ -162,6 +162,18 @@ def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
         simulate(cell, "filed")
     with pytest.raises(InputError, match=r"simulate: relative_error: received 0\.0"):
         simulate(disc, relative_error=0.0)
+    given: Any = "5 Vpp"
+    with pytest.raises(InputError, match=r"drive: received '5 Vpp'; expected a drive, such as wb\.parse_drive"):
+        snapshot(cell, "filled", 400e3, drive=given)
+    given = "0.5 %"
+    with pytest.raises(InputError, match=r"accuracy: received '0\.5 %'; expected a relative error of Z, such as"):
+        snapshot(cell, "filled", 400e3, accuracy=given)
+    for frequency, meant in ((0.4, "400000 Hz"), (-4e5, "400000 Hz"), (4e8, "400000 Hz")):
+        with pytest.raises(InputError, match=r"frequency: received .*; expected a frequency in Hz") as caught:
+            snapshot(cell, "filled", frequency)
+        assert caught.value.nearest == (meant,)
+    with pytest.raises(InputError, match=r"simulate: at: received 0\.4"):
+        simulate(cell, "filled", at=0.4)
     states = tuple(replace(state, particle="pzt5a") if state.particle else state for state in cell.states)
     with pytest.raises(InputError, match=r"states\.filled\.particle: received 'pzt5a'; expected an isotropic solid"):
         snapshot(replace(cell, states=states), None, 400e3, accuracy=quadratic(ELEMENTS))

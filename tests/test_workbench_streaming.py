@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,6 +157,9 @@ def test_the_slopes_are_those_of_the_liquids_law(shot: Snapshot) -> None:
 def test_what_is_refused(shot: Snapshot) -> None:
     with pytest.raises(wb.InputError, match=r"temperature: received 'an array of shape \(3,\)'"):
         wb.streaming(shot, temperature=np.zeros(3))
+    given: Any = 20.0
+    with pytest.raises(wb.InputError, match=r"temperature: received 20\.0; expected kelvin above .*wb\.heating"):
+        wb.streaming(shot, temperature=given)
     uneven = np.full(len(shot.fields.mesh.nodes_of(["cavity"])), np.nan)
     with pytest.raises(wb.InputError, match="values that are not finite"):
         wb.streaming(shot, temperature=uneven, slopes=TemperatureSlopes(density=-0.25, sound_speed=2.6))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
 from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.acoustics.trajectories import Fate, Trajectories
+from workbench.files.errors import InputError
 
 #: Samples of start points (bootstrap) for the spread of a time. Doubled, the spread is known to 5 % and not to 7.
 RESAMPLES = 100
@@ -43,7 +45,7 @@ class Window:
     ``inner`` to ``outer`` and heights from ``bottom`` to ``top``, in m; all of it unless stated.
 
     Raises:
-        ValueError: a radius or height below the other one.
+        InputError: no number of m, or a radius or height below the other one.
     """
 
     inner: float = 0.0
@@ -52,9 +54,13 @@ class Window:
     top: float = math.inf
 
     def __post_init__(self) -> None:
+        for name in ("inner", "outer", "bottom", "top"):
+            value = getattr(self, name)
+            if not isinstance(value, Real):
+                raise InputError("Window", name, value, "a length in m, such as 1e-3")
         if not (0.0 <= self.inner < self.outer and self.bottom < self.top):
-            raise ValueError(f"a window from {self.inner:g} to {self.outer:g} m along r and {self.bottom:g} to "
-                             f"{self.top:g} m along z; expected radii from 0 up and heights that rise")
+            raise InputError("Window", "inner, outer, bottom, top", f"{self.inner:g} to {self.outer:g} m along r and "
+                             f"{self.bottom:g} to {self.top:g} m along z", "radii from 0 up and heights that rise")
 
 
 def light_curve(found: Trajectories, window: Window) -> FloatArray:
@@ -115,7 +121,7 @@ def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureSt
     no_time = np.full(found.count, np.nan)
     rows += [of("levitated, in no trap", ending(Fate.LEVITATED), no_time),
              of("at a wall", ending(Fate.AT_WALL), found.stopped_at),
-             of("sedimented", ending(Fate.SEDIMENTED), found.stopped_at),
+             of(Fate.SEDIMENTED.words, ending(Fate.SEDIMENTED), found.stopped_at),
              of("still moving", ending(Fate.MOVING), no_time)]
     return tuple(rows)
 

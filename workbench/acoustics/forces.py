@@ -5,7 +5,7 @@ A force means nothing without the field it was computed in, so every result carr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +42,16 @@ class Excitation:
     energy_density: float
     mean_energy_density: float
 
+    def at_voltage(self, factor: float) -> Excitation:
+        """The field at `factor` times the voltage, with the drive as a voltage at the electrodes."""
+        if factor == 1.0:
+            return self
+        voltage, square = factor * self.voltage, factor**2
+        return replace(
+            self, description=f"{2.0 * voltage:.4g} Vpp at the electrodes", voltage=voltage,
+            pressure_amplitude=factor * self.pressure_amplitude, energy_density=square * self.energy_density,
+            mean_energy_density=square * self.mean_energy_density)
+
     def __str__(self) -> str:
         return (
             f"{self.frequency / 1e6:.4f} MHz, {self.description}, "
@@ -63,6 +73,12 @@ class ParticleForces(Brief):
     scattering: Scattering
     potential: FloatArray
     force: FloatArray
+
+    def at_voltage(self, factor: float) -> ParticleForces:
+        """The forces at `factor` times the voltage: they grow with its square."""
+        return self if factor == 1.0 else replace(
+            self, excitation=self.excitation.at_voltage(factor), potential=factor**2 * self.potential,
+            force=factor**2 * self.force)
 
     def __str__(self) -> str:
         largest = float(np.nanmax(np.linalg.norm(self.force, axis=1)))

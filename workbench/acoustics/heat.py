@@ -120,7 +120,8 @@ def conducted_heat(
         drive: the drive in words.
         convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
             (``superstrate|outside``), the key "" standing for all that are not named.
-        holder: a boundary at ambient temperature, or the temperature (K above ambient) of several.
+        holder: an outer boundary (``substrate|outside``) at ambient temperature, or the temperature (K above ambient)
+            of several.
         empty: material of the registry that an empty region conducts as; None: it is insulated.
 
     Raises:
@@ -177,6 +178,8 @@ def conduction_of(
         constants[region] = thermal_constants(material, problem)
         notes.append(f"{region} is empty and conducts heat as {material.name}, without convection or radiation inside")
     held = {} if holder is None else {holder: 0.0} if isinstance(holder, str) else dict(holder)
+    for name in held:
+        choose(name, [each for each in problem.mesh.mesh.boundaries if is_outer(each)], source="heat", field="holder")
     cooling = dict(convection) if isinstance(convection, Mapping) else {"": float(convection)}
     return conduction(problem.mesh, constants, cooling=cooling, held=held), tuple(notes)
 

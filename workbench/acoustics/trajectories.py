@@ -12,13 +12,14 @@ from enum import IntEnum
 
 import numpy as np
 
+from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.motion import Motion
 from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.acoustics.particle_velocity import ParticleVelocity, particle_velocity
 from workbench.acoustics.starts import draw_starts
 from workbench.acoustics.traps import TrapReport
 from workbench.acoustics.walls import Walls, walls_of
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, expect_number, expect_whole
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
@@ -39,21 +40,24 @@ CARRIES = 0.7071
 REST_STEPS, LARGEST_REST_STEP = 60, 1.0 / 32.0
 
 
+#: Description of a number that start points are drawn by.
+SEED = "a whole number of 0 or more, such as 0"
 #: Length of the piece of a straight channel that the particles are spread over, as a multiple of its width. Doubled, a
 #: picture shows half as many particles on a width.
 STRIP = 1.5
 
 
 class Fate(IntEnum):
-    """The end of a particle within the time. A wall that carries its net weight sediments it, any other stops it; in a
-    channel, one that has come to its place across, and still rises or falls there, is focused."""
+    """The end of a particle within the time. A wall, or the surface of an open well, that carries its net weight lets
+    it settle (``SEDIMENTED``), any other stops it; in a channel, one that has come to its place across, and still rises
+    or falls there, is focused."""
 
     MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED, FOCUSED = range(6)
 
     @property
     def words(self) -> str:
         """The fate in words."""
-        return ("still moving", "levitated", "in a trap", "at a wall", "sedimented",
+        return ("still moving", "levitated", "in a trap", "at a wall", "settled on the floor, lid or surface",
                 "focused across the channel")[self]
 
 
@@ -87,6 +91,11 @@ class Trajectories(Brief):
     within: float
 
     @property
+    def forces(self) -> ParticleForces:
+        """The forces of the report at the voltage of the trajectories."""
+        return self.report.forces.at_voltage(self.voltage_factor)
+
+    @property
     def count(self) -> int:
         """The number of particles."""
         return len(self.positions)
@@ -107,7 +116,7 @@ class Trajectories(Brief):
     def __str__(self) -> str:
         ends = ", ".join(f"{int((self.fate == fate).sum())} {fate.words}" for fate in Fate
                          if (self.fate == fate).any())
-        return f"{self.count} particles over {self.times[-1]:.4g} s: {ends}\n{self.report.forces}"
+        return f"{self.count} particles over {self.times[-1]:.4g} s: {ends}\n{self.forces}"
 
 
 def record_times(duration: float) -> FloatArray:
@@ -130,7 +139,7 @@ def follow(
 
     Raises:
         InputError: times that do not ascend from 0, a start outside the cavity or nearer to a wall than the particle's
-            radius, a particle that does not fit, a number, factor or tolerance that is not positive.
+            radius, a particle that does not fit, a number, factor or tolerance that is not positive, a negative seed.
         ValueError: a flow of another shape.
     """
     forces = report.forces
@@ -138,6 +147,7 @@ def follow(
     times = np.asarray(times, dtype=float)
     tolerance = TOLERANCE * wavelength if tolerance is None else tolerance
     _check(times, voltage_factor, tolerance)
+    expect_whole(seed, SEED, source="trajectories", field="seed", low=0)
     random, walls = np.random.default_rng(seed), walls_of(forces.mesh)
     velocity = particle_velocity(forces, flow=flow, voltage_factor=voltage_factor)
     if isinstance(particles, int):
@@ -218,7 +228,7 @@ def _check(times: FloatArray, voltage_factor: float, tolerance: float) -> None:
             or not np.isfinite(times).all():
         raise InputError("trajectories", "times", _listed(times), "two or more times in s, ascending from 0")
     for name, value in (("voltage_factor", voltage_factor), ("tolerance", tolerance)):
-        if not (np.isfinite(value) and value > 0.0):
+        if not expect_number(value, "a positive number", source="trajectories", field=name) > 0.0:
             raise InputError("trajectories", name, value, "a positive number")
 
 

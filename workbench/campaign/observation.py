@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from geometry.chip_section import chip_section
+from geometry.chip_section import outer_boundaries
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.acoustics.heat import STILL_AIR
@@ -152,7 +152,7 @@ def _values(table: FileTable, kind: str) -> list[float]:
 def _cooling(table: FileTable, device: FilledChip) -> Cooling:
     regions = [*device.materials]
     part = table.choice("part", regions, CAVITY if CAVITY in regions else None)
-    holder = table.choice("holder", chip_section(device.chip).boundary_names()) if "holder" in table else None
+    holder = table.choice("holder", outer_boundaries(device.chip)) if "holder" in table else None
     convection = table.quantity("convection", "heat transfer coefficient", STILL_AIR)
     if not convection >= 0.0 or (convection == 0.0 and holder is None):
         raise table.error("convection", "a heat transfer coefficient above zero, or a holder that takes the heat")

@@ -71,7 +71,8 @@ def check_early(options: argparse.Namespace) -> None:
 
 
 def check_motion(options: argparse.Namespace) -> None:
-    """See that `particles` is given a drive, a time and a number of particles, and sizes and convection above zero.
+    """See that `particles` is given a drive, a time, a number of particles and a seed, sizes and convection above zero,
+    and ways for heat to leave only with a flow by heat.
 
     Raises:
         InputError: anything else.
@@ -83,6 +84,12 @@ def check_motion(options: argparse.Namespace) -> None:
         raise InputError("command line", "--minutes", options.minutes, "a time above zero, such as 30")
     if options.count < 1:
         raise InputError("command line", "--count", options.count, "at least one particle, such as 200")
+    if options.seed < 0:
+        raise InputError("command line", "--seed", options.seed, "a whole number of 0 or more, such as 0")
+    for field, text in (("--holder", options.holder), ("--convection", options.convection)):
+        if text is not None and options.flow != "heat":
+            raise InputError("command line", field, text, f"no {field[2:]} beside --flow {options.flow}, which leaves "
+                             "heat out; or --flow heat")
     for field, text, dimension, example in (
             ("--window", options.window, "length", ""), ("--particle-radius", options.particle_radius, "length", ""),
             ("--convection", options.convection, "heat transfer coefficient", ', such as "10 W/(m^2 K)"')):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from geometry.chip_section import chip_section
+from geometry.chip_section import outer_boundaries
 from workbench.acoustics.captures import Window, capture_statistics
 from workbench.acoustics.heat import STILL_AIR
 from workbench.acoustics.trajectories import Trajectories
@@ -50,7 +51,7 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
     outer = _quantity(options.window, "length", "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
     convection = _quantity(options.convection, "heat transfer coefficient", "--convection") or STILL_AIR
     if options.holder is not None:
-        choose(options.holder, chip_section(chip).boundary_names(), source="command line", field="--holder")
+        choose(options.holder, outer_boundaries(chip), source="command line", field="--holder")
     window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
     with progress_bars(console) as show:
         shot = _field(chip, name, model, show)
@@ -76,9 +77,13 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
 
 
 def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
-    """The field at the requested frequency, or at f0 of the spectrum."""
+    """The field at the requested frequency, or at f0 of the spectrum; where there is none, in the middle of the band,
+    which a finding says."""
     if model.at is None:
-        return run_state(chip, name, model, show)
+        run = run_state(chip, name, model, show)
+        return run if run.figures is not None else replace(run, findings=(
+            f"the field is that of {run.fields.frequency / 1e6:.6g} MHz, the middle of the band, because there is no "
+            f"f0: {run.no_resonance}. State the frequency of the generator by --at", *run.findings))
     return snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
                     accuracy=model.accuracy, progress=partial(simulated, show, name))
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from geometry.chip import Chip
-from geometry.chip_section import chip_section
+from geometry.chip_section import outer_boundaries
 from materials.registry import Registry
 from workbench.acoustics.heat import STILL_AIR
 from workbench.design.figures import with_parts
@@ -67,7 +67,7 @@ def _computed(
     if len(states) != 1:
         raise table.error("computed", f"one state of the chip, not {len(states)}: each has resistances of its own; "
                           "state them by region")
-    holder = table.choice("holder", chip_section(chip).boundary_names()) if "holder" in table else None
+    holder = table.choice("holder", outer_boundaries(chip)) if "holder" in table else None
     convection = table.quantity("convection", "heat transfer coefficient", STILL_AIR)
     run = simulate(chip, states[0], registry=registry, band=band, accuracy=MESH_ACCURACY, points=POINTS,
                    relative_error=MODEL_ACCURACY)

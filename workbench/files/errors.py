@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,28 @@ def expect(value: object, kind: type, *, reader: str, source: str, field: str) -
     if not isinstance(value, kind):
         raise InputError(source, field, value, f"a {kind.__name__}; read one with wb.{reader} (this is a "
                          f"{type(value).__name__})")
+
+
+def expect_number(value: object, expected: str, *, source: str, field: str, low: float = -math.inf) -> float:
+    """The finite number that a caller passed, not below `low`; `expected` describes it with its unit.
+
+    Raises:
+        InputError: anything else, such as a text with a unit.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value) or value < low:
+        raise InputError(source, field, value, expected)
+    return float(value)
+
+
+def expect_whole(value: object, expected: str, *, source: str, field: str, low: int) -> int:
+    """The whole number, not below `low`, that a caller passed.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < low:
+        raise InputError(source, field, value, expected)
+    return int(value)
 
 
 def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from geometry.names import TRANSDUCER, role_of
 from geometry.section import Rectangle, Section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Material
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, expect_number
 
 #: Thickness of the row of elements beside a film, in units of 1 / k, the decay length of its near field in the solid.
 FILM_ROW = 1.75
@@ -163,6 +163,8 @@ def discretisation(accuracy: float | Discretisation) -> Discretisation:
     if isinstance(accuracy, Discretisation):
         return accuracy
     finest = min(ROWS)
+    expect_number(accuracy, f"a relative error of Z, such as {ACCURACY:g} for {100.0 * ACCURACY:g} %, or a "
+                  "Discretisation", source="mesh", field="accuracy")
     if not finest * (1.0 - 1e-9) <= accuracy < 1.0:
         raise InputError("mesh", "accuracy", f"{accuracy:g}",
                          f"a relative error of Z of {finest:g} ({100.0 * finest:g} %), the finest there is, or more, "

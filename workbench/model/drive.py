@@ -107,6 +107,29 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
     raise InputError(source, field, text, '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"')
 
 
+def check_drive(drive: object, *, source: str) -> None:
+    """See that a caller passed a drive, or None.
+
+    Raises:
+        InputError: anything else, such as the text of one.
+    """
+    if drive is not None and not isinstance(drive, Drive):
+        text = drive if isinstance(drive, str) else "5 Vpp"
+        raise InputError(source, "drive", drive, f'a drive, such as wb.parse_drive("{text}")')
+
+
+def check_scaled(voltage: float, factor: float, *, source: str, field: str) -> None:
+    """See that `factor` times a `voltage` (V peak-to-peak) is no more than amplifiers give.
+
+    Raises:
+        InputError: it is more.
+    """
+    _, high, _ = PLAUSIBLE["peak-to-peak voltage"]
+    if factor * voltage > high:
+        raise InputError(source, field, factor, f"at most {high / voltage:.3g}, which makes {high:g} Vpp of "
+                         f"{voltage:.3g} Vpp at the electrodes, the most that an amplifier for such a device has")
+
+
 def read_drive(table: FileTable) -> Drive:
     """The drive under the key ``drive`` of a table: a text as of :func:`parse_drive`, "10 Vpp" unless stated.
 

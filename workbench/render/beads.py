@@ -98,7 +98,7 @@ def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]]
         curves.append(("have focused across the channel", arrived_share(found, found.focused_at), "-."))
     curves += [("have come to levitate", arrived_share(found, found.levitated_at), "--"),
                ("have come to their trap", arrived_share(found, found.trapped_at), "-."),
-               ("stopped by a wall or sedimented", arrived_share(found, found.stopped_at), ":")]
+               ("stopped by a wall or settled", arrived_share(found, found.stopped_at), ":")]
     for name, curve, style in curves:
         axes.plot(found.times[1:], 100.0 * curve[1:], style, label=name)
     axes.set_xscale("log")
@@ -155,9 +155,8 @@ def scale_bar_length(width: float) -> float:
 
 
 def _field_words(found: Trajectories) -> str:
-    """The line that describes the field, and the factor by which the voltage differs from it."""
-    factor = "" if found.voltage_factor == 1.0 else f"{found.voltage_factor:.4g} times the voltage of: "
-    return factor + typeset(found.report.excitation)
+    """The line that describes the field at the voltage of the trajectories."""
+    return typeset(found.forces.excitation)
 
 
 def _index(found: Trajectories, at: float) -> int:
@@ -236,7 +235,7 @@ def _move_above(dots: EllipseCollection, stamp: Text, found: Trajectories, index
 
 def _potential(found: Trajectories) -> tuple[FloatArray, str]:
     """The potential (N,) at the voltage of the trajectories in a unit that suits it, and the unit."""
-    potential = found.voltage_factor**2 * found.report.forces.potential
+    potential = found.forces.potential
     factor, unit = prefixed(float(np.abs(potential).max()), "J")
     return np.asarray(factor * potential), unit
 

@@ -66,8 +66,8 @@ def rest_table(found: Trajectories) -> TextTable:
 
 def motion_answer(found: Trajectories) -> str:
     """Sentences on the fate of the particles."""
-    excitation, count = found.report.excitation, found.count
-    voltage = 2.0 * excitation.voltage * found.voltage_factor
+    excitation, count = found.forces.excitation, found.count
+    voltage = 2.0 * excitation.voltage
     ends = [f"{percent(float((found.fate == fate).mean()))} {fate.words}" for fate in
             (Fate.TRAPPED, Fate.FOCUSED, Fate.LEVITATED, Fate.MOVING, Fate.SEDIMENTED, Fate.AT_WALL)
             if (found.fate == fate).any()]
@@ -82,7 +82,7 @@ def motion_answer(found: Trajectories) -> str:
 
 def motion_record(found: Trajectories, window: Window) -> dict[str, Any]:
     """Everything about the motion that particles.json holds."""
-    forces, excitation = found.report.forces, found.report.excitation
+    forces, excitation = found.forces, found.forces.excitation
     curve = light_curve(found, window)
     return {
         "particle": forces.particle.name, "radius_m": forces.particle.radius, "particles": found.count,

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +16,14 @@ from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.nodal import FloatArray, transfer
-from workbench.acoustics.trajectories import Trajectories, follow, record_times
+from workbench.acoustics.streaming import Streaming
+from workbench.acoustics.trajectories import SEED, Trajectories, follow, record_times
 from workbench.acoustics.traps import find_traps
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, expect_number, expect_whole
 from workbench.jobs.progress import Progress, no_progress
+from workbench.model.drive import check_scaled
 from workbench.model.problem import FilledChip, fill
+from workbench.simulation.liquid_motion import LiquidMotion
 from workbench.simulation.run import Snapshot
 
 #: Depth of a trap, as a share of the span of the potential, below which particles at rest count as levitated and not as
@@ -45,21 +47,27 @@ def trajectories(
         particles: number of start points, drawn evenly over the cavity's volume by `seed`; or start points (P, 2) r, z
             in m.
         flow: velocity (N, 2) in m/s with which the liquid carries a particle (streaming and Stokes drift), at the nodes
-            of the mesh of the fields or of that of the forces (``shot.traps.forces.mesh``); none unless given.
-        voltage_factor: of the voltage of `shot`; the radiation force grows with its square, the flow is as given.
+            of the mesh of the fields or of that of the forces (``shot.traps.forces.mesh``), such as
+            ``liquid_motion(shot).velocity``; none unless given.
+        voltage_factor: of the voltage of `shot`; the radiation force grows with its square. The flow stays as given:
+            it is that of the voltage it was computed for.
         times: times (n,) in s of the record, ascending from 0 to `duration`; closer at the beginning unless given.
         tolerance: estimated error of a step in m.
 
     Raises:
-        InputError: a state without particle, a duration that is not positive, a flow that is at no nodes of the cavity,
-            or see `workbench.acoustics.trajectories.follow`.
+        InputError: a state without particle, a duration that is not positive, a negative seed, a flow that is at no
+            nodes of the cavity, a voltage that no amplifier gives, or see `workbench.acoustics.trajectories.follow`.
     """
     if shot.traps is None:
         raise InputError("trajectories", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a particle "
                          'in a liquid: lines such as particle = "polystyrene" and particle_radius = "5 um" in '
                          f"[states.{shot.state}] of the chip file")
-    if not (math.isfinite(duration) and duration > 0.0):
-        raise InputError("trajectories", "duration", duration, "a positive time in s")
+    positive = "a positive time in s, such as 30.0"
+    if not expect_number(duration, positive, source="trajectories", field="duration") > 0.0:
+        raise InputError("trajectories", "duration", duration, positive)
+    expect_whole(seed, SEED, source="trajectories", field="seed", low=0)
+    factor = expect_number(voltage_factor, "a positive number", source="trajectories", field="voltage_factor")
+    check_scaled(2.0 * shot.traps.excitation.voltage, factor, source="trajectories", field="voltage_factor")
     forces = shot.traps.forces
     _check_small(shot.chip, shot.state, forces.particle.radius, forces.fluid.sound_speed / shot.fields.frequency)
     record = record_times(duration) if times is None else np.asarray(times, dtype=float)
@@ -113,6 +121,11 @@ def _on_forces(shot: Snapshot, flow: FloatArray | None) -> FloatArray | None:
     own = shot.traps.forces.mesh
     if flow is None:
         return None
+    if not isinstance(flow, np.ndarray):
+        # A newcomer passes the result that holds the array.
+        instead = {Streaming: "flow.carried_on(shot.traps.forces.mesh) of this streaming",
+                   LiquidMotion: "flow.velocity of this motion"}.get(type(flow), "an array (N, 2) in m/s")
+        raise InputError("trajectories", "flow", type(flow).__name__, f"velocities at the nodes: {instead}")
     if flow.shape == (len(own.points), 2):
         moved = flow
     elif flow.shape == (len(shot.fields.mesh.points), 2):

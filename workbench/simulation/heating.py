@@ -13,12 +13,23 @@ from typing import cast
 
 import numpy as np
 
+from geometry.dimension import SAME_LENGTH
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.acoustics.heat import EMPTY, STILL_AIR, Heating, check_peclet, conducted_heat, thermal_influence
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.heat import (
+    EMPTY,
+    STILL_AIR,
+    Heating,
+    check_peclet,
+    conducted_heat,
+    thermal_constants,
+    thermal_influence,
+)
+from workbench.acoustics.nodal import integrate
 from workbench.fem.linearised import FullSystem, curvature, frequency_slope, mixed_slopes
-from workbench.files.errors import InputError, expect
+from workbench.files.errors import InputError, expect, expect_number
 from workbench.model.fluid_slopes import fluid_slopes
 from workbench.results.merit import NoResonance
 from workbench.simulation.run import Simulation, Snapshot
@@ -26,6 +37,10 @@ from workbench.simulation.run import Simulation, Snapshot
 #: Most steps of Newton's method from the f0 of a spectrum to that of the model, and the relative step that ends it: a
 #: tenth of a hertz of a megahertz, a thousandth of the width of a resonance of Q = 10000.
 RESONANCE_STEPS, RESONANCE_FOUND = 8, 1e-7
+
+
+#: Relative difference of two heat capacities of one part: far above rounding, far below that of two materials.
+SAME_CAPACITY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -69,15 +84,18 @@ def heating(
         result: what `simulate` or `snapshot` returned.
         convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
             (``superstrate|outside``), the key "" standing for all that are not named.
-        holder: a boundary at ambient temperature, or the temperature (K above ambient) of several.
+        holder: an outer boundary (``substrate|outside``) at ambient temperature, or the temperature (K above ambient)
+            of several.
         empty: material of the registry that an empty cavity conducts as; None: it is insulated.
         flow_speed: largest speed (m/s) of the liquid, for the Peclet number across the height of the cavity.
 
     Raises:
-        InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary, a chip that
-            loses nothing, or a flow that carries more heat than conduction does.
+        InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary or none of
+            the outside, a chip that loses nothing, a negative speed, or a flow that carries more heat than conduction
+            does.
     """
     expect(result, Snapshot, reader="read_chip", source="heating", field="result")
+    expect_number(flow_speed, "a speed in m/s of 0 or more", source="heating", field="flow_speed", low=0.0)
     liquid = result.problem.materials.get(CAVITY)
     if flow_speed and isinstance(liquid, Fluid):
         check_peclet(liquid, flow_speed, cavity_height(result))
@@ -116,13 +134,15 @@ def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None
     """The mean rise of the cavity's liquid, and the change of its sound speed and of f0 that follows.
 
     Raises:
-        InputError: the cavity holds no liquid.
+        InputError: the cavity holds no liquid; temperatures of another chip or state.
     """
+    expect(result, Snapshot, reader="read_chip", source="liquid warming", field="result")
     liquid = result.problem.materials.get(CAVITY)
     if not isinstance(liquid, Fluid):
         raise InputError("liquid warming", f"state {result.state}", None if liquid is None else liquid.name,
                          "a state with a fluid in the cavity",
                          tuple(state.name for state in result.chip.states if state.name != result.state))
+    _check_own(result, heat)
     rise = heat.parts[CAVITY].mean
     known = Registry() if registry is None else registry
 
@@ -143,6 +163,23 @@ def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None
         density_change=rise * (density_slope + liquid.density * by_kelvin["density_bend"] * rise),
         thermal_expansion=-by_kelvin["density_slope"], resonance=resonance and resonance[0],
         resonance_slope=resonance and resonance[1])
+
+
+def _check_own(result: Snapshot, heat: Heating) -> None:
+    """Raise if the temperatures are not those of the mesh and the materials of `result`."""
+    problem, refusal = result.problem, f"wb.heating of this result, {result.chip.name}, state {result.state}"
+    if not isinstance(heat, Heating):
+        raise InputError("liquid warming", "heat", type(heat).__name__, refusal)
+    own = section_nodes(problem.mesh)[0].points
+    if own.shape != heat.mesh.points.shape or not np.allclose(own, heat.mesh.points, rtol=0.0, atol=SAME_LENGTH):
+        raise InputError("liquid warming", "heat", "temperatures on another mesh", refusal)
+    for region, part in heat.parts.items():
+        if region not in problem.materials:
+            continue
+        volume = float(integrate(heat.mesh, np.ones(len(own)), [region]))
+        capacity = thermal_constants(problem.materials[region], problem).volumetric * volume
+        if abs(part.capacity - capacity) > SAME_CAPACITY * capacity:
+            raise InputError("liquid warming", "heat", f"temperatures of another {region}", refusal)
 
 
 def _resonance_slope(

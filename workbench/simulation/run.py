@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import geometry.mesh
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.plausible import check_band
+from geometry.plausible import check_band, check_frequency
 from materials.assumed import is_lossless
 from materials.kinds import Fluid
 from materials.registry import Registry
@@ -33,7 +33,7 @@ from workbench.fem.solve import NotConverged, Solution, solve_full, sweep
 from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
-from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.drive import Drive, VoltageDrive, check_drive
 from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.at_point import reduced
@@ -233,7 +233,7 @@ def simulate(
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
-    expect(chip, Chip, reader="read_chip", source="simulate", field="chip")
+    _check_operation(chip, at, drive, source="simulate", field="at")
     lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
@@ -315,6 +315,13 @@ def _undamped(device: FilledChip) -> str:
     return f"A resonance without loss has no height: state a loss of {', '.join(lossless)}"
 
 
+def _check_operation(chip: Chip, frequency: float | None, drive: Drive | None, *, source: str, field: str) -> None:
+    expect(chip, Chip, reader="read_chip", source=source, field="chip")
+    if frequency is not None and "band" not in chip.unusual:
+        check_frequency(frequency, chip.band, source=source, field=field)
+    check_drive(drive, source=source)
+
+
 def _check_relative_error(relative_error: float) -> None:
     if not 0.0 < relative_error < 1.0:
         raise InputError("simulate", "relative_error", relative_error, "a relative error between 0 and 1")
@@ -364,7 +371,7 @@ def snapshot(
         InputError: a mistake in the chip, its materials or the arguments.
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
-    expect(chip, Chip, reader="read_chip", source="snapshot", field="chip")
+    _check_operation(chip, frequency, drive, source="snapshot", field="frequency")
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     progress("mesh", 0.0)
     problem = build(device, band=band_of(chip, band), accuracy=accuracy)

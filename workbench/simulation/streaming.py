@@ -52,6 +52,10 @@ def streaming(
     # The numbers that the fields were computed with, which a fit may have changed.
     fluid = replace(fluid, density=known["density"], sound_speed=known["sound_speed"],
                     shear_viscosity=known.get("shear_viscosity"))
+    if temperature is not None and not isinstance(temperature, np.ndarray):
+        raise InputError("streaming", "temperature", temperature, "kelvin above the liquid's stated temperature at the "
+                         f"nodes of the fields, an array ({len(shot.fields.mesh.points)},), such as "
+                         "wb.heating(shot).rise; leave it out for a liquid that is warm evenly")
     if temperature is not None and slopes is None:
         inside = shot.fields.mesh.nodes_of([CAVITY])
         there = temperature[inside] if temperature.size > inside.size else temperature
