@@ -79,7 +79,8 @@ def test_a_recording_of_the_chip_as_stated_is_diagnosed(tmp_path: Path, capsys: 
     assert found["verdict"] == "no_mismatch"
     (state,) = found["after"].values()
     assert state["reduced_chi_square"] < 1.3
-    (said,) = found["findings"]
+    said, lossless = found["findings"]
+    assert lossless.startswith("pic255/plutho states no loss")
     assert said.startswith("All lengths and solids count as exact")
     assert said in " ".join(capsys.readouterr().out.split())
     assert "count as exact, since no file states" in (out / "report.html").read_text(encoding="utf-8")

@@ -49,7 +49,8 @@ def impedance(off: float = 0.0) -> Any:
 
 
 def state(name: str) -> Any:
-    return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, impedance()), noise=NOISE, observation=None, data=2)
+    return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, impedance()), noise=NOISE, observation=None, data=2,
+                           materials={})
 
 
 def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explanation:

@@ -24,6 +24,7 @@ from scipy.special import spherical_jn
 from geometry.curves import Arc, Curve
 from geometry.free_mesh import mesh_free
 from geometry.free_section import Face, FreeSection
+from geometry.measure import ABOUT_AXIS
 from geometry.mesh import SectionMesh
 from geometry.mesh_size import MeshSize
 from geometry.quads import curved, oriented
@@ -54,7 +55,7 @@ def half_sphere(order: int) -> Any:
     mesh = skfem.MeshQuad(points, cells).with_subdomains({"cavity": np.arange(3)})
     wall = np.flatnonzero(np.isin(mesh.facets, (4, 5, 6)).all(axis=0))
     mesh = mesh.with_boundaries({"wall": wall})
-    return SimpleNamespace(mesh=mesh, order=order, coordinates=coordinates, nodes=coordinates)
+    return SimpleNamespace(mesh=mesh, order=order, coordinates=coordinates, nodes=coordinates, measure=ABOUT_AXIS)
 
 
 #: Of the gradient along the wall: what a boundary layer there lives on.

@@ -163,11 +163,10 @@ def discretisation(accuracy: float | Discretisation) -> Discretisation:
     if isinstance(accuracy, Discretisation):
         return accuracy
     finest = min(ROWS)
-    expect_number(accuracy, f"a relative error of Z, such as {ACCURACY:g} for {100.0 * ACCURACY:g} %, or a "
-                  "Discretisation", source="mesh", field="accuracy")
+    wanted = (f"a relative error of Z of {finest:g} ({100.0 * finest:g} %), the finest there is, or more, below 1, or "
+              f"a Discretisation; {ACCURACY:g} is usual")
+    expect_number(accuracy, wanted, source="mesh", field="accuracy")
     if not finest * (1.0 - 1e-9) <= accuracy < 1.0:
-        raise InputError("mesh", "accuracy", f"{accuracy:g}",
-                         f"a relative error of Z of {finest:g} ({100.0 * finest:g} %), the finest there is, or more, "
-                         f"below 1; {ACCURACY:g} is usual")
+        raise InputError("mesh", "accuracy", f"{accuracy:g}", wanted)
     fit = [row for row in ROWS if row <= accuracy * (1.0 + 1e-9)]
     return ROWS[max(fit)]
