@@ -183,7 +183,7 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
         if layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > SAME_LENGTH:
             raise InputError(file, f"layers[{i}].profile.points", f"r = {millimetres(nearest)} and more",
                              f"no hole through the transducer: {FULL_DISC}")
-    _check_transducers(layers, roles, file)
+    _check_transducers(layers, file)
     for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
         if layer.region != region:
             raise InputError(
@@ -206,9 +206,9 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
             )
 
 
-def _check_transducers(layers: Sequence[Layer], roles: Sequence[str], file: str) -> None:
+def _check_transducers(layers: Sequence[Layer], file: str) -> None:
     """Check that several transducers have electrodes of their own that do not short-circuit each other."""
-    places = [i for i, role in enumerate(roles) if role == TRANSDUCER]
+    places = [i for i, layer in enumerate(layers) if layer.role == TRANSDUCER]
     for i in places[1:]:
         if layers[i].live is None:
             raise InputError(file, f"layers[{i}].electrodes", None, 'electrodes = { live = "top" } or "bottom": '

@@ -119,9 +119,12 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
 def _further_live(table: FileTable) -> Literal["top", "bottom"] | None:
     """The live face of a transducer above the first; None if nothing is stated."""
     own = table.table("electrodes").only(("live",))
-    if "live" not in own:
-        return None
-    return "top" if _either(own, "live", "top", "bottom") == "top" else "bottom"
+    return _live(own) if "live" in own else None
+
+
+def _live(table: FileTable) -> Literal["top", "bottom"]:
+    """The live face of a transducer, by default the top."""
+    return "top" if _either(table, "live", "top", "bottom") == "top" else "bottom"
 
 
 def _either(table: FileTable, key: str, one: str, other: str) -> str:
@@ -204,9 +207,9 @@ def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
     else:
         table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius",
                     "live_diameter", "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
-    live = choose(table.text("live", "top"), ("top", "bottom"), source=table.source, field=table.at("live"))
+    live = _live(table)
     discs = (_disc(table, name, rim, measure) for name in ("live", "ground"))
-    return Electrodes("top" if live == "top" else "bottom", *discs)
+    return Electrodes(live, *discs)
 
 
 def _disc(table: FileTable, name: str, rim: float, measure: Measure) -> ElectrodeDisc:

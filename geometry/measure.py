@@ -80,6 +80,10 @@ class Axisymmetric:
         """A place across the section in words."""
         return "on the axis" if r == 0.0 else f"in a ring of radius {1e3 * r:.{self.decimals}f} mm"
 
+    def wall_place_words(self, r: float) -> str:
+        """A place across the floor or the lid in words."""
+        return "on the axis" if r == 0.0 else f"at r = {1e3 * r:.{self.decimals}f} mm"
+
     def within_words(self, outer: float) -> str:
         """The part of a section within a radius (m) in words."""
         return f"r below {1e3 * outer:.3g} mm"
@@ -185,6 +189,10 @@ class Straight:
             return "in the middle of the channel"
         side = "either side" if self.mirror else "the right" if r > 0.0 else "the left"
         return f"{distance} to {side} of the middle"
+
+    def wall_place_words(self, r: float) -> str:
+        """A place across the floor or the lid in words."""
+        return self.place_words(r)
 
     def within_words(self, outer: float) -> str:
         """The part of a section within a distance (m) of its middle in words."""

@@ -175,13 +175,14 @@ def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float]
     short in it. Where a bond ends in a step it is its thickness, within which the field of its end decays.
     """
     radii, heights = dict[float, float](), dict[float, float]()
+    of_solids, of_all = (_reentrant(section, fluids=fluids) for fluids in (False, True))
     for cavity in (p for p in section.rectangles if role_of(p.region) == CAVITY):
         longer = max(cavity.r_outer - max(cavity.r_inner, 0.0), cavity.z_top - cavity.z_bottom)
-        for r, z in _reentrant(section, fluids=False):
+        for r, z in of_solids:
             if r in (cavity.r_inner, cavity.r_outer) and z in (cavity.z_bottom, cavity.z_top):
                 radii[r] = heights[z] = size.cavity_corner * longer
     for bond in (p for p in section.rectangles if role_of(p.region) == BOND and size.corner_refinement < 1.0):
-        for r, z in _reentrant(section, fluids=True):
+        for r, z in of_all:
             if r in (bond.r_inner, bond.r_outer) and z in (bond.z_bottom, bond.z_top):
                 radii[r] = min(radii.get(r, math.inf), bond.z_top - bond.z_bottom)
     return radii, heights

@@ -66,6 +66,43 @@ radius = "3 mm"
 cavity_radius = "1.6 mm"
 """
 
+#: A plate of a straight chip, and the stack on it.
+PLATE = DISC.replace('radius = "3 mm"', 'width = "5 mm"').replace('name = "small"', '''name = "plate"
+geometry = "straight"
+length = "6 mm"''')
+STACK = PLATE + """
+[[layers]]
+role = "couplant"
+material = "gel/trial"
+thickness = "60 um"
+half_width = "2 mm"
+
+[[layers]]
+role = "substrate"
+material = "pla/trial"
+thickness = "0.8 mm"
+half_width = "2 mm"
+
+[[layers]]
+role = "sidewall"
+material = "pla/trial"
+thickness = "0.7 mm"
+half_width = "2 mm"
+cavity_width = "0.8 mm"
+
+[[layers]]
+role = "superstrate"
+material = "glass/trial"
+thickness = "0.5 mm"
+half_width = "2 mm"
+
+[states.empty]
+cavity = "vacuum"
+
+[states.filled]
+cavity = "water"
+"""
+
 
 def any_recordings(folder: Path, files: Mapping[str, str], recorded: Real) -> Campaign:
     """A campaign whose recordings, at the frequencies `recorded` (n,) Hz, are any resonance: it can be read.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_recordings import DISC, MATERIALS, any_recordings, conceal
+from own_recordings import MATERIALS, PLATE, STACK, any_recordings, conceal
 from test_geometry_straight import CHIP, chip
 
 from geometry.chip_section import volumes
@@ -16,41 +16,6 @@ from workbench.cli import main
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.observed import region_volumes
 
-PLATE = DISC.replace('radius = "3 mm"', 'width = "5 mm"').replace('name = "small"', '''name = "plate"
-geometry = "straight"
-length = "6 mm"''')
-STACK = PLATE + """
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "60 um"
-half_width = "2 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.8 mm"
-half_width = "2 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "0.7 mm"
-half_width = "2 mm"
-cavity_width = "0.8 mm"
-
-[[layers]]
-role = "superstrate"
-material = "glass/trial"
-thickness = "0.5 mm"
-half_width = "2 mm"
-
-[states.empty]
-cavity = "vacuum"
-
-[states.filled]
-cavity = "water"
-"""
 CAMPAIGN = """
 [campaign]
 known = "named"

@@ -19,20 +19,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from own_recordings import DISC, MATERIALS, NOISE, any_recordings  # noqa: E402
+from own_recordings import MATERIALS, NOISE, PLATE, STACK, any_recordings  # noqa: E402
 
 from workbench.campaign.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.device import device_model  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
-PLATE = DISC.replace('radius = "3 mm"', 'width = "5 mm"').replace(
-    'name = "small"', 'name = "plate"\ngeometry = "straight"\nlength = "6 mm"')
-LAYER = '\n[[layers]]\nrole = "{}"\nmaterial = "{}"\nthickness = "{}"\nhalf_width = "2 mm"\n{}'
-STACK = PLATE + "".join(LAYER.format(*each) for each in (
-    ("couplant", "gel/trial", "60 um", ""), ("substrate", "pla/trial", "0.8 mm", ""),
-    ("sidewall", "pla/trial", "0.7 mm", 'cavity_width = "0.8 mm"\n'), ("superstrate", "glass/trial", "0.5 mm", ""),
-)) + '\n[states.empty]\ncavity = "vacuum"\n\n[states.filled]\ncavity = "water"\n'
 CAMPAIGN = '[campaign]\nknown = "named"\n' + "".join(
     f'\n[states.{name}]\nchip = "{chip}.toml"\n{state}recording = "{name}.csv"\n' for name, chip, state in (
         ("plate", "plate", ""), ("empty", "stack", 'state = "empty"\n'), ("filled", "stack", 'state = "filled"\n'))

@@ -171,9 +171,9 @@ def _observed(
     of its uncertainty; None where one of them has no such value: beads do not get to the trap, or the cavity is no
     cylinder."""
     found = {}
+    device = next(state.device for state in model.campaign.fitted if state.name == observation.state)
     for each in alive:
         own = model.of(each.hypothesis.effects, each.x)
-        device = next(state.device for state in model.campaign.fitted if state.name == observation.state)
         recording = next(r for r in own.fitted.recordings if r.name == observation.state)
         asked = replace(recording, name=observation.name, state=observation.state,
                         measured=ObservedValue(np.array([observation.frequency]), np.ones(1, dtype=complex)),
@@ -195,8 +195,7 @@ def _seen(
 ) -> tuple[Real, Real]:
     """The prediction for observations, so many `times`."""
     mean, slopes = predictions[found]
-    values, vectors = np.linalg.eigh(found.covariance)
-    uncertain = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    uncertain = slopes @ _root(found.covariance)
     return math.sqrt(times) * np.array([mean]), math.sqrt(times) * uncertain[None]
 
 
@@ -215,11 +214,17 @@ def _recorded(
     # The offsets of the recording there is are not those of the next.
     mean = mean - tangents[:, is_new] @ found.x[free[is_new]]
     mean = mean + (drive**2 - 1.0) * tangents[:, driven] @ (found.x - model.stated)[free[driven]]
-    values, vectors = np.linalg.eigh(found.covariance[np.ix_(~is_new, ~is_new)])
-    uncertain = tangents[:, ~is_new] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    uncertain = tangents[:, ~is_new] @ _root(found.covariance[np.ix_(~is_new, ~is_new)])
     same = math.sqrt(times) * np.column_stack([uncertain, systematic.directions[rows] * np.sqrt(said)])
     drawn = tangents[:, is_new] * np.array([model.parameters[i].prior or 0.0 for i in free[is_new]])
     return math.sqrt(times) * mean, np.column_stack([same, drawn])
+
+
+def _root(covariance: Real) -> Real:
+    """A root R (k, k) of a covariance R R^T; eigenvalues that rounding left below zero count as zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: Real = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
 
 
 def _driven(model: Model, found: Explanation, state: str) -> list[int]:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.rim import SHARE, Rim
-from workbench.physics.term import Admissible, FreeParameter, Integral, Product, Term
+from workbench.physics.rim import SHARE, OfRim, Rim
+from workbench.physics.term import Admissible, Integral, Product
 
 #: Admissible excess of the permittivity of a rim without poling.
 EXCESS = Admissible(
@@ -21,7 +21,7 @@ EXCESS = Admissible(
 
 
 @dataclass(frozen=True)
-class DepoledRim(Term):
+class DepoledRim(OfRim):
     """Zero piezoelectric constants and permittivity (1 + x) eps33 outside the edge of a rim.
 
     In a ring in which the share f of the area is not poled,
@@ -37,13 +37,6 @@ class DepoledRim(Term):
     region: str
     material: str
     rim: Rim
-
-    @property
-    def needs_axis(self) -> bool:
-        return True  # The shares of its rings are those of rings about an axis.
-
-    def free(self) -> tuple[FreeParameter, ...]:
-        return self.rim.free()
 
     def fixed(self) -> Mapping[str, float]:
         return {f"{self.rim.name}.permittivity_excess": 0.0}

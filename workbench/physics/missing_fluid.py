@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import FreeParameter, Integral, Product, Term
+from workbench.physics.rim import SHARE, OfRim, Rim, hindered
+from workbench.physics.term import Integral, Product
 
 #: Share s of the layer's stiffness and mass with which a ring is held about half as well as by the whole layer. On
 #: rings of 0.1 to 0.3 mm it finds the edge to 0.005 of the radius. With s = 1 (patches that are wide beside the layer)
@@ -20,7 +20,7 @@ HALFWAY = 0.3
 
 
 @dataclass(frozen=True)
-class MissingFluid(Term):
+class MissingFluid(OfRim):
     """Gas in the place of the fluid outside the edge of a rim.
 
     In a ring in which the share f of the area is gas,
@@ -40,13 +40,6 @@ class MissingFluid(Term):
     material: str
     gas: str
     rim: Rim
-
-    @property
-    def needs_axis(self) -> bool:
-        return True  # The shares of its rings are those of rings about an axis.
-
-    def free(self) -> tuple[FreeParameter, ...]:
-        return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:
         densities = (("rho", f"{self.material}.density"), ("rho_g", f"{self.gas}.density"))

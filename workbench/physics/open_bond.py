@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import FreeParameter, Integral, Term, isotropic_solid, times
+from workbench.physics.rim import SHARE, OfRim, Rim, hindered
+from workbench.physics.term import Integral, isotropic_solid, times
 
 #: Share of stiffness and mass that remains in the open part of the layer, so that its unknowns keep an equation. Air,
 #: gamma p_0 = 1.4e5 Pa, would leave 2e-5 of epoxy's 6 GPa. Ten times this share changes nothing.
@@ -27,7 +27,7 @@ SKIN = 0.02
 
 
 @dataclass(frozen=True)
-class OpenBond(Term):
+class OpenBond(OfRim):
     """A layer that transmits nothing up to the edge of a rim.
 
     In a ring in which the share f of the area is open,
@@ -46,13 +46,6 @@ class OpenBond(Term):
     material: str
     rim: Rim
     skin: float = 0.0
-
-    @property
-    def needs_axis(self) -> bool:
-        return True  # The shares of its rings are those of rings about an axis.
-
-    def free(self) -> tuple[FreeParameter, ...]:
-        return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import FreeParameter, Integral, Product, Term
+from workbench.physics.rim import SHARE, OfRim, Rim, hindered
+from workbench.physics.term import Integral, Product
 
 #: Thickness of the insulating skin below the electrode, as a share of the transducer's: thin beside any ring that
 #: shows.
@@ -22,7 +22,7 @@ HALFWAY = 0.1
 
 
 @dataclass(frozen=True)
-class PartialElectrode(Term):
+class PartialElectrode(OfRim):
     """A face of the transducer that is bare outside the edge of a rim.
 
     In a ring of which the share f is bare,
@@ -42,13 +42,6 @@ class PartialElectrode(Term):
     material: str
     rim: Rim
     upper: bool
-
-    @property
-    def needs_axis(self) -> bool:
-        return True  # The shares of its rings are those of rings about an axis.
-
-    def free(self) -> tuple[FreeParameter, ...]:
-        return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
 
-from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParameter
+from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParameter, Term
 
 #: Widths up to the edges of the rings, relative to the layer's radius; each ring is narrow beside the width it adds to.
 #: Meshes have a line of nodes at each (`geometry.mesh_size.MeshSize.radii`): if the gel of a chip of 3 mm ends within
@@ -106,12 +105,17 @@ class Rim:
                 yield edge, Formula(Step(law, self, at), ((_WIDTH, self.number), *symbols), omega_power)
 
 
-@runtime_checkable
-class OfRim(Protocol):
+class OfRim(Term):
     """A term whose effect is confined to the rings of a rim."""
 
+    rim: Rim
+
     @property
-    def rim(self) -> Rim: ...
+    def needs_axis(self) -> bool:
+        return True  # The shares of its rings are those of rings about an axis.
+
+    def free(self) -> tuple[FreeParameter, ...]:
+        return self.rim.free()
 
 
 def hindered(share: complex, halfway: float) -> tuple[complex, complex]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from workbench.files.writing import replacing
 
 if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
     from workbench.acoustics.forces import Excitation
@@ -46,6 +47,19 @@ PANELS_ACROSS = 3
 POINTS_PER_DOT = 2
 
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+def coloured_dots(values: NDArray[np.float64], shades: Colormap, limits: tuple[float, float]) -> NDArray[np.uint8]:
+    """The dots (m, n, 3) of a picture of `values`, POINTS_PER_DOT each way to a dot, downwards and to the right; NaN is
+    white."""
+    from matplotlib.colors import Normalize
+
+    down, across = (size // POINTS_PER_DOT for size in values.shape)
+    shown = Normalize(*limits)(np.ma.masked_invalid(values))
+    fine = shades.with_extremes(bad="white")(shown, bytes=True)[:, :, :3]
+    dots: NDArray[np.uint8] = fine.reshape(down, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(
+        axis=(1, 3)).round().astype(np.uint8)
+    return dots
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geometry.names import CAVITY
 from workbench.acoustics.nodal import FloatArray, NodalMesh, raster
 from workbench.acoustics.traps import TrapReport
-from workbench.render.canvas import PLAIN_COLOURS, POINTS_PER_DOT, SIGNED_COLOURS, prefixed
+from workbench.render.canvas import PLAIN_COLOURS, POINTS_PER_DOT, SIGNED_COLOURS, coloured_dots, prefixed
 from workbench.render.sections import at_largest, region_edges
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _picture(
 ) -> LivePicture:
     """The picture of `values` (N,), which the mirror image has `image` times, if there is one."""
     from matplotlib import colormaps
-    from matplotlib.colors import Normalize, to_hex
+    from matplotlib.colors import to_hex
     from PIL import Image
 
     regions = [each for each in mesh.regions if np.isfinite(values[mesh.nodes_of([each])]).all()]
@@ -101,18 +101,10 @@ def _picture(
     up = max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
     r = left + (np.arange(POINTS_PER_DOT * across) + 0.5) * (radius - left) / (POINTS_PER_DOT * across)
     z = bottom + (np.arange(POINTS_PER_DOT * up) + 0.5) * (top - bottom) / (POINTS_PER_DOT * up)
-    seen = np.ma.masked_invalid(raster(mesh, values, r, z, regions).T[::-1])
-    shades = colormaps[colours]
-
-    def painted(field: np.ma.MaskedArray) -> NDArray[np.uint8]:
-        coloured = shades.with_extremes(bad="white")(Normalize(*limits)(field), bytes=True)[:, :, :3]
-        dots: NDArray[np.uint8] = coloured.reshape(up, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(
-            axis=(1, 3)).round().astype(np.uint8)
-        return dots
-
-    right = painted(seen)
+    seen, shades = raster(mesh, values, r, z, regions).T[::-1], colormaps[colours]
+    right = coloured_dots(seen, shades, limits)
     # Of a field that is even the image is the picture itself.
-    other = right if image == 1.0 else painted(image * seen)
+    other = right if image == 1.0 else coloured_dots(image * seen, shades, limits)
     whole = np.concatenate([other[:, ::-1], right], axis=1) if mirrored else right
     held = io.BytesIO()
     Image.fromarray(whole).save(held, "png", compress_level=1)

@@ -25,6 +25,7 @@ from workbench.render.canvas import (
     PLAIN_COLOURS,
     POINTS_PER_DOT,
     SIGNED_COLOURS,
+    coloured_dots,
     new_figure,
     prefixed,
     role_colour,
@@ -322,21 +323,14 @@ def _show(
     of a map or one colour for every step between `limits`. Beyond a plane of odd symmetry `signed` values have the
     other sign."""
     from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.colors import ListedColormap
 
     shades = colormaps[colours] if isinstance(colours, str) else ListedColormap(list(colours))
-    _, height = _dots(window)
-
-    def coloured(seen: FloatArray) -> FloatArray:
-        shown = np.ma.masked_invalid(seen.T[::-1])
-        fine = shades.with_extremes(bad="white")(Normalize(*limits)(shown), bytes=True)[:, :, :3]
-        return np.asarray(fine.reshape(height, POINTS_PER_DOT, -1, POINTS_PER_DOT, 3).mean(axis=(1, 3)))
-
-    whole = right = coloured(values)
+    seen = values.T[::-1]
+    picture = right = coloured_dots(seen, shades, limits)
     if window.is_mirrored:
-        left = coloured(-values) if signed and window.measure.mirror < 0 else right
-        whole = np.concatenate([left[:, ::-1], right], axis=1)
-    picture = whole.round().astype(np.uint8)
+        left = coloured_dots(-seen, shades, limits) if signed and window.measure.mirror < 0 else right
+        picture = np.concatenate([left[:, ::-1], right], axis=1)
     # Dot for dot: any other interpolation would blur them, and takes as long as all the rest of a picture.
     axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
 

@@ -30,7 +30,7 @@ from workbench.report.resonances import (
     resonances_table,
     single_fits_record,
 )
-from workbench.simulation.channel import channel_figures
+from workbench.simulation.channel import ChannelFigures, channel_figures
 from workbench.simulation.gathering import Gathering
 from workbench.simulation.run import Simulation, Snapshot
 
@@ -69,12 +69,19 @@ def traps_table(report: TrapReport) -> TextTable:
                       "focusing time (s)"), tuple(rows))
 
 
+def _channel(shot: Snapshot) -> ChannelFigures | None:
+    """The figures of the channel of a straight chip; None for a round chip and for a state without liquid."""
+    if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
+        return None
+    return channel_figures(shot)
+
+
 def channel_tables(shot: Snapshot) -> list[TextTable]:
     """Figures of the channel of a straight chip, and the lines that its particles focus to; nothing for a round chip
     and for a state without liquid."""
-    if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
+    found = _channel(shot)
+    if found is None:
         return []
-    found = channel_figures(shot)
     tables = [TextTable(
         ("mean E_ac (J/m^3)", "per Vpp^2", "per W", "|p| across, mid-height (kPa)", "uneven over the height (%)",
          "critical diameter (um)"),
@@ -220,9 +227,9 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
 
 def _channel_record(shot: Snapshot) -> dict[str, Any]:
     """The figures of the channel of a straight chip; empty for others."""
-    if not channel_tables(shot):
+    found = _channel(shot)
+    if found is None:
         return {}
-    found = channel_figures(shot)
     return {"channel": {
         "mean_energy_density_j_m3": found.energy_density, "per_square_vpp_j_m3_v2": found.energy_per_square_volt,
         "per_watt_j_m3_w": found.energy_per_watt, "unevenness_over_height": found.unevenness,

@@ -221,8 +221,7 @@ def _wall_words(trap: Trap, forces: ParticleForces) -> str:
         return f"at the side wall {_above_floor(trap)}"
     else:
         wall = "at the lid"
-    words = trap.measure.place_words(trap.radius)
-    return f"{wall} {words.replace('in a ring of radius', 'at r =')}"
+    return f"{wall} {trap.measure.wall_place_words(trap.radius)}"
 
 
 def particle_words(forces: ParticleForces) -> str:
