@@ -166,7 +166,7 @@ def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
     with pytest.raises(InputError, match=r"drive: received '5 Vpp'; expected a drive, such as wb\.parse_drive"):
         snapshot(cell, "filled", 400e3, drive=given)
     given = "0.5 %"
-    with pytest.raises(InputError, match=r"accuracy: received '0\.5 %'; expected a relative error of Z, such as"):
+    with pytest.raises(InputError, match=r"accuracy: received '0\.5 %'; expected a relative error of Z of 0\.0001"):
         snapshot(cell, "filled", 400e3, accuracy=given)
     for frequency, meant in ((0.4, "400000 Hz"), (-4e5, "400000 Hz"), (4e8, "400000 Hz")):
         with pytest.raises(InputError, match=r"frequency: received .*; expected a frequency in Hz") as caught:
