@@ -77,6 +77,12 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "bottom": "as of a round chip",
         "offset": "how far its middle is to the right of that of a chip with `symmetry = \"none\"`; 0 if not given",
         "cavity_offset": "the same of the channel",
+        "draft": "the angle by which the channel grows wider upwards: 35.26 deg of silicon etched by KOH",
+        "barrel": "as of a round chip, to both sides",
+        "bow": "as of a round chip, with the middle of the layer in place of the axis",
+        "dome": "as of a round chip, with the middle of the layer in place of the axis",
+        "profile": "the outline of its right half, x from its middle, in place of a rectangle; `points`, or a `script` "
+                   "that draws a face, see {doc}`straight_channel`",
         "electrodes": "of a transducer alone, see below",
         "poled": "as of a round chip",
     },

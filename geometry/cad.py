@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.limits import FULL_DISC
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
 from geometry.revolution import SAME_POINT, cut
 from geometry.step_file import step_part
 from workbench.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cadquery import Face
+    from cadquery import Compound, Face
 
 #: Largest area (mm^2) that two faces may have in common without an overlap: far below any intended one, far above
 #: rounding.
@@ -25,15 +26,16 @@ LEAST_AREA = 1e-7
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """The section of a layer, and a note on parts of its solid that the section leaves out ("" for none)."""
+    """The section of a layer, a face or a compound of two on both sides of a channel, and a note on parts of its solid
+    that the section leaves out ("" for none)."""
 
-    face: Face
+    face: Face | Compound
     left_out: str = ""
 
 
 def place(point: Any) -> str:
     """A point of the section as text for messages."""
-    return f"r = {point.x:.4g} mm, z = {point.z:.4g} mm"
+    return f"({point.x:.4g} mm, {point.z:.4g} mm)"
 
 
 def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
@@ -45,31 +47,42 @@ def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
     return near.Value(), [cadquery_module().Vector(point.X(), point.Y(), point.Z()) for point in points]
 
 
+def mirrored(drawn: DrawnLayer, middle: float) -> DrawnLayer:
+    """A section drawn right of r = 0 with its mirror image, moved to a `middle` (m)."""
+    cadquery = cadquery_module()
+    both = drawn.face.fuse(drawn.face.mirror("YZ")).clean()
+    faces = both.moved(cadquery.Location(cadquery.Vector(MILLIMETRES * middle, 0.0, 0.0))).Faces()
+    return DrawnLayer(faces[0] if len(faces) == 1 else cadquery.Compound.makeCompound(faces), drawn.left_out)
+
+
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
-                 is_transducer: bool = False) -> DrawnLayer:
-    """The section of a layer whose bottom is at the height `bottom` (m).
+                 measure: Measure = ABOUT_AXIS, is_transducer: bool = False) -> DrawnLayer:
+    """The section of a layer whose bottom is at the height `bottom` (m), right of the axis or of its middle.
 
     Args:
         sizes: the layer's own dimensions by name (m).
 
     Raises:
         InputError: the outline is not closed, crosses itself or leaves the half plane, a script or a STEP file lacks
-            the named part, or a solid is not a body of revolution about the axis.
+            the named part, or a solid is not a body of revolution about the axis. Of a straight chip: a script that
+            draws a solid, which has no length to be compared with.
     """
     where = profile.source
     if isinstance(where, Outline):
         drawn = DrawnLayer(_outline(where, profile.sizes(sizes), source=source, field=f"{field}.points"))
     elif isinstance(where, Script):
         made = called(where, profile.sizes(sizes), profile.angles)
-        drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function)
+        drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function, measure)
     else:
         drawn, bottom = _step_section(where, profile.asymmetry, profile.placement), 0.0
     box = drawn.face.BoundingBox()
+    hole, middle = f"cavity_{measure.across}", measure.middle
     if box.xmin < -SAME_POINT:
-        raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
-    if box.xmin > SAME_POINT and "cavity_radius" not in sizes:
-        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", FULL_DISC if is_transducer else
-                         "an outline that reaches the axis: a layer with a hole has a cavity_radius")
+        raise InputError(source, field, f"{measure.symbol} = {box.xmin:.4g} mm",
+                         f"no point beyond the {middle}: {measure.symbol} of zero or more")
+    if box.xmin > SAME_POINT and hole not in sizes:
+        raise InputError(source, field, f"{measure.symbol} = {box.xmin:.4g} mm and more", FULL_DISC if is_transducer
+                         else f"an outline that reaches the {middle}: a layer with a hole has a {hole}")
     if isinstance(where, Script) and box.zmax < SAME_POINT:
         over = "-z" if profile.placement.axis == AXES["z"] else "of the other sign"
         raise InputError(str(where.path), where.function, f"a body upside down, from z = {box.zmin:.4g} to "
@@ -149,7 +162,9 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 # Solids
 
 
-def _section(made: Any, asymmetry: float, placement: Placement, source: str, field: str) -> DrawnLayer:
+def _section(
+    made: Any, asymmetry: float, placement: Placement, source: str, field: str, measure: Measure = ABOUT_AXIS
+) -> DrawnLayer:
     """The section of the content of a script or a file: of a solid, or the face itself."""
     cadquery = cadquery_module()
     values = [made]
@@ -164,6 +179,9 @@ def _section(made: Any, asymmetry: float, placement: Placement, source: str, fie
     solids = [solid for each in shapes for solid in each.Solids()]
     if len(solids) > 1:
         raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins what touches")
+    if solids and isinstance(measure, Straight):
+        raise InputError(source, field, "a solid", "the cross-section of a straight chip: a face, or a closed wire, in "
+                         'the plane y = 0, as of Workplane("XZ")')
     if solids:
         return DrawnLayer(*cut(solids[0], placement, asymmetry, source, field))
     if placement != Placement():

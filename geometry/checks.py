@@ -162,7 +162,7 @@ def _hole(layer: Layer) -> str:
     return millimetres(layer.inner_radius) if layer.cavity_radius is None else dimension_text(layer.cavity_radius)
 
 
-def check_stack(layers: Sequence[Layer], file: str) -> None:
+def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS) -> None:
     """Check that every layer has a role, that one is the transducer, and that each rests on the one below."""
     roles = [layer.role for layer in layers]
     for i, layer in enumerate(layers):
@@ -180,8 +180,9 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
             if layer.poled != "up" or layer.live is not None:
                 raise InputError(file, f"layers[{i}].poled", layer.poled, "no poling of a layer that is no transducer")
             continue
-        if layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > SAME_LENGTH:
-            raise InputError(file, f"layers[{i}].profile.points", f"r = {millimetres(nearest)} and more",
+        if layer.profile is not None and (nearest := _nearest(layer.profile, layer, measure)) > SAME_LENGTH:
+            raise InputError(file, f"layers[{i}].profile.points",
+                             f"{measure.symbol} = {millimetres(nearest)} and more",
                              f"no hole through the transducer: {FULL_DISC}")
     _check_transducers(layers, file)
     for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
@@ -230,11 +231,11 @@ def check_shared_electrodes(layers: Sequence[Layer], electrodes: Electrodes, fil
                              f"is {'live' if low == 'top' else 'at ground'}; or put a bond between them")
 
 
-def _nearest(profile: Profile, layer: Layer) -> float:
+def _nearest(profile: Profile, layer: Layer, measure: Measure) -> float:
     """Smallest radius (m) of the points of an outline; 0 for a profile that is no outline."""
     if not isinstance(profile.source, Outline):
         return 0.0
-    sizes = profile.sizes({"thickness": layer.thickness.value, "radius": layer.outer_radius})
+    sizes = profile.sizes({"thickness": layer.thickness.value, measure.across: layer.outer_radius})
     corners = profile.source.corners
     points = (point for corner in corners for point in (corner.at, *corner.through, corner.arc) if point)
     radii = (radius for radius, _ in points)

@@ -67,7 +67,7 @@ class Chip:
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file, self.measure)
         checks.check_cavity(self.layers, self.file, self.measure, is_open=self.is_open)
         checks.check_shapes(self.layers, self.file)
-        checks.check_stack(self.layers, self.file)
+        checks.check_stack(self.layers, self.file, self.measure)
         checks.check_electrodes(self.electrodes, self.transducer.inner_radius, self.transducer.outer_radius, self.file,
                                 self.measure)
         checks.check_shared_electrodes(self.layers, self.electrodes, self.file)

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 from geometry import revolution
 from geometry.chip import Chip
 from geometry.free_section import FreeSection
-from geometry.measure import Straight
+from geometry.kernel import MILLIMETRES
+from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import OUTSIDE, TRANSDUCER
 from geometry.parts import Electrodes, Layer
+from geometry.profile import names_of_layer
 from geometry.section import Section, cut_section, section_of_layers
 from geometry.shapes import outlines
 
 if TYPE_CHECKING:
-    from cadquery import Face
+    from cadquery import Shape
 
     from geometry.cad import DrawnLayer
 
@@ -32,7 +34,7 @@ def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeS
     """
     if not chip.is_profiled:
         return cut_section(chip)
-    return _free_section(chip.layers, chip.electrodes, chip.file, () if like is None else like.cuts)
+    return _free_section(chip.layers, chip.electrodes, chip.file, () if like is None else like.cuts, chip.measure)
 
 
 def outer_boundaries(chip: Chip) -> tuple[str, ...]:
@@ -46,12 +48,12 @@ def outer_boundaries(chip: Chip) -> tuple[str, ...]:
 
 @lru_cache(maxsize=32)
 def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str,
-                  cuts: tuple[tuple[str, tuple[float, ...]], ...]) -> FreeSection:
+                  cuts: tuple[tuple[str, tuple[float, ...]], ...], measure: Measure) -> FreeSection:
     from geometry.dissection import section_of  # CadQuery takes seconds to import
 
-    stated = section_of_layers(layers, electrodes)
-    return section_of(drawn_layers(layers, file), stated.electrodes, stated.rectangles,
-                      walls=_walls(layers), source=file, cuts=dict(cuts))
+    stated = section_of_layers(layers, electrodes, measure)
+    return section_of(drawn_layers(layers, file, measure), stated.electrodes, stated.rectangles,
+                      walls=_walls(layers), source=file, cuts=dict(cuts), measure=measure)
 
 
 def _walls(layers: tuple[Layer, ...]) -> list[str]:
@@ -59,8 +61,9 @@ def _walls(layers: tuple[Layer, ...]) -> list[str]:
     return [layer.region for layer in layers if layer.cavity_radius is not None]
 
 
-def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, DrawnLayer]:
-    """The section of every layer by region, as CadQuery draws it.
+def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_AXIS) -> dict[str, DrawnLayer]:
+    """The section of every layer by region, as CadQuery draws it: its half from the axis, or from the middle of the
+    layer, and the mirror image of that where the `measure` shows both sides.
 
     Raises:
         InputError: an outline that cannot be made.
@@ -72,19 +75,23 @@ def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, DrawnLayer]:
     for number, layer in enumerate(layers):
         if layer.profile is None:
             lengths = (layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
-            drawn[layer.region] = cad.DrawnLayer(revolution.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
+            drawn[layer.region] = cad.DrawnLayer(revolution.rectangle(*(MILLIMETRES * each for each in lengths)))
             continue
-        sizes = {"thickness": layer.thickness.value, "radius": layer.outer_radius}
+        thickness, across, hole = names_of_layer(measure)
+        sizes = {thickness: layer.thickness.value, across: layer.outer_radius}
         if layer.cavity_radius is not None:
-            sizes["cavity_radius"] = layer.inner_radius
+            sizes[hole] = layer.inner_radius
         drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
-                                               field=f"layers[{number}].profile",
+                                               field=f"layers[{number}].profile", measure=measure,
                                                is_transducer=layer.role == TRANSDUCER)
+    if measure.is_whole:
+        return {layer.region: cad.mirrored(drawn[layer.region], layer.offset) for layer in layers}
     return drawn
 
 
-def section_faces(chip: Chip) -> dict[str, Face]:
-    """The faces of the layers of a chip with profiles, and of its cavity, by region (mm).
+def section_faces(chip: Chip) -> dict[str, Shape]:
+    """The faces of the layers of a chip with profiles, and of its cavity, by region (mm), as in
+    `geometry.dissection.faces_of`.
 
     Raises:
         InputError: as in :func:`chip_section`.
@@ -92,7 +99,8 @@ def section_faces(chip: Chip) -> dict[str, Face]:
     """
     from geometry.dissection import faces_of
 
-    return faces_of(drawn_layers(chip.layers, chip.file), walls=_walls(chip.layers), source=chip.file)
+    return faces_of(drawn_layers(chip.layers, chip.file, chip.measure), walls=_walls(chip.layers), source=chip.file,
+                    measure=chip.measure)
 
 
 def volumes(chip: Chip) -> dict[str, float]:
@@ -102,10 +110,11 @@ def volumes(chip: Chip) -> dict[str, float]:
         InputError: as in :func:`chip_section`.
         SolidError: a layer has a profile and CadQuery is not installed.
     """
-    if chip.is_profiled or isinstance(chip.measure, Straight):
+    if chip.is_profiled:
         section = chip_section(chip)
         return {region: section.volume(region) for region in section.regions}
     found: dict[str, float] = {}
     for region, arcs in outlines(chip):
-        found[region] = found.get(region, 0.0) + sum(arc.volume for arc in arcs)
+        area, moment = sum(arc.area for arc in arcs), sum(arc.moment for arc in arcs)
+        found[region] = found.get(region, 0.0) + chip.measure.body(area, moment)
     return found

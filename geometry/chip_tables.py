@@ -21,7 +21,7 @@ _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter",
                "inner_radius", "inner_diameter", "bottom", "profile", *SHAPES)
 _TRANSDUCER_KEYS = ("electrodes", "poled")
 _STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
-                        "cavity_width", "bottom", "offset", "cavity_offset")
+                        "cavity_width", "bottom", "offset", "cavity_offset", "profile", *SHAPES)
 
 
 def read_text(table: FileTable, key: str) -> str:
@@ -78,7 +78,7 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
             _refuse_not_round(table)
             table.only([*_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _LAYER_KEYS)
         bottom = table.optional_quantity("bottom", "length")
-        profile = read_profile(table.table("profile")) if "profile" in table else None
+        profile = read_profile(table.table("profile"), measure) if "profile" in table else None
         measured: dict[str, float] = {}
         if profile is not None and isinstance(profile.source, StepPart):
             from geometry.cad import measured_part  # CadQuery takes seconds to import

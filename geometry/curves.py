@@ -149,10 +149,10 @@ class Arc:
         return self._integral(lambda point, slope: point[0] * slope[1])
 
     @property
-    def volume(self) -> float:
-        """Its contribution to the volume (m^3) that a loop bounds when turned about the axis: the integral of pi r^2
-        dz."""
-        return self._integral(lambda point, slope: math.pi * point[0] ** 2 * slope[1])
+    def moment(self) -> float:
+        """Its contribution to the first moment (m^3) about r = 0 of the area that a loop bounds anticlockwise: the
+        integral of r^2 / 2 dz."""
+        return self._integral(lambda point, slope: 0.5 * point[0] ** 2 * slope[1])
 
     def share_of(self, axis: int, value: float) -> float | None:
         """The share of the way at which a coordinate (0 r, 1 z) is `value` (m), the first of several; None if it never

@@ -22,6 +22,7 @@ from geometry.curves import Arc
 from geometry.dimension import SAME_LENGTH
 from geometry.free_section import Directed, Face, FreeSection
 from geometry.kernel import MILLIMETRES, cadquery_module
+from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY
 from geometry.section import Electrode, Rectangle
 from workbench.files.errors import InputError
@@ -42,8 +43,10 @@ CUT_MARGIN = 0.3
 def section_of(
     drawn: Mapping[str, cad.DrawnLayer], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
     walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
+    measure: Measure = ABOUT_AXIS,
 ) -> FreeSection:
-    """The section of layers drawn in the half plane, from bottom to top by region.
+    """The section of layers drawn in the plane, from bottom to top by region: in its half r >= 0, or in all of it if
+    the `measure` shows the device on both sides of its middle.
 
     It has a cavity if there are layers, called `walls`, around one. Regions with `cuts` (m) are cut at these radii
     beside steep or curved parts.
@@ -51,29 +54,35 @@ def section_of(
     Raises:
         InputError: layers overlap, leave a gap or do not touch, or the cavity is open.
     """
-    faces = faces_of(drawn, walls=walls, source=source)
+    faces = faces_of(drawn, walls=walls, source=source, measure=measure)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
     pieces, beside = [], []
     for region, face in faces.items():
-        own, radii = _pieces(face, cuts.get(region))
-        pieces += [(region, piece) for piece in own]
-        beside.append((region, radii))
-    return replace(_fused(pieces, tuple(electrodes), tuple(rectangles), notes), cuts=tuple(beside))
+        found: list[float] = []
+        for part in face.Faces():
+            own, radii = _pieces(part, cuts.get(region))
+            pieces += [(region, piece) for piece in own]
+            found += [radius for radius in radii if radius not in found]
+        beside.append((region, tuple(found)))
+    return replace(_fused(pieces, tuple(electrodes), tuple(rectangles), notes), cuts=tuple(beside), measure=measure)
 
 
-def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], source: str) -> dict[str, cadquery.Face]:
-    """The faces of layers by region, and of the cavity that they enclose if some are its `walls`.
+def faces_of(
+    drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], source: str, measure: Measure = ABOUT_AXIS
+) -> dict[str, cadquery.Shape]:
+    """The faces of layers by region, and of the cavity that they enclose if some are its `walls`: one each, or a
+    compound of those on both sides of a channel.
 
     Raises:
         InputError: as in :func:`section_of`.
     """
-    faces = {region: each.face for region, each in drawn.items()}
+    faces: dict[str, cadquery.Shape] = {region: each.face for region, each in drawn.items()}
     _check_fit(faces, source)
-    cavity = _enclosed(faces, walls=walls, source=source)
+    cavity = _enclosed(faces, walls=walls, source=source, measure=measure)
     return faces if cavity is None else {**faces, CAVITY: cavity}
 
 
-def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
+def _check_fit(faces: Mapping[str, cadquery.Shape], source: str) -> None:
     """Raise if faces overlap, or do not touch the one below."""
     for (one, first), (other, second) in combinations(faces.items(), 2):
         common = [each for each in first.intersect(second).Faces() if each.Area() > cad.LEAST_AREA]
@@ -91,13 +100,16 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
                              f"{cad.place(points[0])}", "a layer that touches one below it")
 
 
-def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
+def _enclosed(
+    faces: Mapping[str, cadquery.Shape], *, walls: Collection[str], source: str, measure: Measure
+) -> cadquery.Face | None:
     """The space that the faces enclose: the cavity, if there is to be one."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
-    around = revolution.half_plane(whole.BoundingBox())
+    around = revolution.half_plane(whole.BoundingBox(), is_whole=measure.is_whole)
     edge = around.BoundingBox()
     free = around.cut(*faces.values()).Faces()
     inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.SAME_POINT
+              and (not measure.is_whole or each.BoundingBox().xmin > edge.xmin + cad.SAME_POINT)
               and each.BoundingBox().zmax < edge.zmax - cad.SAME_POINT
               and each.BoundingBox().zmin > edge.zmin + cad.SAME_POINT]
     inside = [each for each in inside if each.Area() > cad.LEAST_AREA]
@@ -119,7 +131,7 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], sou
     return wanted[0] if wanted else None
 
 
-def _opening(faces: Mapping[str, cadquery.Face]) -> str:
+def _opening(faces: Mapping[str, cadquery.Shape]) -> str:
     """The place where the layers around an open cavity come closest to closing it, in words."""
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):

@@ -227,8 +227,6 @@ def _edge_names(layout: SectionLayout, section: FreeSection) -> list[list[str]]:
     beside, electrodes = layout.beside(), under_electrodes(layout, section)
     result = []
     for edge, arc in enumerate(layout.edges):
-        (r0, _), (r1, _) = arc.ends
-        name = section.name_of([layout.regions[face] for face in beside[edge]],
-                               on_axis=r0 == 0.0 and r1 == 0.0 and arc.is_straight)
+        name = section.name_of([layout.regions[face] for face in beside[edge]], arc)
         result.append([each for each in (name, electrodes.get(edge)) if each is not None])
     return result

@@ -5,13 +5,14 @@ It corresponds to `geometry.section.Section` for rectangles. Regions may be cut 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from geometry.curves import Arc
-from geometry.measure import Axisymmetric, Measure
-from geometry.names import AXIS, interface, outside
+from geometry.dimension import SAME_LENGTH
+from geometry.measure import ABOUT_AXIS, Measure
+from geometry.names import interface, outside
 from geometry.section import Electrode, Rectangle
 from workbench.files.errors import choose
 
@@ -43,7 +44,7 @@ class FreeSection:
     ``points`` (r, z) in metres, ``edges`` between them with the numbers of their ``ends``; ``rectangles`` are the
     layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` describe
     the parts of solids that the section leaves out; ``cuts`` are the radii (m) at which regions are cut beside steep or
-    curved parts.
+    curved parts. ``measure`` says what the section is one of, as in `geometry.section.Section`.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -54,11 +55,7 @@ class FreeSection:
     rectangles: tuple[Rectangle, ...] = ()
     notes: tuple[str, ...] = ()
     cuts: tuple[tuple[str, tuple[float, ...]], ...] = ()
-
-    @property
-    def measure(self) -> Measure:
-        """That of a body of revolution: outlines of any shape turn about the axis."""
-        return Axisymmetric()
+    measure: Measure = ABOUT_AXIS
 
     @cached_property
     def regions(self) -> tuple[str, ...]:
@@ -78,12 +75,12 @@ class FreeSection:
         return sum(arc.area for arc in self._around(region))
 
     def volume(self, region: str) -> float:
-        """Volume of the region turned about the axis, m^3.
+        """Volume that the region stands for by the measure, m^3.
 
         Raises:
             InputError: unknown region.
         """
-        return sum(arc.volume for arc in self._around(region))
+        return self.measure.body(self.area(region), sum(arc.moment for arc in self._around(region)))
 
     def _around(self, region: str) -> Iterator[Arc]:
         choose(region, self.regions, source="section", field="region")
@@ -94,18 +91,26 @@ class FreeSection:
         """The faces, one or two, on the sides of every edge."""
         return faces_beside([face.loops for face in self.faces], len(self.edges))
 
-    @staticmethod
-    def name_of(regions: Sequence[str], *, on_axis: bool) -> str | None:
+    @cached_property
+    def goes_on(self) -> Mapping[str, float]:
+        """Places (m) of the lines at which the section ends while the device goes on, by name."""
+        across = [r for r, _ in self.points]
+        return self.measure.ends((min(across), max(across)))
+
+    def name_of(self, regions: Sequence[str], arc: Arc) -> str | None:
         """Name of the boundary between the regions on both sides of an edge, or at the rim of one; None inside a
         region."""
         if len(regions) == 2:
             return interface(*regions) if regions[0] != regions[1] else None
-        return AXIS if on_axis else outside(regions[0])
+        (begin, _), (end, _) = arc.ends
+        for name, place in self.goes_on.items():
+            if max(abs(begin - place), abs(end - place)) < SAME_LENGTH and arc.is_straight:
+                return name
+        return outside(regions[0])
 
     def name(self, edge: int) -> str | None:
         """Name of the boundary that an edge lies on; None inside a region."""
-        on_axis = all(self.points[end][0] == 0.0 for end in self.ends[edge]) and self.edges[edge].is_straight
-        return self.name_of([self.faces[face].region for face in self.beside[edge]], on_axis=on_axis)
+        return self.name_of([self.faces[face].region for face in self.beside[edge]], self.edges[edge])
 
     def boundary_names(self) -> tuple[str, ...]:
         """Names of all boundaries a mesh of this section has, sorted; an electrode counts besides the boundary it lies

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from geometry.curves import Arc
 from geometry.dimension import SAME_LENGTH
-from geometry.dissection import four_sides, turned
+from geometry.dissection import CORNER, four_sides, turned
 from geometry.free_section import Directed, FreeSection, faces_beside
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
-from geometry.names import TRANSDUCER, role_of
-from geometry.panels import COUPLANT, FLUID_ROLES, apart, division
+from geometry.names import CAVITY, TRANSDUCER, role_of
+from geometry.panels import BOND, COUPLANT, FLUID_ROLES, apart, division
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -32,6 +32,10 @@ LARGEST_TURN = math.radians(30.0)
 
 #: Largest ratio of the lengths of neighbouring elements that gmsh is to continue from.
 GROWTH = 2.0
+
+#: Angle (degrees) that solids fill about a corner from which on it is re-entrant, and from which on they are all around
+#: it: 180 and 360, with a margin for corners on curves.
+REENTRANT, ALL_AROUND = 190.0, 350.0
 
 #: Rounds in which divisions pass from face to face; more than faces in a row, unless they run in a spiral.
 MOST_ROUNDS = 200
@@ -219,7 +223,8 @@ def divisions(layout: SectionLayout, section: FreeSection, size: MeshSize) -> li
     beside = layout.beside()
     limits = {region: size.largest_element(region) for region in set(layout.regions)}
     largest = [min(limits[layout.regions[face]] for face in faces) for faces in beside]
-    graded = _graded(layout, section, size)
+    graded, shortest = (_all_along(layout, found) for found in (
+        _graded(layout, section, size), _local_lengths(layout, size)))
     group, runs = _groups(layout)
     members: dict[int, list[int]] = {}
     for edge, each in enumerate(group):
@@ -233,7 +238,8 @@ def divisions(layout: SectionLayout, section: FreeSection, size: MeshSize) -> li
         free = any(face not in layout.sides for edge in edges for face in beside[edge])
         for edge in edges:
             arc = layout.edges[edge]
-            ends = [graded.get((point, _level(arc)), 1.0) for point in layout.ends[edge]]
+            ends = [min(graded.get((point, _level(arc)), 1.0), shortest.get((point, _level(arc)), math.inf) / limit)
+                    for point in layout.ends[edge]]
             ends = ends if runs[edge] else ends[::-1]
             begin, end = min(begin, ends[0]), min(end, ends[1])
             least = max(least, _least(layout, size, edge, beside[edge]),
@@ -292,34 +298,47 @@ def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
     return [each for each, _ in found], [alike for _, alike in found]
 
 
+def _angles(layout: SectionLayout, *, fluids: bool) -> dict[int, float]:
+    """The angle (degrees) about every corner that the solids fill, or if `fluids` all that the section holds."""
+    found: dict[int, float] = {}
+    for face, loops in enumerate(layout.loops):
+        if fluids or role_of(layout.regions[face]) not in FLUID_ROLES:
+            for point, angle in _corners(layout, loops):
+                found[point] = found.get(point, 0.0) + angle
+    return found
+
+
+def _corners(layout: SectionLayout, loops: Sequence[Sequence[Directed]]) -> Iterator[tuple[int, float]]:
+    """The corners of a face with the angles (degrees) inside it."""
+    for loop in loops:
+        for before, after in zip([loop[-1], *loop], loop, strict=False):
+            yield layout.ends[after[0]][0 if after[1] else 1], 180.0 - turned(layout.arc(before), layout.arc(after))
+
+
 def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
     """Relative size of elements at points where fields are singular, on level edges and on others.
 
     As for rectangles, these are re-entrant corners of the solids, the rim of a couplant and the ends of electrodes. The
     tip of a crack, where a fillet meets its neighbour, is treated like them.
     """
-    inside: dict[int, float] = {}
     wet: set[int] = set()
     rims: set[int] = set()
+    goes_on = set(section.goes_on.values())
     for face, loops in enumerate(layout.loops):
         region = layout.regions[face]
-        solid = role_of(region) not in FLUID_ROLES
-        outer = max(layout.points[layout.ends[e][0]][0] for loop in loops for e, _ in loop)
-        for loop in loops:
-            for before, after in zip([loop[-1], *loop], loop, strict=False):
-                point = layout.ends[after[0]][0 if after[1] else 1]
-                if solid:
-                    angle = 180.0 - turned(layout.arc(before), layout.arc(after))
-                    inside[point] = inside.get(point, 0.0) + angle
-                else:
-                    wet.add(point)
-                if role_of(region) == COUPLANT and layout.points[point][0] > outer - SAME_LENGTH:
-                    rims.add(point)
+        corners = [point for point, _ in _corners(layout, loops)]
+        if role_of(region) in FLUID_ROLES:
+            wet.update(corners)
+        if role_of(region) == COUPLANT:
+            across = [layout.points[point][0] for point in corners]
+            sides = {min(across), max(across)} - goes_on
+            rims |= {point for point in corners if any(
+                abs(layout.points[point][0] - side) < SAME_LENGTH for side in sides)}
     found: dict[tuple[int, bool], float] = {}
-    for point, angle in inside.items():
+    for point, angle in _angles(layout, fluids=False).items():
         # With 360 degrees there is the tip of a crack, or solids all around.
-        if angle > 190.0 and (angle < 350.0 or point in wet) and layout.points[point][0] > 0.0:
-            sharp = 1 if angle < 350.0 else 3
+        if angle > REENTRANT and (angle < ALL_AROUND or point in wet):
+            sharp = 1 if angle < ALL_AROUND else 3
             found[point, True] = found[point, False] = size.corner_refinement**sharp
     for point in rims:
         found[point, True] = min(found.get((point, True), 1.0), size.corner_refinement)
@@ -328,6 +347,43 @@ def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict
         # All along that face the rows beside it are thin.
         level = [other for other, (_, z) in enumerate(layout.points) if abs(z - layout.points[point][1]) < SAME_LENGTH]
         found |= {(other, False): size.corner_refinement**3 for other in level}
+    return found
+
+
+def _all_along(layout: SectionLayout, sizes: dict[tuple[int, bool], float]) -> dict[tuple[int, bool], float]:
+    """Sizes by points and whether of level edges, also at the ends of the sides of faces that the points lie on: there
+    begin the edges across that side, which are divided alike all along it."""
+    found = dict(sizes)
+    for side in (side for sides in layout.sides.values() for side in sides):
+        points = [layout.ends[edge][0 if forwards else 1] for edge, forwards in side]
+        last, forwards = side[-1]
+        points.append(layout.ends[last][1 if forwards else 0])
+        across = not _level(layout.edges[side[0][0]])
+        least = min((sizes[point, across] for point in points[1:-1] if (point, across) in sizes), default=math.inf)
+        for end in (points[0], points[-1]) if least < math.inf else ():
+            found[end, across] = min(found.get((end, across), math.inf), least)
+    return found
+
+
+def _local_lengths(layout: SectionLayout, size: MeshSize) -> dict[tuple[int, bool], float]:
+    """The largest size (m) of the elements at the corners of the cavity and at the ends of bonds, as for rectangles
+    (`geometry.panels`), by points and whether of level edges."""
+    found: dict[tuple[int, bool], float] = {}
+    solid, filled = (_angles(layout, fluids=fluids) for fluids in (False, True))
+    for region in dict.fromkeys(layout.regions):
+        loops = [loop for face, own in enumerate(layout.loops) if layout.regions[face] == region for loop in own]
+        corners = [point for point, angle in _corners(layout, loops) if angle < 180.0 - CORNER]
+        across, up = zip(*(layout.points[end] for loop in loops for edge, _ in loop for end in layout.ends[edge]),
+                         strict=True)
+        if role_of(region) == CAVITY:
+            length = size.cavity_corner * max(max(across) - max(min(across), 0.0), max(up) - min(up))
+            own = [point for point in corners if solid.get(point, 0.0) > REENTRANT]
+        elif role_of(region) == BOND and size.corner_refinement < 1.0:
+            length = max(up) - min(up)
+            own = [point for point in corners if REENTRANT < filled[point] < ALL_AROUND]
+        else:
+            continue
+        found |= {(point, level): length for point in own for level in (True, False)}
     return found
 
 

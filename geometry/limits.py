@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from geometry.dimension import SHAPES
-
 AXISYMMETRIC = "axisymmetric only: every layer is a disc or a ring about one axis"
 
 #: Advice for a body that is not round.
@@ -31,8 +29,9 @@ OFF_THE_MIDDLE = ('offset = "0.5 mm" of a layer, cavity_offset of a channel, in 
 ONE_CHANNEL = ("one channel; of several channels model the one with the particles, and state the walls around the "
                "others as solid")
 
-UPRIGHT = ("layers with plane faces and upright sides: etch profiles, sloping and rounded walls of a straight chip are "
-           "not modelled yet; state the width at half the height of the channel")
+#: Advice for the walls of a channel that are not upright.
+ETCHED = ('draft = "35.26 deg" of the layer around the channel, the angle by which it grows wider upwards; for rounded '
+          "walls a profile, points with fillets and arcs")
 
 #: Keys that people write in a state for a cavity that is not filled to its top.
 FILL_KEYS = ("fill", "fill_height", "filling", "level", "liquid_height", "height")
@@ -51,5 +50,5 @@ NOT_STRAIGHT: Mapping[str, str] = {
     **dict.fromkeys(("channels", "cavities", "channel_count", "count", "pitch", "spacing", "cavity_widths"),
                     ONE_CHANNEL),
     **dict.fromkeys(("undercut", "taper", "slope", "etch_angle", "wall_angle", "sidewall_angle", "fillet",
-                     "corner_radius", "profile", *SHAPES), UPRIGHT),
+                     "corner_radius"), ETCHED),
 }

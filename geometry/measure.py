@@ -39,8 +39,8 @@ class Axisymmetric:
 
     #: Names of a distance from the axis, and of twice that, in a chip.
     across, doubled = "radius", "diameter"
-    #: Symbol of the coordinate across the section.
-    symbol = "r"
+    #: Symbol of the coordinate across the section, and the word for where it is zero.
+    symbol, middle = "r", "axis"
     #: Directions in the section, across and up.
     directions = ("radial", "axial")
     #: Numbers of the directions in which particles focus within seconds: up, for the cavities of round chips are flat.
@@ -53,6 +53,8 @@ class Axisymmetric:
     power = 2
     #: Number of pieces of a layer around a cavity.
     sides = 1
+    #: Whether the section shows the device on both sides of its middle.
+    is_whole = False
 
     def depth(self, r: Real) -> Real:
         """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
@@ -92,6 +94,11 @@ class Axisymmetric:
         """Volume (m^3) of a rectangle of the section between two radii (m)."""
         return math.pi * (outer**2 - inner**2) * height
 
+    def body(self, area: float, moment: float) -> float:
+        """Volume (m^3) of a part of the section with this `area` (m^2) and first `moment` (m^3) about the axis, by
+        Pappus's theorem."""
+        return 2.0 * math.pi * moment
+
     def device_volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of the device between two distances (m) from the axis."""
         return self.volume(inner, outer, height)
@@ -119,8 +126,8 @@ class Straight:
 
     #: Names of a distance from the plane x = 0, and of twice that, in a chip.
     across, doubled = "half_width", "width"
-    #: Symbol of the coordinate across the section.
-    symbol = "x"
+    #: Symbol of the coordinate across the section, and the word for where it is zero.
+    symbol, middle = "x", "middle"
     #: Directions in the section, across and up.
     directions = ("lateral", "vertical")
     #: Numbers of the directions in which particles focus within seconds: both, since channels are as wide as high.
@@ -140,6 +147,11 @@ class Straight:
         """The parities of the planes of symmetry, by the names of their boundaries."""
         both = {PLANE_LEFT: self.left, PLANE_RIGHT: self.right}
         return {name: parity for name, parity in both.items() if parity is not Parity.NONE}
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the section shows the device on both sides of its middle."""
+        return not self.planes
 
     @property
     def copies(self) -> int:
@@ -201,6 +213,10 @@ class Straight:
     def volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of a rectangle of the section between two places (m), in all images."""
         return self.copies * self.length * (outer - inner) * height
+
+    def body(self, area: float, moment: float) -> float:
+        """Volume (m^3) of a part of the section with this `area` (m^2), in all images; its `moment` is not needed."""
+        return self.copies * self.length * area
 
     def device_volume(self, inner: float, outer: float, height: float) -> float:
         """Volume (m^3) of the device between two distances (m) from its middle, on all of its sides."""

@@ -192,7 +192,7 @@ def _check_rectangles(mesh: skfem.MeshQuad, section: Section) -> None:
     if min(widths.min(), heights.min()) <= 0.0:
         raise MeshError("the mesh has an element without area or with its nodes out of order")
     areas = widths * heights
-    _check_measures(mesh, section, areas, section.measure.depth(0.5 * (r[0] + r[1])) * areas, STRAIGHT_TOLERANCE)
+    _check_measures(mesh, section, areas, 0.5 * (r[0] + r[1]) * areas, STRAIGHT_TOLERANCE)
 
 
 def _check_cells(mesh: SectionMesh) -> None:
@@ -203,22 +203,22 @@ def _check_cells(mesh: SectionMesh) -> None:
     nodes = np.empty((2, mesh.coordinates.shape[2], order + 1, order + 1))
     along, across = np.array(numbering(order)).T
     nodes[:, :, along, across] = mesh.coordinates.transpose(0, 2, 1)
-    areas, volumes, least = measures(nodes)
+    areas, moments, least = measures(nodes)
     if not least.min() > 0.0:
         r, z = 1e3 * nodes[:, int(np.argmin(least))].mean(axis=(1, 2))
         raise MeshError(f"the mesh has a folded cell at r = {r:.4g} mm, z = {z:.4g} mm")
-    _check_measures(mesh.mesh, mesh.section, areas, volumes, CURVED_TOLERANCE)
+    _check_measures(mesh.mesh, mesh.section, areas, moments, CURVED_TOLERANCE)
 
 
 def _check_measures(
-    mesh: skfem.MeshQuad, section: Section | FreeSection, areas: NDArray[np.float64], volumes: NDArray[np.float64],
+    mesh: skfem.MeshQuad, section: Section | FreeSection, areas: NDArray[np.float64], moments: NDArray[np.float64],
     tolerance: float,
 ) -> None:
     for region in section.regions:
-        cells = mesh.subdomains[region]
+        area, moment = (float(each[mesh.subdomains[region]].sum()) for each in (areas, moments))
         for quantity, measured, exact in (
-            ("area", areas[cells].sum(), section.area(region)),
-            ("volume", volumes[cells].sum(), section.volume(region)),
+            ("area", area, section.area(region)),
+            ("volume", section.measure.body(area, moment), section.volume(region)),
         ):
             if not abs(measured - exact) <= tolerance * exact:
                 raise MeshError(f"{quantity} of {region!r} in the mesh is {measured:.12g}, in the section {exact:.12g}")

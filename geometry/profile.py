@@ -1,9 +1,11 @@
-"""The profile of a layer that is not a disc: the source of its outline in the (r, z) plane.
+"""The profile of a layer that is not a disc, or no rectangle in a straight chip: the source of its outline in the
+(r, z) plane.
 
 Three sources: an outline of points in the file itself, a CadQuery script, a part of a STEP file. Sizes in an outline
 are lengths or names: of the layer's own dimensions (``thickness``, ``radius``, ``cavity_radius``) or of parameters that
 the profile states. A script's function gets those of them that it asks for by name, in millimetres and degrees. Heights
-are measured from the bottom of the layer, in a STEP file from its own origin.
+are measured from the bottom of the layer, in a STEP file from its own origin. In a straight chip x is measured from the
+middle of the layer, whose other half is the mirror image, and ``half_width`` stands in place of ``radius``.
 """
 
 from __future__ import annotations
@@ -12,18 +14,16 @@ import hashlib
 import inspect
 import math
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from geometry.dimension import SHAPES, Dimension, read_dimension
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Straight
 from workbench.files.errors import InputError, choose, nearest_files, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-
-#: Dimensions of a layer that its profile can use besides its own parameters.
-OF_LAYER = ("thickness", "radius", "cavity_radius")
 
 #: Reserved names: a parameter of a profile cannot have them.
 RESERVED = ("material", "density", "gauge")
@@ -33,8 +33,8 @@ Size = float | str
 
 #: Keys of an outline's segment, and of a profile.
 _CORNER_KEYS = ("at", "fillet", "through", "arc")
-_PROFILE_KEYS = ("points", "script", "function", "step", "part", "scale", "parameters", "asymmetry", "axis", "origin",
-                 "sector")
+_OF_SOLIDS = ("step", "part", "scale", "asymmetry", "axis", "origin", "sector")
+_PROFILE_KEYS = ("points", "script", "function", "parameters", *_OF_SOLIDS)
 
 #: Directions of the axes that have a name.
 AXES: Mapping[str, tuple[float, float, float]] = {
@@ -122,18 +122,30 @@ class Profile:
         return replace(self, parameters=tuple((name, change(name, size)) for name, size in self.parameters))
 
 
-def read_profile(table: FileTable) -> Profile:
-    """The profile of a layer, from its table ``profile``.
+def names_of_layer(measure: Measure) -> tuple[str, ...]:
+    """Names of the dimensions of a layer that its profile can use besides its own parameters."""
+    return "thickness", measure.across, f"cavity_{measure.across}"
+
+
+def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS) -> Profile:
+    """The profile of a layer of a chip of that `measure`, from its table ``profile``.
 
     Raises:
-        InputError: an invalid key, name or unit, a file that does not exist, a script without the function.
+        InputError: an invalid key, name or unit, a file that does not exist, a script without the function, or a solid
+            in a straight chip.
     """
+    if isinstance(measure, Straight):
+        for key in _OF_SOLIDS:
+            if key in table:
+                raise table.error(key, "points, or a script that draws a face, in a straight chip: solids of files are "
+                                  "turned about an axis")
     table.only(_PROFILE_KEYS)
     sources = [key for key in ("points", "script", "step") if key in table]
     if len(sources) != 1:
         raise InputError(table.source, table.field, sources or None,
                          "one of points, script, step: where the outline comes from")
-    parameters, angles = _parameters(table.table("parameters"))
+    of_layer = names_of_layer(measure)
+    parameters, angles = _parameters(table.table("parameters"), of_layer)
     asymmetry = table.quantity("asymmetry", "dimensionless", ASYMMETRY)
     if not 0.0 < asymmetry < 1.0:
         raise table.error("asymmetry", "a share above 0 and below 1 of the part's volume")
@@ -143,7 +155,7 @@ def read_profile(table: FileTable) -> Profile:
         raise table.error(key, "none for points, which are r and z already; it places the solid of a script or file")
     source: Outline | Script | StepPart
     if sources == ["points"]:
-        source = _outline(table, {*OF_LAYER, *(name for name, _ in parameters)})
+        source = _outline(table, {*of_layer, *(name for name, _ in parameters)})
     elif sources == ["script"]:
         source = _script(table)
     else:
@@ -185,10 +197,12 @@ def _placement(table: FileTable) -> Placement:
     return Placement(axis, origin, min(sector, 2.0 * math.pi))
 
 
-def _parameters(table: FileTable) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
+def _parameters(
+    table: FileTable, of_layer: Sequence[str]
+) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
     found, angles = [], set()
     for name in table:
-        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, *RESERVED}:
+        if not name.isidentifier() or name in {*of_layer, *SHAPES, *RESERVED}:
             raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
         inner = table.table(name) if isinstance(table.content[name], Mapping) else None
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]
@@ -271,7 +285,8 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
             wanted[name] = math.degrees(sizes[name]) if name in angles else 1e3 * sizes[name]
         elif parameter.default is inspect.Parameter.empty:
             choose(name, sizes, source=str(script.path), field=f"parameter of {script.function}")
-    unused = sorted(set(sizes) - set(wanted) - set(OF_LAYER))
+    unused = sorted(set(sizes) - set(wanted) - {name for each in (Axisymmetric(), Straight())
+                                                for name in names_of_layer(each)})
     if unused:
         raise InputError(str(script.path), f"parameters of {script.function}", ", ".join(wanted) or None,
                          f"one called {unused[0]!r}, which the chip file states", nearest_names(unused[0], wanted))

@@ -91,7 +91,7 @@ def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
 
 
 def measures(nodes: Real) -> tuple[Real, Real, Real]:
-    """Area (m,), volume turned about the axis (m,), and least Jacobian determinant relative to its mean (m,), of cells
+    """Area (m,), its first moment about r = 0 (m,), and least Jacobian determinant relative to its mean (m,), of cells
     with nodes (2, m, k, k).
 
     The integrands are polynomials of degrees below those that the quadrature is exact for.
@@ -106,7 +106,7 @@ def measures(nodes: Real) -> tuple[Real, Real, Real]:
     area = r_along * z_across - z_along * r_across
     weight = 0.25 * np.outer(weights, weights)
     whole = np.einsum("mab,ab->m", area, weight)
-    return whole, 2.0 * np.pi * np.einsum("mab,mab,ab->m", r, area, weight), area.min(axis=(1, 2)) / whole
+    return whole, np.einsum("mab,mab,ab->m", r, area, weight), area.min(axis=(1, 2)) / whole
 
 
 def tabulated(order: int, points: Real) -> tuple[Real, Real]:

@@ -147,10 +147,10 @@ def _rotated(solid: Any, degrees: float) -> Any:
     return solid.rotate(cadquery.Vector(), cadquery.Vector(0.0, 0.0, 1.0), degrees)
 
 
-def half_plane(box: Any) -> Face:
-    """The part r >= 0 of the plane y = 0, a little larger than a bounding box."""
+def half_plane(box: Any, *, is_whole: bool = False) -> Face:
+    """The part r >= 0 of the plane y = 0, or both parts of it if `is_whole`, a little larger than a bounding box."""
     reach = 1.1 * max(box.xmax, -box.xmin, box.ymax, -box.ymin) + 1.0
-    return rectangle(0.0, reach, box.zmin - 1.0, box.zmax + 1.0)
+    return rectangle(-reach if is_whole else 0.0, reach, box.zmin - 1.0, box.zmax + 1.0)
 
 
 def rectangle(r_inner: float, r_outer: float, z_bottom: float, z_top: float) -> Face:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.curves import Arc, Curve
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension
-from geometry.measure import Straight
 from geometry.mesh import SectionMesh
 from geometry.parts import Layer
 from geometry.section import Section, cut_section
@@ -88,9 +87,9 @@ def reach(layer: Layer, shape: str) -> ShapeReach:
 def possible(chip: Chip) -> dict[str, tuple[str, str]]:
     """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions.
 
-    A chip with profiles has none, since they state all of its shape; nor has a straight one so far.
+    A chip with profiles has none, since they state all of its shape.
     """
-    layers = () if chip.is_profiled or isinstance(chip.measure, Straight) else chip.layers
+    layers = () if chip.is_profiled else chip.layers
     return {f"{layer.region}.{shape}": (layer.region, shape) for layer in layers for shape in SHAPES
             if shape != "draft" or layer.cavity_radius is not None}
 
@@ -113,35 +112,44 @@ def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
 
 
 def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
-    """The sides that the shapes of a chip's layers move; `radii` (m) are those of all upright lines of its section."""
+    """The sides that the shapes of a chip's layers move; `radii` (m) are those of all upright lines of its section.
+
+    Where the section shows both sides of the middle, the left ones are the mirror images of the right ones.
+    """
     for number, layer in enumerate(chip.layers):
         low, high = layer.z_bottom, layer.z_top
-        if layer.draft is not None:
-            slope = math.tan(layer.draft.value)
-            yield Side(True, layer.inner_radius, low, high, _sloping(slope, low))
-            shift = slope * (high - low)
-            for above in chip.layers[number + 1:]:
-                goes_on = above.cavity_radius is not None and (
-                    abs(above.inner_radius - layer.inner_radius) < SAME_LENGTH)
-                bottom, top = above.z_bottom, above.z_top
-                # At the end of the hole the line returns within the layer above, of which it bounds nothing.
-                yield Side(True, layer.inner_radius, bottom, top,
-                           _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
-                if not goes_on:
-                    break
-        if layer.barrel is not None:
-            inner, width = layer.inner_radius, layer.outer_radius - layer.inner_radius
-            for radius in radii:
-                if inner + SAME_LENGTH < radius < layer.outer_radius + SAME_LENGTH:
-                    share = (radius - inner) / width
-                    yield Side(True, radius, low, high, _bulging(share * layer.barrel.value, low, high))
+        for sign in (1.0, -1.0) if chip.measure.is_whole else (1.0,):
+            if layer.draft is not None:
+                yield from _drafted(chip.layers[number:], sign * math.tan(layer.draft.value), 1 if sign > 0.0 else 0)
+            if layer.barrel is not None:
+                inner, width = layer.inner_radius, layer.outer_radius - layer.inner_radius
+                for radius in radii:
+                    distance = sign * (radius - layer.offset)
+                    if inner + SAME_LENGTH < distance < layer.outer_radius + SAME_LENGTH:
+                        bulge = sign * (distance - inner) / width * layer.barrel.value
+                        yield Side(True, radius, low, high, _bulging(bulge, low, high))
+        begin, end = layer.sides
         if layer.bow is not None:
-            rim = layer.outer_radius
             for face in (low, high):
-                yield Side(False, face, 0.0, rim, _bulging(layer.bow.value, -rim, rim))
+                yield Side(False, face, begin, end, _bulging(layer.bow.value, begin, end))
         if layer.dome is not None:
-            rim = layer.outer_radius
-            yield Side(False, high, 0.0, rim, _bulging(layer.dome.value, -rim, rim))
+            yield Side(False, high, begin, end, _bulging(layer.dome.value, begin, end))
+
+
+def _drafted(layers: Sequence[Layer], slope: float, side: int) -> Iterator[Side]:
+    """The sides that one wall (0 left, 1 right) of the hole of the lowest of some layers moves by its `slope`."""
+    layer = layers[0]
+    at, low, high = layer.hole_sides[side], layer.z_bottom, layer.z_top
+    yield Side(True, at, low, high, _sloping(slope, low))
+    shift = slope * (high - low)
+    for above in layers[1:]:
+        goes_on = above.cavity_radius is not None and abs(above.hole_sides[side] - at) < SAME_LENGTH
+        bottom, top = above.z_bottom, above.z_top
+        # At the end of the hole the line returns within the layer above, of which it bounds nothing.
+        yield Side(True, at, bottom, top,
+                   _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
+        if not goes_on:
+            break
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:

@@ -21,7 +21,7 @@ from geometry.parts import Layer
 from geometry.shapes import outlines
 
 if TYPE_CHECKING:
-    from cadquery import Compound, Shape, Solid
+    from cadquery import Compound, Face, Shape, Solid
 
 #: Largest relative difference between the volume of a solid and the chip's arithmetic. The kernel integrates plain
 #: cylinders to rounding. It describes the edge of a channel in a round wall by a spline, which costs some 1e-8 of the
@@ -102,7 +102,9 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
     cadquery = cadquery_module()
     channels = _channels(cadquery, chip)
     drilled = chip.port_axis()[0].region if channels else None
-    bodies = _turned(chip) if chip.is_shaped else _discs(cadquery, chip)
+    bodies = _of_outlines(chip) if chip.is_shaped else _discs(cadquery, chip)
+    # The walls on both sides of a straight channel, which a layer below or above of one part with them joins.
+    apart = {layer.region for layer in chip.layers if len(_fused(bodies[layer.region]).Solids()) > 1}
     made: dict[str, Solid | Compound] = {}
     for name, layers in parts(chip).items():
         shape = _fused([body for layer in layers for body in bodies[layer.region]])
@@ -112,7 +114,8 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
             # In walls that are not round cylinders, the formula for the volume of channels does not hold.
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
         made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
-            SHAPED_TOLERANCE + volume_of_ports / expected[name]), _pieces(chip, layers))
+            SHAPED_TOLERANCE + volume_of_ports / expected[name]),
+                              chip.measure.sides if all(layer.region in apart for layer in layers) else 1)
     if chip.holes:
         made[CAVITY] = _checked(CAVITY, _fused(bodies[CAVITY]), expected[CAVITY],
                                 SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE)
@@ -127,23 +130,28 @@ def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
                              for hole in chip.holes]}
 
 
-def _pieces(chip: Chip, layers: tuple[Layer, ...]) -> int:
-    """Number of pieces of a part: a wall of a straight channel has two, unless a layer below or above joins them."""
-    return chip.measure.sides if all(layer.inner_radius > 0.0 for layer in layers) else 1
-
-
-def _turned(chip: Chip) -> dict[str, list[Shape]]:
-    """The outlines of layers and of the cavity turned about the axis, by region."""
+def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:
+    """Layers and the cavity by region, made from their outlines: turned about the axis, or as long as the chip."""
     from geometry import cad
 
-    found: dict[str, list[Shape]] = {}
+    faces: dict[str, list[Face]] = {}
     if chip.is_profiled:
-        for region, face in section_faces(chip).items():
-            found[region] = [revolution.revolved(face)]
+        faces = {region: shape.Faces() for region, shape in section_faces(chip).items()}
     else:
         for region, arcs in outlines(chip):
-            found.setdefault(region, []).append(revolution.revolved(cad.face_of(arcs)))
-    return found
+            faces.setdefault(region, []).append(cad.face_of(arcs))
+    return {region: [body for face in each for body in _bodies(face, chip.measure)] for region, each in faces.items()}
+
+
+def _bodies(face: Face, measure: Measure) -> list[Shape]:
+    """What a face of the section (mm) stands for: a body of revolution, or a prism and its image beyond a plane of
+    symmetry."""
+    if not isinstance(measure, Straight):
+        return [revolution.revolved(face)]
+    cadquery, long = cadquery_module(), MILLIMETRES * measure.length
+    prism = cadquery.Solid.extrudeLinear(face, cadquery.Vector(0.0, long, 0.0)).moved(
+        cadquery.Location(cadquery.Vector(0.0, -0.5 * long, 0.0)))
+    return [prism, prism.mirror("YZ")] if measure.copies == 2 else [prism]
 
 
 def _full(cadquery: ModuleType, distance: float, layer: Layer, measure: Measure, middle: float = 0.0) -> Shape:

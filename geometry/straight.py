@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, dimension_text, millimetres
-from geometry.limits import NOT_STRAIGHT, UPRIGHT
+from geometry.limits import NOT_STRAIGHT
 from geometry.measure import Axisymmetric, Measure, Parity, Straight
 from geometry.parts import Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
@@ -61,8 +61,9 @@ def check_straight(
     """Check that a straight chip has only what such chips may have so far.
 
     Raises:
-        InputError: ports, a profile or shape of a layer, planes of symmetry that do not bound the section, an offset
-            beside one, a layer beside the one below, or a live electrode across a plane of odd symmetry.
+        InputError: ports, planes of symmetry that do not bound the section, an offset beside one, a channel that is
+            not in the middle of a layer with a shape, a layer beside the one below, or a live electrode across a plane
+            of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
         return
@@ -73,8 +74,10 @@ def check_straight(
         raise InputError(file, "cavity.ports", "ports", "no ports: a channel is straight from end to end")
     for i, layer in enumerate(layers):
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
-        if stated:
-            raise InputError(file, f"layers[{i}].{stated[0]}", "a shape", UPRIGHT)
+        if stated and layer.cavity_radius is not None and abs(layer.cavity_offset - layer.offset) > SAME_LENGTH:
+            raise InputError(file, f"layers[{i}].cavity_offset", millimetres(layer.cavity_offset),
+                             f"{millimetres(layer.offset)}, the middle of the layer, whose {stated[0]} is equal to "
+                             "both sides")
         for key, offset in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset)):
             if offset and measure.planes:
                 raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset where a plane of "

@@ -160,7 +160,7 @@ def fluid_modes(
 ) -> NDArray[np.complex128]:
     """w^2 of the modes of the water alone, on the rows `pressure`, with its walls as they are at `omega`."""
     g = operators.coefficients(np.array([omega]), values)[0]
-    compressed = np.array([i.coefficient.parameters == ("water.density", "water.sound_speed")
+    compressed = np.array([[name.rpartition(".")[2] for name in i.coefficient.parameters] == ["density", "sound_speed"]
                            for i in operators.integrals])
     blocks = []
     for constants in (np.where(compressed, 0.0, g), np.where(compressed, g, 0.0)):

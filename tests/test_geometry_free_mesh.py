@@ -134,13 +134,13 @@ def test_a_mesh_that_is_not_the_section_is_refused(rounded: FreeSection, mesh: S
 
 
 def test_curves() -> None:
-    """A quarter of a circle and a parabola: points, lengths, areas, volumes, where a coordinate is reached."""
+    """A quarter of a circle and a parabola: points, lengths, areas, first moments, where a coordinate is reached."""
     half = math.sqrt(0.5)
     quarter = Arc(Curve(2, (0.0, 0.0, 0.0, 1.0, 1.0, 1.0), ((1.0, 0.0, 1.0), (half, half, half), (0.0, 1.0, 1.0))))
     assert quarter.length == pytest.approx(0.5 * math.pi, rel=1e-12)
     assert quarter.turning == pytest.approx(0.5 * math.pi, rel=1e-12)
     assert quarter.area == pytest.approx(0.25 * math.pi, rel=1e-12)
-    assert quarter.volume == pytest.approx(2.0 / 3.0 * math.pi, rel=1e-12)
+    assert quarter.moment == pytest.approx(1.0 / 3.0, rel=1e-12)
     assert quarter.back.area == pytest.approx(-quarter.area, rel=1e-14)
     share = quarter.share_of(1, math.sin(0.3))
     assert share is not None

@@ -13,7 +13,7 @@ import pytest
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
 from geometry.chip_section import volumes
-from geometry.limits import OFF_THE_MIDDLE, ONE_CHANNEL, UPRIGHT
+from geometry.limits import ETCHED, OFF_THE_MIDDLE, ONE_CHANNEL
 from geometry.measure import ABOUT_AXIS, Parity, Straight
 from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
@@ -99,14 +99,14 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('width = { value = "5 mm", tolerance = "40 um" }', 'radius = "2.5 mm"', "half_width"),
     ('cavity_width = "380 um"', 'cavity_diameter = "380 um"', "cavity_width"),
     ('ground_half_width = "2 mm"', 'ground_radius = "2 mm"', "ground_half_width"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "3 deg"', "upright sides.*etch profiles"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nundercut = "3 um"', "state the width at half the height"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "50 deg"', "less than 45 deg to either side"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nundercut = "3 um"', "draft = .* angle by which it grows"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "no offset where.*none"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"', "no offset where.*none"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nx_offset = "0.5 mm"', "cavity_offset of a channel"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nchannels = 3', "of several channels model the one with"),
     ('cavity_width = "380 um"', 'cavity_width = "4 mm"', "cavity_half_width.*narrower than its layer"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "profiles"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "three or more points"),
     ('length = "20 mm"', 'length = "-1 mm"', "above zero"),
     ('length = "20 mm"', 'length = "20 m"', r"chip\.length: received '20 m'.*did you mean '20 mm'"),
     ('symmetry = "even"', 'symmetry = "mirror"', "even, none, odd"),
@@ -219,7 +219,7 @@ def test_sections_that_make_no_sense_are_refused() -> None:
 
 def test_limits_of_straight_chips_are_documented() -> None:
     text = " ".join((Path(__file__).resolve().parent.parent / "docs" / "model.md").read_text(encoding="utf-8").split())
-    for words in (OFF_THE_MIDDLE, ONE_CHANNEL, UPRIGHT):
+    for words in (OFF_THE_MIDDLE, ONE_CHANNEL, ETCHED):
         assert words in text
 
 

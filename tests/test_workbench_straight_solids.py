@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import cadquery
 import pytest
 from test_geometry_straight import CHIP, chip
 
+from geometry import solid
 from geometry.chip import Chip
 from geometry.export import export_step, export_stl
 from geometry.kernel import SolidError
-from geometry.measure import Parity, Straight
+from geometry.measure import Measure, Parity, Straight
+from geometry.parts import Layer
 from geometry.solid import chip_solids, part_volumes, parts, volume
 from workbench.render.gallery import draw_chip
 
@@ -57,8 +61,14 @@ def test_a_half_cell_of_a_row_has_one_wall() -> None:
 
 def test_walls_that_are_not_two_solids_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     there = walls_of_pmma()
-    monkeypatch.setattr("geometry.solid._pieces", lambda chip, layers: 1)
-    with pytest.raises(SolidError, match="'sidewall' should be one valid solid and is 2"):
+    whole = solid._ring
+
+    def sliced(cadquery: ModuleType, layer: Layer, measure: Measure) -> Any:
+        slit = cadquery.Solid.makeBox(0.1, 100.0, 1.0, cadquery.Vector(1.0, -50.0, 1e3 * layer.z_bottom - 0.1))
+        return whole(cadquery, layer, measure).cut(slit) if layer.inner_radius else whole(cadquery, layer, measure)
+
+    monkeypatch.setattr(solid, "_ring", sliced)
+    with pytest.raises(SolidError, match="'sidewall' should be 2 valid solids and is 3"):
         chip_solids(there)
 
 

@@ -109,14 +109,15 @@ def channel_of(
     nodes = mesh.points[mesh.nodes_of([region])]
     (left, floor), (right, lid) = nodes.min(axis=0), nodes.max(axis=0)
 
-    def pressure(x: FloatArray, z: FloatArray) -> FloatArray:
+    def pressure(along: FloatArray, x: FloatArray, z: FloatArray) -> FloatArray:
+        """Places (n,) and |p| there, those in the liquid."""
         found: NodalArray = interpolate(mesh, fields.pressure, np.stack(np.broadcast_arrays(x, z), axis=1), [region])
-        return np.abs(found)
+        rows = np.stack([along, np.abs(found)], axis=1)
+        return rows[~np.isnan(rows[:, 1])]
 
-    x = np.linspace(left, right, 2 * POINTS_UP - 1)
-    across = np.stack([x, pressure(x, np.array(0.5 * (floor + lid)))], axis=1)
-    z = np.linspace(floor, lid, POINTS_UP)
-    up = np.stack([z - floor, pressure(x[across[:, 1].argmax()], z)], axis=1)
+    x, z = np.linspace(left, right, 2 * POINTS_UP - 1), np.linspace(floor, lid, POINTS_UP)
+    across = pressure(x, x, np.array(0.5 * (floor + lid)))
+    up = pressure(z - floor, across[across[:, 1].argmax(), 0], z)
     factor = 0.0 if forces is None else forces.scattering.contrast_factor
     return ChannelFigures(
         excitation=excitation, power=fields.power, energy_density=excitation.mean_energy_density, across=across, up=up,
@@ -132,8 +133,15 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
     x = np.linspace(left, right, max(3, math.ceil(POINTS_PER_WAVELENGTH * (right - left) / wavelength)))
     z = np.linspace(floor, lid, POINTS_UP)
-    potential, force = (np.trapezoid(raster(mesh, values, x, z, [forces.region]), z, axis=1) / (lid - floor)
-                        for values in (forces.potential, forces.force[:, 0]))
+    maps = np.stack([raster(mesh, values, x, z, [forces.region]) for values in (forces.potential, forces.force[:, 0])])
+    liquid = ~np.isnan(maps[0])
+    # The mean over the part of the height that is liquid.
+    weight = np.where(liquid, np.gradient(z) * np.where((z == floor) | (z == lid), 0.5, 1.0), 0.0)
+    wet = weight.sum(axis=1) > 0.0
+    potential, force = np.sum(weight * np.nan_to_num(maps), axis=2)[:, wet] / weight.sum(axis=1)[wet]
+    at_middle = x[liquid[:, POINTS_UP // 2]]
+    ends = (float(at_middle.max()), float(at_middle.min()))
+    x = x[wet]
     force[mesh.mirrors.on(x)] = 0.0
     span = float(np.ptp(potential))
     label = label_basins(potential[:, None], least=LEAST_LINE * span)[:, 0]
@@ -150,7 +158,7 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
         found.append(FocusLine(
             place=mesh.mirrors.snapped(place), depth=depth, share=float(widths[label == i].sum() / widths.sum()),
             stiffness=stiffness, at_side=bool(at_side), measure=mesh.measure,
-            time=_time(forces, place, 0.5 * (floor + lid), 0.25 * wavelength)))
+            time=_time(forces, place, 0.5 * (floor + lid), ends, 0.25 * wavelength)))
     return tuple(sorted(found, key=lambda line: -line.depth))
 
 
@@ -179,10 +187,12 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
     return float(x[i]), stiffness
 
 
-def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
-    """Time (s) to a line, the shorter one of those from its two sides."""
+def _time(
+    forces: ParticleForces, place: float, height: float, ends: tuple[float, float], quarter: float
+) -> float | None:
+    """Time (s) to a line, the shorter one of those from its two sides; `ends` (m) are the right and the left end of the
+    liquid at that height."""
     mesh, found = forces.mesh, []
-    ends = (float(mesh.points[:, 0].max()), float(mesh.points[:, 0].min()))
     for side, end, mirror in zip((1.0, -1.0), ends, (mesh.mirrors.right, mesh.mirrors.left), strict=True):
         reach = quarter if mirror is not None else min(quarter, abs(end - place))
         try:

@@ -117,7 +117,7 @@ def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, .
             others.append(f"{effect.name}, which acts on a part of the {profiled}, whose outline is a profile")
         else:
             found.append(effect)
-    return tuple(found), (*others, *_shapes_without_axis(device))
+    return tuple(found), tuple(others)
 
 
 def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: list[str]) -> Iterator[Effect]:
@@ -131,14 +131,6 @@ def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: 
 def _needs_axis(device: Device, effect: Effect) -> bool:
     """Whether an effect has terms that need an axis in a state whose section has none."""
     return any(term.needs_axis for state in _straight(device) for term in effect.terms.get(state.name, ()))
-
-
-def _shapes_without_axis(device: Device) -> Iterator[str]:
-    """Shapes that layers of straight chips may have, in words: these are made for bodies that turn about an axis."""
-    roles = {role_of(layer.region): layer.region for state in _straight(device) for layer in state.chip.layers}
-    for role, shape in SHAPED:
-        if role in roles:
-            yield f"{shape} of the {roles[role]}, {NO_AXIS}"
 
 
 def _straight(device: Device) -> list[DeviceState]:
@@ -392,7 +384,7 @@ def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effe
 
 
 def shapes(device: Device) -> Iterator[Effect]:
-    """Layers that are no discs with plane faces and upright sides, or are shaped otherwise than stated."""
+    """Layers that have no plane faces and upright sides, or are shaped otherwise than stated."""
     chips = {layer.region: state.chip for state in device.states for layer in state.chip.layers}
     materials = {region: material for state in device.states for region, material in state.materials.items()}
     for region, chip in chips.items():

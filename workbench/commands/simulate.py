@@ -13,7 +13,6 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from geometry.measure import Axisymmetric
 from workbench.commands.export import export_solids
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
@@ -54,8 +53,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
-    solid = not options.no_cad and isinstance(chip.measure, Axisymmetric)
-    with _solid_model(chip, folder, wanted=solid) as parts, progress_bars(console) as show:
+    with _solid_model(chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
         for run in _simulated(chip, states, model, show, folder, unfinished):
             pictures[run.state] = []
             if not options.no_pictures:

@@ -68,12 +68,9 @@ def parametrised(
     """
     ranges = _ranges(chip, radii)
     straight = isinstance(chip.measure, Straight)
-    if straight and ranges and chip.measure.mirror == 0:
+    if chip.measure.is_whole and ranges:
         raise InputError(chip.file, "chip.symmetry", "none", "even or odd where a half width is to be a parameter: "
                          "then one half is meshed, in which all columns move to one side")
-    if straight and shapes:
-        raise InputError(chip.file, "shapes", ", ".join(shapes), "no shape of a layer of a straight chip: only those "
-                         "of round ones can be moved so far")
     known = chip.dimensions()
     moving = {known[name].value: name for name in ranges}
     mesh, pieces = split(problem.mesh, chip, tuple(moving))
