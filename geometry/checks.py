@@ -105,7 +105,7 @@ def check_cavity(
         if layer.bore is not None:
             raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
                              f"either the {key} of a cavity or the inner_{measure.across} of an empty ring")
-        (left, right), (low, high) = layer.sides, layer.hole_sides
+        (left, right), low, high = layer.sides, layer.holes[0][0], layer.holes[-1][1]
         if low < left + SAME_LENGTH or high > right - SAME_LENGTH:
             raise InputError(
                 file,
@@ -152,7 +152,7 @@ def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
     above = layers[top + 1] if top + 1 < len(layers) else None
     if above is None or above.bore is not None or above.profile is not None:
         return
-    (left, right), (low, high) = above.sides, layers[top].hole_sides
+    (left, right), low, high = above.sides, layers[top].holes[0][0], layers[top].holes[-1][1]
     if left < low + SAME_LENGTH and right > high - SAME_LENGTH:
         raise InputError(file, "cavity.open", True, f"a free surface: {above.region!r} covers the cavity; leave out "
                          "that layer, give it a hole, or state open = false")

@@ -13,7 +13,7 @@ from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.plausible import FILL_KEY, check_length
 from geometry.profile import AXES, Profile, StepPart, read_profile
-from geometry.straight import refuse_round_keys
+from geometry.straight import MOST_CHANNELS, refuse_round_keys
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
@@ -21,7 +21,7 @@ _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter",
                "inner_radius", "inner_diameter", "bottom", "profile", *SHAPES)
 _TRANSDUCER_KEYS = ("electrodes", "poled")
 _STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
-                        "cavity_width", "bottom", "offset", "cavity_offset", "profile", *SHAPES)
+                        "cavity_width", "bottom", "offset", "cavity_offset", "channels", "pitch", "profile", *SHAPES)
 
 
 def read_text(table: FileTable, key: str) -> str:
@@ -100,6 +100,8 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
             poled="down" if _either(table, "poled", "up", "down") == "down" else "up",
             offset=table.quantity("offset", "length", 0.0),
             cavity_offset=table.quantity("cavity_offset", "length", 0.0),
+            channels=table.whole("channels", 1, low=1, high=MOST_CHANNELS),
+            pitch=table.quantity("pitch", "length", 0.0),
             live=_further_live(table) if role == TRANSDUCER and region != TRANSDUCER else None,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )

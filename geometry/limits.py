@@ -26,8 +26,9 @@ CLOSED = ('of an open well or channel state open = true, or the depth of its liq
 OFF_THE_MIDDLE = ('offset = "0.5 mm" of a layer, cavity_offset of a channel, in a chip with symmetry = "none": how far '
                   "its middle is to the right of that of the chip")
 
-ONE_CHANNEL = ("one channel; of several channels model the one with the particles, and state the walls around the "
-               "others as solid")
+#: Advice for what a straight chip has several of, by other names or above each other.
+ONE_CHANNEL = ('channels = 3 and pitch = "1 mm" of the layer around them for equal ones side by side; of others model '
+               "the one with the particles, and state the walls around the others as solid")
 
 #: Advice for the walls of a channel that are not upright.
 ETCHED = ('draft = "35.26 deg" of the layer around the channel, the angle by which it grows wider upwards; for rounded '
@@ -47,8 +48,7 @@ NOT_KEYS: Mapping[str, str] = {
 #: Keys that people write in a straight chip for what it cannot have yet, and the advice for each.
 NOT_STRAIGHT: Mapping[str, str] = {
     **dict.fromkeys(("centre", "center", "x", "position", "x_offset", "left", "right", "side"), OFF_THE_MIDDLE),
-    **dict.fromkeys(("channels", "cavities", "channel_count", "count", "pitch", "spacing", "cavity_widths"),
-                    ONE_CHANNEL),
+    **dict.fromkeys(("cavities", "channel_count", "count", "spacing", "cavity_widths"), ONE_CHANNEL),
     **dict.fromkeys(("undercut", "taper", "slope", "etch_angle", "wall_angle", "sidewall_angle", "fillet",
                      "corner_radius"), ETCHED),
 }

@@ -48,7 +48,7 @@ class Layer:
     the distance of the layer above from the bottom of this one. A transducer is ``poled`` up or down along z; every
     transducer but the lowest has electrodes that cover its faces, of which ``live`` is the one at the drive voltage.
     In a straight chip, the middle of the layer is ``offset`` (m) to the right of that of the chip, and the middle of
-    its part of the channel ``cavity_offset``.
+    its part of the channel ``cavity_offset``, or of all of its ``channels``, whose middles are a ``pitch`` (m) apart.
     """
 
     region: str
@@ -69,6 +69,8 @@ class Layer:
     live: Literal["top", "bottom"] | None = None
     offset: float = 0.0
     cavity_offset: float = 0.0
+    channels: int = 1
+    pitch: float = 0.0
 
     @property
     def z_top(self) -> float:
@@ -92,9 +94,14 @@ class Layer:
         return self.offset - self.outer_radius, self.offset + self.outer_radius
 
     @property
-    def hole_sides(self) -> tuple[float, float]:
-        """Places (m) of the sides of its part of a straight channel; equal without one."""
-        return self.cavity_offset - self.inner_radius, self.cavity_offset + self.inner_radius
+    def holes(self) -> tuple[tuple[float, float], ...]:
+        """Places (m) of the sides of its part of every channel of a straight chip, from left to right; of the hole of a
+        ring, on both sides of the axis. Empty without a hole."""
+        if not self.inner_radius:
+            return ()
+        first = self.cavity_offset - 0.5 * (self.channels - 1) * self.pitch
+        middles = [first + k * self.pitch for k in range(self.channels)]
+        return tuple((middle - self.inner_radius, middle + self.inner_radius) for middle in middles)
 
     @property
     def shapes(self) -> dict[str, Dimension]:

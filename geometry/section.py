@@ -6,7 +6,7 @@ Lengths in metres, the axis at r = 0, z upwards (Acevedo-Espinosa et al. (RP-UEI
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -167,10 +167,12 @@ def section_of_layers(
 
     A straight section without a plane of symmetry is whole: every layer reaches to both sides of its middle.
     """
-    is_whole = isinstance(measure, Straight) and not measure.planes
-    rectangles = [piece for layer in layers for piece in _solids(layer, is_whole=is_whole)]
-    rectangles += [Rectangle(CAVITY, hole.hole_sides[0] if is_whole else 0.0, hole.hole_sides[1], hole.z_bottom,
-                             hole.z_top) for hole in layers if hole.cavity_radius is not None]
+    is_whole = measure.is_whole
+    start = -math.inf if is_whole else 0.0
+    rectangles = [Rectangle(layer.region, left, right, layer.z_bottom, layer.z_top)
+                  for layer in layers for left, right in _between(layer, start)]
+    rectangles += [Rectangle(CAVITY, max(left, start), right, hole.z_bottom, hole.z_top)
+                   for hole in layers if hole.cavity_radius is not None for left, right in hole.holes if right > start]
     lines = [piece for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)
              for piece in (_whole(each, layer.offset) if is_whole else [each])]
     pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)
@@ -200,12 +202,14 @@ def _faces(transducer: Layer, electrodes: Electrodes) -> list[Electrode]:
             face(ELECTRODE_GROUND, own.ground_disc, on_top=own.live != "top")]
 
 
-def _solids(layer: Layer, *, is_whole: bool) -> list[Rectangle]:
-    """The pieces of a layer in the right half of a section, or in a whole one, from left to right."""
-    (left, right), (low, high) = layer.sides, layer.hole_sides
-    widths = [(layer.inner_radius, layer.outer_radius)] if not is_whole else (
-        [(left, low), (high, right)] if layer.inner_radius else [(left, right)])
-    return [Rectangle(layer.region, *width, layer.z_bottom, layer.z_top) for width in widths]
+def _between(layer: Layer, start: float) -> Iterator[tuple[float, float]]:
+    """The sides of the pieces of a layer beside its holes, from `start` (m) on, from left to right."""
+    left, right = max(layer.sides[0], start), layer.sides[1]
+    for low, high in layer.holes:
+        if low > left:
+            yield left, low
+        left = max(left, high)
+    yield left, right
 
 
 def _whole(half: Electrode, middle: float) -> list[Electrode]:

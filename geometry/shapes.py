@@ -118,16 +118,16 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
     """
     for number, layer in enumerate(chip.layers):
         low, high = layer.z_bottom, layer.z_top
-        for sign in (1.0, -1.0) if chip.measure.is_whole else (1.0,):
-            if layer.draft is not None:
-                yield from _drafted(chip.layers[number:], sign * math.tan(layer.draft.value), 1 if sign > 0.0 else 0)
-            if layer.barrel is not None:
-                inner, width = layer.inner_radius, layer.outer_radius - layer.inner_radius
-                for radius in radii:
-                    distance = sign * (radius - layer.offset)
-                    if inner + SAME_LENGTH < distance < layer.outer_radius + SAME_LENGTH:
-                        bulge = sign * (distance - inner) / width * layer.barrel.value
-                        yield Side(True, radius, low, high, _bulging(bulge, low, high))
+        if layer.draft is not None:
+            for place in range(len(layer.holes)):
+                yield from _drafted(chip, number, place)
+        if layer.barrel is not None:
+            inner = layer.holes[-1][1] - layer.offset if layer.holes else 0.0
+            for radius in radii:
+                distance = abs(radius - layer.offset)
+                if inner + SAME_LENGTH < distance < layer.outer_radius + SAME_LENGTH:
+                    share = math.copysign((distance - inner) / (layer.outer_radius - inner), radius - layer.offset)
+                    yield Side(True, radius, low, high, _bulging(share * layer.barrel.value, low, high))
         begin, end = layer.sides
         if layer.bow is not None:
             for face in (low, high):
@@ -136,20 +136,25 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
             yield Side(False, high, begin, end, _bulging(layer.dome.value, begin, end))
 
 
-def _drafted(layers: Sequence[Layer], slope: float, side: int) -> Iterator[Side]:
-    """The sides that one wall (0 left, 1 right) of the hole of the lowest of some layers moves by its `slope`."""
-    layer = layers[0]
-    at, low, high = layer.hole_sides[side], layer.z_bottom, layer.z_top
-    yield Side(True, at, low, high, _sloping(slope, low))
-    shift = slope * (high - low)
-    for above in layers[1:]:
-        goes_on = above.cavity_radius is not None and abs(above.hole_sides[side] - at) < SAME_LENGTH
-        bottom, top = above.z_bottom, above.z_top
-        # At the end of the hole the line returns within the layer above, of which it bounds nothing.
-        yield Side(True, at, bottom, top,
-                   _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
-        if not goes_on:
-            break
+def _drafted(chip: Chip, number: int, place: int) -> Iterator[Side]:
+    """The sides that the draft of a layer moves: the walls of its hole at a `place` among its holes, as far as they are
+    in the section, and their continuation above."""
+    layer = chip.layers[number]
+    low, high = layer.z_bottom, layer.z_top
+    for side, sign in enumerate((-1.0, 1.0)):
+        at, slope = layer.holes[place][side], sign * math.tan(0.0 if layer.draft is None else layer.draft.value)
+        if at < 0.0 and not chip.measure.is_whole:
+            continue
+        yield Side(True, at, low, high, _sloping(slope, low))
+        shift = slope * (high - low)
+        for above in chip.layers[number + 1:]:
+            goes_on = above.cavity_radius is not None and abs(above.holes[place][side] - at) < SAME_LENGTH
+            bottom, top = above.z_bottom, above.z_top
+            # At the end of the hole the line returns within the layer above, of which it bounds nothing.
+            yield Side(True, at, bottom, top,
+                       _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
+            if not goes_on:
+                break
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:

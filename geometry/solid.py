@@ -115,19 +115,23 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
         made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
             SHAPED_TOLERANCE + volume_of_ports / expected[name]),
-                              chip.measure.sides if all(layer.region in apart for layer in layers) else 1)
+                              _pieces(chip) if all(layer.region in apart for layer in layers) else 1)
     if chip.holes:
         made[CAVITY] = _checked(CAVITY, _fused(bodies[CAVITY]), expected[CAVITY],
-                                SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE)
+                                SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE, chip.holes[0].channels)
     return made
+
+
+def _pieces(chip: Chip) -> int:
+    """Number of pieces of a wall around the cavity: two beside a straight channel, and one more between any two."""
+    return chip.measure.sides + (chip.holes[0].channels - 1 if chip.holes else 0)
 
 
 def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
     """Layers with plane faces and upright sides, and the cavity, by region."""
     measure = chip.measure
     found = {layer.region: [_ring(cadquery, layer, measure)] for layer in chip.layers}
-    return found | {CAVITY: [_full(cadquery, hole.inner_radius, hole, measure, hole.cavity_offset)
-                             for hole in chip.holes]}
+    return found | {CAVITY: [body for hole in chip.holes for body in _inside(cadquery, hole, measure)]}
 
 
 def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:
@@ -172,7 +176,12 @@ def _ring(cadquery: ModuleType, layer: Layer, measure: Measure) -> Shape:
     whole = _full(cadquery, layer.outer_radius, layer, measure, layer.offset)
     if not layer.inner_radius:
         return whole
-    return whole.cut(_full(cadquery, layer.inner_radius, layer, measure, layer.cavity_offset))
+    return whole.cut(*_inside(cadquery, layer, measure))
+
+
+def _inside(cadquery: ModuleType, layer: Layer, measure: Measure) -> list[Shape]:
+    """The holes of a layer, filled."""
+    return [_full(cadquery, layer.inner_radius, layer, measure, 0.5 * (left + right)) for left, right in layer.holes]
 
 
 def _fused(shapes: list[Shape]) -> Shape:

@@ -18,6 +18,9 @@ from workbench.files.tables import FileTable
 #: Values of the key ``geometry``.
 GEOMETRIES = ("axisymmetric", "straight")
 
+#: Largest number of channels side by side.
+MOST_CHANNELS = 50
+
 #: Keys of a round chip's layers and electrodes, and the advice for a straight one.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
 
@@ -61,9 +64,9 @@ def check_straight(
     """Check that a straight chip has only what such chips may have so far.
 
     Raises:
-        InputError: ports, planes of symmetry that do not bound the section, an offset beside one, a channel that is
-            not in the middle of a layer with a shape, a layer beside the one below, or a live electrode across a plane
-            of odd symmetry.
+        InputError: ports, channels that touch or differ from layer to layer, planes of symmetry that do not bound the
+            section, an offset beside one, a channel that is not in the middle of a layer with a shape, a layer beside
+            the one below, or a live electrode across a plane of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
         return
@@ -74,6 +77,8 @@ def check_straight(
         raise InputError(file, "cavity.ports", "ports", "no ports: a channel is straight from end to end")
     for i, layer in enumerate(layers):
         stated = ["profile"] if layer.profile is not None else [*layer.shapes]
+        if layer.cavity_radius is not None:
+            _check_channels(layer, layers, i, file)
         if stated and layer.cavity_radius is not None and abs(layer.cavity_offset - layer.offset) > SAME_LENGTH:
             raise InputError(file, f"layers[{i}].cavity_offset", millimetres(layer.cavity_offset),
                              f"{millimetres(layer.offset)}, the middle of the layer, whose {stated[0]} is equal to "
@@ -91,6 +96,24 @@ def check_straight(
     if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
                          "above zero where symmetry is odd: half of the gap between the electrodes at +V and -V")
+
+
+def _check_channels(layer: Layer, layers: Sequence[Layer], place: int, file: str) -> None:
+    """Check that the channels of a layer are those of all, do not touch, and are drawn one by one."""
+    pitch, first = layer.pitch, next(each for each in layers if each.cavity_radius is not None)
+    if (layer.channels > 1) != (pitch > 0.0) or pitch < 0.0:
+        raise InputError(file, f"layers[{place}].pitch", millimetres(pitch) if pitch else None,
+                         "the distance between the middles of neighbouring channels" if layer.channels > 1 else
+                         "none for one channel; channels = 2 or more has one")
+    if layer.channels > 1 and pitch < 2.0 * layer.inner_radius + SAME_LENGTH:
+        raise InputError(file, f"layers[{place}].pitch", millimetres(pitch), "channels that do not touch: more than "
+                         f"their width, {millimetres(2.0 * layer.inner_radius)}")
+    if (layer.channels, layer.pitch) != (first.channels, first.pitch):
+        raise InputError(file, f"layers[{place}].channels", f"{layer.channels}, {millimetres(pitch)} apart",
+                         f"{first.channels}, {millimetres(first.pitch)} apart, as in {first.region!r}")
+    if layer.channels > 1 and any(each.profile is not None for each in layers):
+        raise InputError(file, f"layers[{place}].channels", layer.channels, "one channel in a chip of which a layer "
+                         "has a profile; of several, state draft where their walls slope")
 
 
 def head_keys(measure: Measure) -> Mapping[str, str]:

@@ -104,7 +104,7 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "no offset where.*none"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"', "no offset where.*none"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nx_offset = "0.5 mm"', "cavity_offset of a channel"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nchannels = 3', "of several channels model the one with"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\nspacing = "1 mm"', "channels = 3 and pitch"),
     ('cavity_width = "380 um"', 'cavity_width = "4 mm"', "cavity_half_width.*narrower than its layer"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nprofile = { points = [] }', "three or more points"),
     ('length = "20 mm"', 'length = "-1 mm"', "above zero"),
@@ -226,7 +226,7 @@ def test_limits_of_straight_chips_are_documented() -> None:
 def test_a_second_and_an_open_channel_are_refused_in_words_of_straight_chips() -> None:
     lid = CHIP[CHIP.rindex("[[layers]]"):CHIP.index("[states.filled]")]
     wall = CHIP[CHIP.rindex("[[layers]]", 0, CHIP.index('role = "sidewall"')):CHIP.rindex("[[layers]]")]
-    with pytest.raises(InputError, match="of several channels") as caught:
+    with pytest.raises(InputError, match='channels = 3 and pitch = "1 mm"') as caught:
         chip(CHIP.replace(lid, lid.replace("superstrate", "substrate") + wall + lid))
     assert "axisymmetric" not in str(caught.value)
     with pytest.raises(InputError, match="of an open well or channel state open = true") as caught:

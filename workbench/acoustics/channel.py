@@ -7,15 +7,18 @@ minutes. The lines across are therefore those of the potential averaged over the
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from geometry.dimension import SAME_LENGTH
 from geometry.measure import Measure
 from workbench.acoustics.basins import find_basins, label_basins
 from workbench.acoustics.fields import Fields
 from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
-from workbench.acoustics.nodal import FloatArray, NodalArray, interpolate, raster
+from workbench.acoustics.nodal import FloatArray, NodalArray, integrate, interpolate, raster
 from workbench.acoustics.streaming import critical_diameter
 from workbench.model.particles import FluidProperties, Particle, viscosity
 from workbench.results.brief import Brief
@@ -54,20 +57,32 @@ class FocusLine:
                 f"{100.0 * self.share:.0f} % of the width{time}")
 
 
+@dataclass(frozen=True)
+class ChannelShare:
+    """One of the channels of a section, from its ``left`` to its ``right`` side (m), and the mean ``energy_density``
+    (J/m^3) in it."""
+
+    left: float
+    right: float
+    energy_density: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChannelFigures(Brief):
-    """Figures of a straight channel at one frequency and drive.
+    """Figures of a straight channel, or of several side by side, at one frequency and drive.
 
-    ``power`` W for the length of the chip. ``energy_density`` J/m^3, the mean over the channel, also by the square of
-    the voltage at the electrodes (``energy_per_square_volt``, J/(m^3 Vpp^2)) and by the power (``energy_per_watt``,
-    J/(m^3 W)). ``across`` (n, 2) are x in m and |p| in Pa at mid-height, ``up`` (m, 2) heights above the floor and |p|
-    where that is largest across. ``lines`` of focusing, deepest first, are empty without a particle, and
-    ``critical_diameter`` (m), of a particle that radiation and streaming move alike, is then None.
+    ``power`` W for the length of the chip. ``energy_density`` J/m^3, the mean over the ``channels``, from left to right
+    those of the section, also by the square of the voltage at the electrodes (``energy_per_square_volt``, J/(m^3
+    Vpp^2)) and by the power (``energy_per_watt``, J/(m^3 W)). ``across`` (n, 2) are x in m and |p| in Pa at mid-height,
+    ``up`` (m, 2) heights above the floor and |p| where that is largest across. ``lines`` of focusing, deepest first,
+    are empty without a particle, and ``critical_diameter`` (m), of a particle that radiation and streaming move alike,
+    is then None.
     """
 
     excitation: Excitation
     power: float
     energy_density: float
+    channels: tuple[ChannelShare, ...]
     across: FloatArray
     up: FloatArray
     lines: tuple[FocusLine, ...]
@@ -98,6 +113,9 @@ class ChannelFigures(Brief):
                    f"uneven by {100.0 * self.unevenness:.2g} % over the height")
         critical = "" if self.critical_diameter is None else (
             f"\ncritical diameter {1e6 * self.critical_diameter:.3g} um")
+        if len(self.channels) > 1:
+            figures += "\n  mean E_ac from left to right " + ", ".join(
+                f"{each.energy_density:.3g}" for each in self.channels) + " J/m^3"
         return "\n".join([figures, *(f"  focus {line}" for line in self.lines)]) + f"{critical}\n{self.excitation}"
 
 
@@ -120,10 +138,26 @@ def channel_of(
     up = pressure(z - floor, across[across[:, 1].argmax(), 0], z)
     factor = 0.0 if forces is None else forces.scattering.contrast_factor
     return ChannelFigures(
-        excitation=excitation, power=fields.power, energy_density=excitation.mean_energy_density, across=across, up=up,
+        excitation=excitation, power=fields.power, energy_density=excitation.mean_energy_density,
+        channels=tuple(_shares(fields, region)), across=across, up=up,
         lines=() if forces is None else focus_lines(forces),
         critical_diameter=None if forces is None or not factor else critical_diameter(
             factor, forces.fluid, fields.frequency))
+
+
+def _shares(fields: Fields, region: str) -> Iterator[ChannelShare]:
+    """The channels of the section, from left to right: where cells of the `region` lie side by side."""
+    mesh = fields.mesh
+    x = mesh.points[mesh.cells[mesh.cells_of([region])], 0].reshape(-1, (mesh.order + 1) ** 2)
+    sides = np.stack([x.min(axis=1), x.max(axis=1)], axis=1)
+    sides = sides[np.argsort(sides[:, 0])]
+    reached = np.maximum.accumulate(sides[:, 1])
+    begins = np.flatnonzero(np.append(True, sides[1:, 0] > reached[:-1] + SAME_LENGTH))
+    for first, last in zip(begins, [*begins[1:], len(sides)], strict=True):
+        left, right = float(sides[first, 0]), float(reached[last - 1])
+        here = ((mesh.points[:, 0] >= left) & (mesh.points[:, 0] <= right)).astype(float)
+        energy = integrate(mesh, fields.energy_density * here, [region]) / integrate(mesh, here, [region])
+        yield ChannelShare(left, right, float(energy))
 
 
 def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
@@ -138,15 +172,14 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     # The mean over the part of the height that is liquid.
     weight = np.where(liquid, np.gradient(z) * np.where((z == floor) | (z == lid), 0.5, 1.0), 0.0)
     wet = weight.sum(axis=1) > 0.0
-    potential, force = np.sum(weight * np.nan_to_num(maps), axis=2)[:, wet] / weight.sum(axis=1)[wet]
-    at_middle = x[liquid[:, POINTS_UP // 2]]
-    ends = (float(at_middle.max()), float(at_middle.min()))
-    x = x[wet]
+    potential, force = np.sum(weight * np.nan_to_num(maps), axis=2) / np.where(wet, weight.sum(axis=1), np.nan)
     force[mesh.mirrors.on(x)] = 0.0
-    span = float(np.ptp(potential))
+    at_middle = liquid[:, POINTS_UP // 2]
+    span = float(np.nanmax(potential) - np.nanmin(potential))
     label = label_basins(potential[:, None], least=LEAST_LINE * span)[:, 0]
     widths = np.gradient(x)
     widths[[0, -1]] *= 0.5
+    widths[~wet] = 0.0
     found = []
     for (i, _), highest in find_basins(potential[:, None]):
         depth = highest - float(potential[i])
@@ -154,11 +187,12 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
             continue
         place, stiffness = _zero(x, force, i)
         # At a plane of symmetry the channel goes on.
-        at_side = i in (0, len(x) - 1) and not mesh.mirrors.on(x[i])
+        at_side = not (wet[max(i - 1, 0)] and wet[min(i + 1, len(x) - 1)]) or (
+            i in (0, len(x) - 1) and not mesh.mirrors.on(x[i]))
         found.append(FocusLine(
             place=mesh.mirrors.snapped(place), depth=depth, share=float(widths[label == i].sum() / widths.sum()),
             stiffness=stiffness, at_side=bool(at_side), measure=mesh.measure,
-            time=_time(forces, place, 0.5 * (floor + lid), ends, 0.25 * wavelength)))
+            time=_time(forces, place, 0.5 * (floor + lid), _ends_around(x, at_middle, i), 0.25 * wavelength)))
     return tuple(sorted(found, key=lambda line: -line.depth))
 
 
@@ -176,10 +210,17 @@ def half_wave_focus_time(
     return math.log(math.tan(wavenumber * start) / math.tan(wavenumber * stop)) / rate
 
 
+def _ends_around(x: FloatArray, liquid: NDArray[np.bool_], i: int) -> tuple[float, float]:
+    """The right and the left end of the liquid around the point `i` of `x` (n,)."""
+    dry = np.flatnonzero(~liquid)
+    return (float(x[min(dry[dry > i], default=len(x)) - 1]), float(x[max(dry[dry < i], default=-1) + 1]))
+
+
 def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
     """Where the `force` (n,) next to the point `i` of `x` (n,) falls through zero, and its stiffness (N/m) there; the
     point itself where it does not."""
-    stiffness = float(-np.gradient(force, x)[i])
+    near = [k for k in (i - 1, i, i + 1) if 0 <= k < len(x) and np.isfinite(force[k])]
+    stiffness = float((force[near[0]] - force[near[-1]]) / (x[near[-1]] - x[near[0]]))
     for first in (i - 1, i):
         if 0 <= first < len(x) - 1 and force[first] > 0.0 >= force[first + 1]:
             share = force[first] / (force[first] - force[first + 1])

@@ -15,11 +15,13 @@ Cavallini, Gardini and Gastaldi, J. Sci. Comput. 52, 383, 2012).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad
@@ -71,12 +73,11 @@ class StokesSolver:
         blocks = _Blocks(mesh, self._length)
         self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
         self._expand = _expansion(conditions)
-        # Only differences of the pressure act: one unknown of either kind is left out. One in a tiny cell would cost
-        # the digits by which the cell is small, so it is that of the largest patch.
+        # Only differences of the pressure act within what is connected: there one unknown of either kind is left out.
+        # One in a tiny cell would cost the digits by which the cell is small, so it is that of the largest patch.
         squares = blocks.pressure_squares()
-        continuous = squares.size - len(mesh.cells)
         self._kept = np.delete(np.arange(squares.size), [
-            int(np.argmax(squares[:continuous])), continuous + int(np.argmax(squares[continuous:]))])
+            int(found[np.argmax(squares[found])]) for found in blocks.pressures_that_differ()])
         stiff = (self._expand.T @ self._stiffness @ self._expand).tocsc()
         across = (self._divergence[self._kept] @ self._expand).tocsc()
         # The pressure in units that give its rows the size of those of the velocity.
@@ -189,6 +190,16 @@ class _Blocks:
         self.over_r = mesh.measure.over_r(value, radius[:, :, None])
         self.weights = area * weights * mesh.measure.depth(radius)
         self.pressure_value = np.column_stack([Lagrange(order - 1).tabulated(points)[0], np.ones(len(weights))])
+
+    def pressures_that_differ(self) -> Iterator[IntArray]:
+        """The continuous pressure's unknowns in every connected part of the mesh, and the cells' own ones there."""
+        count = len(self.nodes)
+        touched = sparse.csr_matrix((np.ones(self.nodes.size), (np.repeat(np.arange(count), self.nodes.shape[1]),
+                                                                self.nodes.ravel())))
+        parts, part = connected_components(touched @ touched.T, directed=False)
+        for number in range(parts):
+            yield np.unique(self.pressure_nodes[part == number, :-1])
+            yield self.pressure_nodes[part == number, -1]
 
     def _gram(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Integrals (M, nb, nb') of products of functions (M, nq, nb) and (M, nq, nb') in every cell."""

@@ -140,8 +140,8 @@ def cavity_of(
     if max(hole.inner_radius for hole in holes) - min(hole.inner_radius for hole in holes) > SAME_LENGTH:
         raise NoCavity(f"figures of fields need a cavity of one {chip.measure.across.replace('_', ' ')} throughout its "
                        "height")
-    if any(hole.cavity_offset for hole in holes):
-        raise NoCavity("figures of fields need a channel in the middle of the chip")
+    if any(hole.cavity_offset or hole.channels > 1 for hole in holes):
+        raise NoCavity("figures of fields need one channel, in the middle of the chip")
     mesh, dofs = section_nodes(operators.mesh)
     nodes = mesh.nodes_of([CAVITY])
     floor, names = holes[0].z_bottom, tuple(lengths)

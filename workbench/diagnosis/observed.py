@@ -190,10 +190,10 @@ def region_volumes(chip: Chip) -> dict[str, float]:
     if any(layer.profile is not None or layer.shapes for layer in chip.layers):
         return volumes(chip)
     volume = chip.measure.device_volume
-    found = {layer.region: volume(layer.inner_radius, layer.outer_radius, layer.thickness.value)
+    found = {layer.region: volume(layer.channels * layer.inner_radius, layer.outer_radius, layer.thickness.value)
              for layer in chip.layers}
     if chip.holes:
-        found[CAVITY] = sum(volume(0.0, hole.inner_radius, hole.thickness.value) for hole in chip.holes)
+        found[CAVITY] = sum(volume(0.0, hole.channels * hole.inner_radius, hole.thickness.value) for hole in chip.holes)
     return found
 
 

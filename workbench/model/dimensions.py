@@ -12,6 +12,7 @@ from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.measure import Straight
 from geometry.mesh import MeshError, SectionMesh
+from geometry.names import CAVITY
 from geometry.shapes import with_shapes
 from geometry.stretch import Piece, admissible_range, canonical_names, split
 from workbench.files.errors import InputError, choose
@@ -71,6 +72,9 @@ def parametrised(
     if chip.measure.is_whole and ranges:
         raise InputError(chip.file, "chip.symmetry", "none", "even or odd where a half width is to be a parameter: "
                          "then one half is meshed, in which all columns move to one side")
+    for name in ranges if any(hole.channels > 1 for hole in chip.holes) else ():
+        if name.startswith(CAVITY) or ".cavity_" in name:
+            raise InputError(chip.file, name, "a range", "one channel where its half width is to be a parameter")
     known = chip.dimensions()
     moving = {known[name].value: name for name in ranges}
     mesh, pieces = split(problem.mesh, chip, tuple(moving))

@@ -89,6 +89,10 @@ def channel_tables(shot: Snapshot) -> list[TextTable]:
           number_text(found.energy_per_watt, 3), number_text(1e-3 * float(found.across[:, 1].max())),
           number_text(100.0 * found.unevenness, 2),
           "" if found.critical_diameter is None else number_text(1e6 * found.critical_diameter, 3)),))]
+    if len(found.channels) > 1:
+        tables.append(TextTable(("channel (mm)", "mean E_ac (J/m^3)"), tuple(
+            (f"x {1e3 * each.left:.4f} to {1e3 * each.right:.4f}", number_text(each.energy_density, 3))
+            for each in found.channels)))
     if found.lines:
         tables.append(TextTable(
             ("line across (mm)", "depth (fJ)", "share of the width (%)", "stiffness (pN/mm)", "focusing time (s)"),
@@ -233,6 +237,8 @@ def _channel_record(shot: Snapshot) -> dict[str, Any]:
     return {"channel": {
         "mean_energy_density_j_m3": found.energy_density, "per_square_vpp_j_m3_v2": found.energy_per_square_volt,
         "per_watt_j_m3_w": found.energy_per_watt, "unevenness_over_height": found.unevenness,
+        "channels": [{"left_m": each.left, "right_m": each.right, "mean_energy_density_j_m3": each.energy_density}
+                     for each in found.channels],
         "across_m_pa": found.across.tolist(), "up_m_pa": found.up.tolist(),
         "critical_diameter_m": found.critical_diameter, "focus_time_s": found.focus_time,
         "lines": [{"x_m": line.place, "depth_j": line.depth, "share_of_width": line.share, "at_side_wall": line.at_side,
