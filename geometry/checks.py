@@ -10,15 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
-from geometry.limits import CLOSED, FULL_DISC, ONE_CAVITY, ONE_CHANNEL
-from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Straight
+from geometry.limits import CLOSED, FULL_DISC, FURTHER_CAVITY
+from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
-from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
+from geometry.parts import Electrodes, Layer, Ports, State, discs, further_cavities, largest_shape, port_axis
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
-
-#: Advice for a second cavity.
-_OF_CAVITY: Mapping[type[Measure], str] = {Axisymmetric: ONE_CAVITY, Straight: ONE_CHANNEL}
 
 
 def check_dimensions(
@@ -92,7 +89,6 @@ def check_cavity(
     """Check that holes are in neighbouring layers, narrower than these, and closed below and, unless the cavity
     `is_open`, above."""
     key = f"cavity_{measure.across}"
-    one_cavity = _OF_CAVITY[type(measure)]
     # A hole is never wider than its neighbours, so no ring is left without support either.
     places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
     for i in places:
@@ -141,10 +137,35 @@ def check_cavity(
             f"layers[{gap}].{key}",
             None,
             f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers; "
-            f"{one_cavity}",
+            f"{FURTHER_CAVITY.format(across=measure.across)}",
         )
     if is_open and places:
         _check_uncovered(layers, places[-1], file)
+    _check_fillings(layers, file, measure)
+
+
+def _check_fillings(layers: Sequence[Layer], file: str, measure: Measure) -> None:
+    """Check that further cavities are closed, and each filled with one material."""
+    bore = f"inner_{measure.across}"
+    for i, layer in enumerate(layers):
+        if layer.filling is None:
+            continue
+        place = f"layers[{i}].filling"
+        if layer.bore is None or layer.role == TRANSDUCER or layer.channels > 1:
+            raise InputError(file, place, layer.filling, f"the {bore} of the cavity that it fills, one in a layer that "
+                             "is no transducer")
+        if not any(each.cavity_radius is not None for each in layers):
+            raise InputError(file, place, layer.filling, f"a first cavity, of layers with a cavity_{measure.across}")
+        for j, side in ((i - 1, "below"), (i + 1, "above")):
+            beside = layers[j] if 0 <= j < len(layers) else None
+            if beside is not None and beside.filling not in (None, layer.filling):
+                raise InputError(file, f"layers[{j}].filling", beside.filling,
+                                 f"{layer.filling!r}, as in {layer.region!r}: they are one cavity")
+            if beside is None or (beside.filling is None and (
+                    beside.holes or beside.sides[0] > layer.holes[0][0] - SAME_LENGTH
+                    or beside.sides[1] < layer.holes[0][1] + SAME_LENGTH)):
+                raise InputError(file, place, layer.filling, f"a closed cavity: a layer {side} {layer.region!r} that "
+                                 "covers it")
 
 
 def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
@@ -171,10 +192,10 @@ def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXI
         raise InputError(file, "layers", "no layer with role 'transducer'", "one or more")
     for i, layer in enumerate(layers):
         if layer.bore is not None and layer.inner_radius > layer.outer_radius - SAME_LENGTH:
-            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
+            raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
                              f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}")
         if layer.bore is not None and any(each.profile is not None for each in layers):
-            raise InputError(file, f"layers[{i}].inner_radius", dimension_text(layer.bore),
+            raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
                              "no empty ring in a chip of which a layer has a profile: draw it as an outline")
         if layer.role != TRANSDUCER:
             if layer.poled != "up" or layer.live is not None:
@@ -309,7 +330,8 @@ def check_states(
         if state.temperature is not None and not (math.isfinite(state.temperature) and state.temperature > 0.0):
             raise InputError(file, f"{place}.temperature", state.temperature, "a temperature above absolute zero")
         for region in state.materials:
-            choose(region, (layer.region for layer in layers), source=file, field=f"{place}.materials")
+            choose(region, (*(layer.region for layer in layers), *further_cavities(layers)), source=file,
+                   field=f"{place}.materials")
         if (state.particle is None) != (state.particle_radius is None):
             missing = "particle" if state.particle is None else "particle_radius"
             raise InputError(file, f"{place}.{missing}", None, "both 'particle' and 'particle_radius', or neither")

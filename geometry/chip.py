@@ -24,6 +24,7 @@ from geometry.parts import (
     Ports,
     State,
     discs,
+    further_cavities,
     hole_names,
     named_dimensions,
     port_axis,
@@ -83,8 +84,13 @@ class Chip:
 
     @property
     def regions(self) -> tuple[str, ...]:
-        """Names of the layers from bottom to top, then ``cavity`` if there is one."""
-        return tuple(layer.region for layer in self.layers) + ((CAVITY,) if self.holes else ())
+        """Names of the layers from bottom to top, then ``cavity`` if there is one, then ``cavity_2`` and so on."""
+        return (*(layer.region for layer in self.layers), *((CAVITY,) if self.holes else ()), *self.further_cavities)
+
+    @cached_property
+    def further_cavities(self) -> dict[str, tuple[Layer, ...]]:
+        """The layers around every cavity but the first, bottom to top, by its region."""
+        return further_cavities(self.layers)
 
     @property
     def transducer(self) -> Layer:
@@ -136,8 +142,11 @@ class Chip:
             InputError: the chip has no such state.
         """
         chosen = self.state(state)
-        names = {layer.region: layer.material for layer in self.layers} | dict(chosen.materials)
-        return names if chosen.cavity is None else names | {CAVITY: chosen.cavity}
+        names = {layer.region: layer.material for layer in self.layers}
+        if chosen.cavity is not None:
+            names[CAVITY] = chosen.cavity
+        names |= {region: str(around[0].filling) for region, around in self.further_cavities.items()}
+        return names | dict(chosen.materials)
 
     def dimensions(self) -> dict[str, Dimension]:
         """Every length that can be changed by name, in the order of the layers.

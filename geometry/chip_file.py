@@ -81,6 +81,8 @@ def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict
         found[f"cavity_{chip.measure.across}"] = _dimension(layer.cavity_radius)
     if layer.bore is not None:
         found[f"inner_{chip.measure.across}"] = _dimension(layer.bore)
+    if layer.filling is not None:
+        found["filling"] = layer.filling
     found |= {shape: _dimension(size, SHAPES[shape]) for shape, size in layer.shapes.items()}
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)

@@ -18,10 +18,11 @@ from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
 _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter", "cavity_radius", "cavity_diameter",
-               "inner_radius", "inner_diameter", "bottom", "profile", *SHAPES)
+               "inner_radius", "inner_diameter", "filling", "bottom", "profile", *SHAPES)
 _TRANSDUCER_KEYS = ("electrodes", "poled")
 _STRAIGHT_LAYER_KEYS = ("role", "material", "density", "thickness", "half_width", "width", "cavity_half_width",
-                        "cavity_width", "bottom", "offset", "cavity_offset", "channels", "pitch", "profile", *SHAPES)
+                        "cavity_width", "inner_half_width", "inner_width", "filling", "bottom", "offset",
+                        "cavity_offset", "channels", "pitch", "profile", *SHAPES)
 
 
 def read_text(table: FileTable, key: str) -> str:
@@ -97,6 +98,7 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
             density=table.optional_quantity("density", "density"),
             profile=profile,
             bore=_optional_radius(table, f"inner_{across}", f"inner_{doubled}"),
+            filling=_optional_text(table, "filling"),
             poled="down" if _either(table, "poled", "up", "down") == "down" else "up",
             offset=table.quantity("offset", "length", 0.0),
             cavity_offset=table.quantity("cavity_offset", "length", 0.0),

@@ -17,8 +17,9 @@ CENTRED = (f"{AXISYMMETRIC}; in place of a part beside the axis state it on the 
 #: Transducers of a chip with profiles.
 FULL_DISC = ("with an outline a transducer is a full disc; of a ring state radius and inner_radius, without a profile")
 
-ONE_CAVITY = (f"{AXISYMMETRIC}, with one cavity; of two cavities model the one with the particles, and state "
-              "the layer around the other one as solid")
+#: Advice for a second cavity, below the first or above it.
+FURTHER_CAVITY = ("of two cavities that with the particles is the cavity; the layers around the other one have "
+                  'inner_{across} and filling = "water"')
 
 CLOSED = ('of an open well or channel state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
 

@@ -2,8 +2,8 @@
 
 A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region has the name of its role, with
 ``_2``, ``_3``, ... appended if the role occurs again further up. The holes through the layers together are the region
-:data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`PLANE_LEFT`, :data:`PLANE_RIGHT`,
-:data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
+:data:`CAVITY`, further closed cavities ``cavity_2``, ``cavity_3``, ... from below. Boundaries are called :data:`AXIS`,
+:data:`PLANE_LEFT`, :data:`PLANE_RIGHT`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
 these within one layer of the stack is ``<place>@<layer>`` (:func:`part_name`), and a part of that within one column
 between two radii ``<place>@<layer>#<column>``. The cells of any of these that the same shapes of layers move are

@@ -49,6 +49,7 @@ class Layer:
     transducer but the lowest has electrodes that cover its faces, of which ``live`` is the one at the drive voltage.
     In a straight chip, the middle of the layer is ``offset`` (m) to the right of that of the chip, and the middle of
     its part of the channel ``cavity_offset``, or of all of its ``channels``, whose middles are a ``pitch`` (m) apart.
+    The bore of a ring holds nothing, or is a part of a further cavity with a ``filling`` (a material).
     """
 
     region: str
@@ -65,6 +66,7 @@ class Layer:
     dome: Dimension | None = None
     profile: Profile | None = None
     bore: Dimension | None = None
+    filling: str | None = None
     poled: Literal["up", "down"] = "up"
     live: Literal["top", "bottom"] | None = None
     offset: float = 0.0
@@ -176,6 +178,19 @@ def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:
 def discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str, ElectrodeDisc]]:
     """The two discs with the names of their boundaries, the live one first."""
     return (ELECTRODE_LIVE, electrodes.live_disc), (ELECTRODE_GROUND, electrodes.ground_disc)
+
+
+def further_cavities(layers: Iterable[Layer]) -> dict[str, tuple[Layer, ...]]:
+    """The layers around every cavity but the first, by its region, bottom to top: neighbours with a filling."""
+    groups: list[list[Layer]] = []
+    before: Layer | None = None
+    for layer in layers:
+        if layer.filling is not None:
+            if before is None or before.filling is None:
+                groups.append([])
+            groups[-1].append(layer)
+        before = layer
+    return {f"{CAVITY}_{number}": tuple(group) for number, group in enumerate(groups, 2)}
 
 
 def hole_names(layers: Iterable[Layer], across: str = "radius") -> dict[str, str]:

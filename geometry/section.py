@@ -17,7 +17,7 @@ from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
 from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Parity, Straight
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
-from geometry.parts import ElectrodeDisc, Electrodes, Layer
+from geometry.parts import ElectrodeDisc, Electrodes, Layer, further_cavities
 from workbench.files.errors import choose
 
 #: Marks an empty cell of :meth:`Section.grid`.
@@ -173,6 +173,9 @@ def section_of_layers(
                   for layer in layers for left, right in _between(layer, start)]
     rectangles += [Rectangle(CAVITY, max(left, start), right, hole.z_bottom, hole.z_top)
                    for hole in layers if hole.cavity_radius is not None for left, right in hole.holes if right > start]
+    rectangles += [Rectangle(region, max(left, start), right, layer.z_bottom, layer.z_top)
+                   for region, around in further_cavities(layers).items() for layer in around
+                   for left, right in layer.holes if right > start]
     lines = [piece for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)
              for piece in (_whole(each, layer.offset) if is_whole else [each])]
     pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)

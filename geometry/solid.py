@@ -59,7 +59,7 @@ def part_volumes(chip: Chip) -> dict[str, float]:
         - (ports_volume(chip) if drilled in {layer.region for layer in layers} else 0.0)
         for name, layers in parts(chip).items()
     }
-    return by_part | ({CAVITY: found[CAVITY]} if chip.holes else {})
+    return by_part | {region: found[region] for region in _cavities(chip)}
 
 
 def ports_volume(chip: Chip) -> float:
@@ -116,10 +116,15 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
         made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
             SHAPED_TOLERANCE + volume_of_ports / expected[name]),
                               _pieces(chip) if all(layer.region in apart for layer in layers) else 1)
-    if chip.holes:
-        made[CAVITY] = _checked(CAVITY, _fused(bodies[CAVITY]), expected[CAVITY],
-                                SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE, chip.holes[0].channels)
+    for region, around in _cavities(chip).items():
+        made[region] = _checked(region, _fused(bodies[region]), expected[region],
+                                SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE, around[0].channels)
     return made
+
+
+def _cavities(chip: Chip) -> dict[str, tuple[Layer, ...]]:
+    """The layers around every cavity by its region."""
+    return ({CAVITY: chip.holes} if chip.holes else {}) | chip.further_cavities
 
 
 def _pieces(chip: Chip) -> int:
@@ -131,7 +136,8 @@ def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
     """Layers with plane faces and upright sides, and the cavity, by region."""
     measure = chip.measure
     found = {layer.region: [_ring(cadquery, layer, measure)] for layer in chip.layers}
-    return found | {CAVITY: [body for hole in chip.holes for body in _inside(cadquery, hole, measure)]}
+    return found | {region: [body for hole in around for body in _inside(cadquery, hole, measure)]
+                    for region, around in _cavities(chip).items()}
 
 
 def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:

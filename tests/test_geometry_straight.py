@@ -226,7 +226,7 @@ def test_limits_of_straight_chips_are_documented() -> None:
 def test_a_second_and_an_open_channel_are_refused_in_words_of_straight_chips() -> None:
     lid = CHIP[CHIP.rindex("[[layers]]"):CHIP.index("[states.filled]")]
     wall = CHIP[CHIP.rindex("[[layers]]", 0, CHIP.index('role = "sidewall"')):CHIP.rindex("[[layers]]")]
-    with pytest.raises(InputError, match='channels = 3 and pitch = "1 mm"') as caught:
+    with pytest.raises(InputError, match='inner_half_width and filling = "water"') as caught:
         chip(CHIP.replace(lid, lid.replace("superstrate", "substrate") + wall + lid))
     assert "axisymmetric" not in str(caught.value)
     with pytest.raises(InputError, match="of an open well or channel state open = true") as caught:

@@ -192,6 +192,8 @@ def region_volumes(chip: Chip) -> dict[str, float]:
     volume = chip.measure.device_volume
     found = {layer.region: volume(layer.channels * layer.inner_radius, layer.outer_radius, layer.thickness.value)
              for layer in chip.layers}
+    for region, around in chip.further_cavities.items():
+        found[region] = sum(volume(0.0, hole.inner_radius, hole.thickness.value) for hole in around)
     if chip.holes:
         found[CAVITY] = sum(volume(0.0, hole.channels * hole.inner_radius, hole.thickness.value) for hole in chip.holes)
     return found

@@ -84,20 +84,19 @@ class Problem(Brief):
 
 
 def with_boundary_layers(problem: Problem) -> Problem:
-    """A copy of `problem` with boundary layers of its cavity's fluid on every solid wall: a viscous one if the
+    """A copy of `problem` with boundary layers of the fluids in its cavities on every solid wall: a viscous one if the
     viscosity is known, and a thermal one if the thermal constants are known too."""
-    fluid_there = problem.materials.get(CAVITY)
-    if not isinstance(fluid_there, Fluid):
-        return problem
-    viscous = fluid_there.shear_viscosity is not None
-    thermal = viscous and None not in (fluid_there.heat_capacity_ratio, fluid_there.thermal_conductivity,
-                                       fluid_there.heat_capacity)
     terms: list[Term] = []
     for contact in problem.terms:
-        if isinstance(contact, fluid.SolidFluidContact) and contact.fluid == CAVITY:
-            where = (contact.boundary, contact.solid, CAVITY, fluid_there.name)
-            terms += [boundary_layer.ViscousBoundaryLayer(*where)] if viscous else []
-            terms += [boundary_layer.ThermalBoundaryLayer(*where)] if thermal else []
+        if not isinstance(contact, fluid.SolidFluidContact) or role_of(contact.fluid) != CAVITY:
+            continue
+        there = problem.materials[contact.fluid]
+        assert isinstance(there, Fluid)
+        where = (contact.boundary, contact.solid, contact.fluid, there.name)
+        if there.shear_viscosity is not None:
+            terms.append(boundary_layer.ViscousBoundaryLayer(*where))
+            if None not in (there.heat_capacity_ratio, there.thermal_conductivity, there.heat_capacity):
+                terms.append(boundary_layer.ThermalBoundaryLayer(*where))
     return problem.with_terms(tuple(terms), {})
 
 
@@ -145,7 +144,7 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
         if name == VACUUM:
             continue
         material = _load(chip, chosen, region, name, registry, findings)
-        density = None if region == CAVITY else chip.layer(region).density
+        density = None if role_of(region) == CAVITY else chip.layer(region).density
         if density is not None:
             material = replace(material, density=density)
         _check_kind(chip, region, name, material)
@@ -161,20 +160,20 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
                                  f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
         found[region] = material
     particle = _particle(chip, chosen, found.get(CAVITY), registry, findings)
-    findings.append(_without_layers(found.get(CAVITY), registry))
+    findings += [_without_layers(region, held, registry) for region, held in found.items()]
     device = FilledChip(chip, chosen, found, particle, tuple(dict.fromkeys(filter(None, findings))), registry.inviscid)
     _check_passive_layers(device)
     return device
 
 
-def _without_layers(held: Material | None, registry: Registry) -> str:
-    """The finding that a fluid in the cavity has no boundary layers, if it has none."""
-    if not isinstance(held, Fluid):
+def _without_layers(region: str, held: Material, registry: Registry) -> str:
+    """The finding that a fluid in a cavity has no boundary layers, if it has none."""
+    if role_of(region) != CAVITY or not isinstance(held, Fluid):
         return ""
     if registry.inviscid:
-        return f"the boundary layers of {held.name} in the cavity are left out, as was asked for"
+        return f"the boundary layers of {held.name} in the {region} are left out, as was asked for"
     if held.shear_viscosity is None:
-        return f"the boundary layers of {held.name} in the cavity are left out: its shear_viscosity is not stated"
+        return f"the boundary layers of {held.name} in the {region} are left out: its shear_viscosity is not stated"
     return ""
 
 
@@ -183,7 +182,7 @@ def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
     if role_of(region) == TRANSDUCER and not isinstance(material, Piezoelectric):
         raise InputError(chip.file, f"material of {region}", name,
                          f"a piezoelectric material; this is {_kind(material)}")
-    if region == CAVITY and isinstance(material, Piezoelectric):
+    if role_of(region) == CAVITY and isinstance(material, Piezoelectric):
         raise InputError(chip.file, f"material of {region}", name, f"a solid or a fluid; this is {_kind(material)}")
     if isinstance(material, IsotropicSolid) and not complex(material.shear_modulus).real > 0.0:
         raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus, or for what has none "
@@ -259,7 +258,7 @@ def _load(
     chip: Chip, state: State, region: str, name: str, registry: Registry, findings: list[str]
 ) -> Material:
     """The material; a mistake in its name or temperature is reported for the chip file."""
-    temperature = state.temperature if region == CAVITY else None
+    temperature = state.temperature if role_of(region) == CAVITY else None
     try:
         return registry.load(name, temperature=temperature, notes=findings)
     except InputError as error:
