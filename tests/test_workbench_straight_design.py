@@ -16,7 +16,9 @@ from test_geometry_straight import CHIP, chip
 from test_workbench_design_cavity import BEAD, WATER, lines
 
 from geometry.measure import Measure, Parity, Straight
+from workbench.acoustics.channel import half_wave_focus_time
 from workbench.acoustics.nodal import integrate
+from workbench.acoustics.traps import focus_time
 from workbench.design.cavity import Cavity, CavityField, Places, Surroundings, cavity_field
 from workbench.design.dual import Dual
 from workbench.design.evaluation import Evaluation, Operation
@@ -27,7 +29,7 @@ from workbench.design.parts import ReducedModels, numbers_by_name, parts_of
 from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.design.tolerance import tolerance
-from workbench.design.trapping import find_trap, largest_square
+from workbench.design.trapping import find_trap, largest_square, trap_focus_time
 from workbench.files.errors import InputError
 from workbench.jobs.progress import no_progress
 from workbench.model.drive import Drive, PowerDrive, VoltageDrive
@@ -52,15 +54,17 @@ FREQUENCY = WAVE * WATER.sound_speed / (2.0 * math.pi)
 ENERGY = AMPLITUDE**2 / (4.0 * WATER.density * WATER.sound_speed**2)
 
 
-def standing(measure: Measure, shape: Callable[[Real], Real], frequency: float = FREQUENCY) -> CavityField:
+def standing(
+    measure: Measure, shape: Callable[[Real], Real], frequency: float = FREQUENCY, width: float = WIDTH
+) -> CavityField:
     """A wave across a channel, in its right half or in the whole; the width of the device is a parameter."""
-    begin = 0.0 if measure.mirror else -0.5 * WIDTH
-    x, z = begin + lines(0.5 * WIDTH - begin, 4), lines(HEIGHT, 2)
-    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Places(x, (x / WIDTH)[:, None]),
-                    Places(z, np.zeros((z.size, 1))), WATER, BEAD, ("cavity.width",), np.array([WIDTH]), WAVE, measure)
-    pressure = AMPLITUDE * np.outer(shape(WAVE * x), np.ones(z.size)).astype(complex)
+    begin = 0.0 if measure.mirror else -0.5 * width
+    x, z = begin + lines(0.5 * width - begin, 4), lines(HEIGHT, 2)
+    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Places(x, (x / width)[:, None]),
+                    Places(z, np.zeros((z.size, 1))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
+    pressure = AMPLITUDE * np.outer(shape(math.pi / width * x), np.ones(z.size)).astype(complex)
     nothing = np.zeros(1)
-    around = Surroundings(Dual(frequency, nothing), Dual(WIDTH, np.ones(1)), Dual(HEIGHT, nothing),
+    around = Surroundings(Dual(frequency, nothing), Dual(width, np.ones(1)), Dual(HEIGHT, nothing),
                           {name: Dual(getattr(WATER, name), nothing)
                            for name in ("density", "sound_speed", "shear_viscosity")})
     return cavity_field(cavity, pressure, np.zeros((*pressure.shape, 1)), around, np.zeros(1), np.eye(1))
@@ -77,6 +81,9 @@ def test_half_a_wave_across_a_channel_has_its_energy_and_its_trap_in_the_middle(
     assert abs(trap.radius.value) < 1e-6 * WIDTH
     contrast = viscous_scattering(BEAD, WATER, FREQUENCY).contrast_factor
     assert trap.radial.value == pytest.approx(8.0 * math.pi * BEAD.radius**3 * WAVE**2 * ENERGY * contrast, rel=1e-5)
+    expected = half_wave_focus_time(BEAD, WATER, contrast, energy_density=ENERGY, wavenumber=WAVE, start=0.45 * WIDTH,
+                                    stop=0.05 * WIDTH)
+    assert trap_focus_time(trap, Dual(1.0, np.zeros(1))).value == pytest.approx(expected, rel=1e-5)
     # The pressure stays, the velocity goes with 1 / W: both are half of the energy at one frequency.
     assert found.mean_energy_density.gradient[0] == pytest.approx(-ENERGY / WIDTH, rel=1e-5)
 
@@ -90,6 +97,20 @@ def test_a_whole_wave_across_a_channel_has_traps_a_quarter_of_its_width_from_the
     assert abs(trap.radius.value) == pytest.approx(0.25 * WIDTH, rel=1e-4)
     assert trap.radius.value > 0.0 or parity is Parity.NONE
     assert trap.radius.gradient[0] == pytest.approx(trap.radius.value / WIDTH, rel=1e-4)
+
+
+@pytest.mark.parametrize(("parity", "frequency"), [(Parity.NONE, 0.9 * FREQUENCY), (Parity.ODD, 1.2 * FREQUENCY)])
+def test_a_bead_comes_from_the_side_wall_or_from_a_quarter_wave_beside_the_trap(
+    parity: Parity, frequency: float
+) -> None:
+    """The time has the derivative of its differences by the width, over which the wave is stretched."""
+    def time(width: float) -> Dual:
+        found = standing(Straight(1.0, parity), np.sin, frequency, width)
+        return trap_focus_time(find_trap(found), Dual(1.0, np.zeros(1)))
+
+    step = 1e-4 * WIDTH
+    expected = (time(WIDTH + step).value - time(WIDTH - step).value) / (2.0 * step)
+    assert time(WIDTH).gradient[0] == pytest.approx(expected, rel=1e-5)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -157,6 +178,23 @@ def test_a_model_has_the_figures_of_full_solves(model: tuple[str, DesignModel]) 
     # Full solves are on a mesh of their own, made for the new lengths; both are coarse.
     assert off["f0"] < 1e-4
     assert max(off.values()) < 2e-2
+
+
+def test_beads_are_timed_across_the_channel_as_in_the_field_itself() -> None:
+    text = of_symmetry("odd").replace('cavity = "water"', 'cavity = "water"\nparticle = "polystyrene"\n'
+                                      'particle_radius = "2.5 um"')
+    made = design_model(chip(text), "filled", RANGES, figures=("focus_time",), band=BAND, points=41, accuracy=COARSE,
+                        operation=Operation(drive=VOLT, frequency=1.95e6))
+    here = {"cavity.half_width": 1.9e-4, "superstrate.thickness": 0.5e-3}
+    found = made(here, gradient=True)
+    shot = snapshot(chip(text), "filled", 1.95e6, band=BAND, drive=VOLT, accuracy=COARSE)
+    assert shot.traps is not None
+    # Gradients are recovered on a coarse mesh.
+    assert found.figures["focus_time"] == pytest.approx(focus_time(shot.traps), rel=3e-2)
+    for column, (name, value) in enumerate(here.items()):
+        ends = [made({**here, name: value * (1.0 + sign * 1e-4)}).figures["focus_time"] for sign in (1.0, -1.0)]
+        expected = (ends[0] - ends[1]) / (2e-4 * value)
+        assert found.gradient["focus_time"][column] == pytest.approx(expected, rel=1e-3)
 
 
 def test_figures_have_the_derivatives_of_their_differences(model: tuple[str, DesignModel]) -> None:

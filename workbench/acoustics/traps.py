@@ -19,6 +19,8 @@ from workbench.results.brief import Brief
 #: Points per wavelength of sound of the raster on which minima and passes of the potential are found. They are 32 per
 #: period of the potential of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
 RASTER_POINTS = 64
+#: Points on the way from a trap to a side wall: one that slopes or is round is as far off as they are apart.
+WAY_POINTS = 257
 #: Degree of the polynomial fitted about a minimum; over half a period its relative error in the curvature is 1e-6.
 FIT_DEGREE = 8
 
@@ -232,9 +234,10 @@ class _Landscape:
 def focus_time(report: TrapReport) -> float | None:
     """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
 
-    In a straight section the line runs across the channel instead where the trap is stiffer that way, or where that is
-    the only way. None if there is no trap, or if a particle starting there does not come to rest at it: a wall is in
-    between, or the field is too weak to draw it down all the way, or to hold it against its weight.
+    In a straight section the line runs across the channel instead, over a quarter wavelength or the way to the side
+    wall if that is shorter, where the trap is stiffer that way, or where that is the only way. None if there is no
+    trap, or if a particle starting there does not come to rest at it: a wall is in between, or the field is too weak to
+    draw it down all the way, or to hold it against its weight.
     """
     return None if not report.traps else _time_from(report, report.traps[0], 1.0)
 
@@ -247,18 +250,31 @@ def time_to(report: TrapReport, trap: Trap) -> float | None:
 
 def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     forces = report.forces
-    quarter = side * 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
+    quarter = 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
     stiffness = (trap.radial_stiffness, trap.axial_stiffness)
     for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
         begin = (trap.radius, trap.height)[axis]
         if axis == 1 and trap.lift is not None and trap.lift < abs(net_weight(forces.particle, forces.fluid)):
             continue
+        reach = side * min(quarter, _to_wall(forces, trap, side)) if axis == 0 else side * quarter
         try:
             return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],
-                                    start=begin + 0.9 * quarter, stop=begin + 0.1 * quarter)
+                                    start=begin + 0.9 * reach, stop=begin + 0.1 * reach)
         except ValueError:
             continue
     return None
+
+
+def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:
+    """The way (m) from a trap to the wall beside it; infinite to a plane of symmetry, behind which the channel goes on.
+    """
+    mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
+    if (mirrors.right if side > 0.0 else mirrors.left) is not None:
+        return math.inf
+    way = np.linspace(trap.radius, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
+    inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, trap.height)], axis=1))[:, 0])
+    last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    return abs(float(way[last]) - trap.radius)
 
 
 def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:

@@ -46,7 +46,7 @@ Complex = NDArray[np.complex128]
 BEYOND = 10
 
 #: The fields that are squares of the pressure's, in this order.
-POTENTIAL, FORCE, SQUARE, ENERGY = range(4)
+POTENTIAL, SQUARE, ENERGY = range(3)
 
 
 #: Properties of the fluid that the fields depend on besides the pressure.
@@ -233,9 +233,10 @@ class Surroundings:
 class CavityField:
     """Squares of the pressure's fields at unit voltage, as polynomials.
 
-    ``coefficients`` (4, n, m) of the potential (J), the axial force (N), |p|^2 (Pa^2) and the energy density (J/m^3),
-    ``gradient`` (4, n, m, k) of these at constant s and t, ``around`` the scalars. ``unfitted`` is the largest part of
-    the pressure that the polynomial leaves, relative to its largest value.
+    ``coefficients`` (f, n, m) of the potential (J), |p|^2 (Pa^2), the energy density (J/m^3) and the forces (N) in the
+    directions that particles focus in (`geometry.measure`), ``gradient`` (f, n, m, k) of these at constant s and t,
+    ``around`` the scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its
+    largest value.
     """
 
     cavity: Cavity
@@ -311,8 +312,8 @@ def argument(xi: Real, measure: Measure) -> tuple[Real, Real, Real]:
 
 
 def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
-    """Potential, axial force, |p|^2 and energy density (4, points in s, points in t) of the pressure with coefficients
-    `found`: quadratic in these, closed formulas of the scalars."""
+    """Potential, |p|^2, energy density and the forces that focus (f, points in s, points in t) of the pressure with
+    coefficients `found`: quadratic in these, closed formulas of the scalars."""
     polynomials = cavity.polynomials
     (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
     width, height, density = scalars["width"], scalars["height"], scalars["density"]
@@ -331,7 +332,8 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
                     shear_viscosity=scalars.get("shear_viscosity"))
     square = np.abs(pressure) ** 2
     energy = 0.25 * (density * (np.abs(velocity) ** 2).sum(axis=-1) + compressibility(fluid) * square)
-    potential, force = np.zeros((2, *square.shape))
+    focusing = list(cavity.measure.focusing)
+    potential, force = np.zeros(square.shape), np.zeros((*square.shape, len(focusing)))
     if cavity.particle is not None:
         scattering = viscous_scattering(cavity.particle, fluid, scalars["frequency"])
         curvature = np.stack([np.stack([twice_r, crossed], axis=-1), np.stack([crossed, twice_z], axis=-1)], axis=-2)
@@ -339,5 +341,5 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
                                      velocity=velocity)
         force = radiation_force(
             cavity.particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=slopes,
-            velocity=velocity, velocity_gradient=to_velocity * curvature)[..., 1]
-    return np.stack([potential, force, square, energy])
+            velocity=velocity, velocity_gradient=to_velocity * curvature)[..., focusing]
+    return np.concatenate([np.stack([potential, square, energy]), np.moveaxis(force, -1, 0)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geometry.measure import Axisymmetric
 from workbench.acoustics.traps import RASTER_POINTS
-from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField, argument
+from workbench.design.cavity import ENERGY, POTENTIAL, SQUARE, CavityField, argument
 from workbench.design.dual import Dual
 from workbench.design.legendre import derivatives, legendre_polynomials
 from workbench.model.particles import GRAVITY
@@ -31,7 +31,7 @@ FLAT = 1e-5
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
-#: The part of a quarter wavelength above the trap over which focusing is timed
+#: The part of a quarter wavelength above the trap, or beside it, over which focusing is timed
 #: (`workbench.acoustics.traps.focus_time`).
 FROM, TO = 0.9, 0.1
 
@@ -114,7 +114,8 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
 
 def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float = 0.0) -> Dual:
     """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.acoustics.traps.focus_time` has
-    them.
+    them: in a straight chip instead of that, or of the way to the side wall, to the right of the trap, where it is
+    stiffer that way, or where that is the only way.
 
     The way may begin above the lid, up to `beyond` as a share of the height: the force goes on there along its tangent.
 
@@ -122,41 +123,62 @@ def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float =
         NoTrap: the way leaves the cavity by more, the force does not lead down all of it, or the particle sinks past
             the trap, or rises past it.
     """
-    field = trap.field
+    stiffness = (trap.radial.value, trap.axial.value)
+    failed: NoTrap | None = None
+    for axis in sorted(trap.field.cavity.measure.focusing, key=lambda axis: -stiffness[axis]):
+        try:
+            return _time_along(trap, square_of_voltage, axis, beyond)
+        except NoTrap as error:
+            failed = failed or error
+    raise NoTrap(str(failed))
+
+
+def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: float) -> Dual:
+    """The time (s) as in :func:`trap_focus_time` along one direction, 0 across and 1 up."""
+    field, side = trap.field, ("beside", "above")[axis]
     particle, around = field.cavity.particle, field.around
     assert particle is not None
-    quarter = around.fluid["sound_speed"] / around.frequency * 0.25
+    length = (around.width, around.height)[axis]
+    base = Dual(float(trap.place[axis]), trap.slopes[axis])
+    reach = around.fluid["sound_speed"] / around.frequency * 0.25
+    if axis == 0 and (1.0 - base.value) * length.value < reach.value:
+        reach = (base * -1.0 + 1.0) * length
     points, weights = leggauss(RULE)
     share = 0.5 * (FROM + TO) + 0.5 * (FROM - TO) * points
-    if trap.height.value + FROM * quarter.value > (1.0 + beyond) * around.height.value:
-        raise NoTrap("a quarter wavelength above the deepest trap there is a wall")
+    if base.value * length.value + FROM * reach.value > (1.0 + beyond) * length.value:
+        raise NoTrap(f"a quarter wavelength {side} the deepest trap there is a wall")
     # Weight less buoyancy, as `particles.net_weight`.
-    weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY)
-    # The shares of the height (points,) and (points, k) of their derivatives.
-    base, rise = trap.height / around.height, quarter / around.height
-    eta, by_number = base.value + share * rise.value, base.gradient + np.outer(share, rise.gradient)
-    inside = np.minimum(eta, 1.0)
-    along_xi, along_eta = _along_xi(trap.place[0], field), _along_eta(inside, field)
+    weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY if axis else 0.0)
+    # The shares of the length (points,) and (points, k) of their derivatives.
+    rise = reach / length
+    places, by_number = base.value + share * rise.value, base.gradient + np.outer(share, rise.gradient)
+    inside = np.minimum(places, 1.0)
+    moving, fixed = ((_along_eta(inside, field), _along_xi(trap.place[:1], field)[:, 0]) if axis else
+                     (_along_xi(inside, field), _along_eta(trap.place[1:], field)[:, 0]))
     # The polynomials and their first derivative along the tangent above the lid.
-    along_eta = np.stack([along_eta[0] + (eta - inside)[:, None] * along_eta[1], along_eta[1]])
-    force, gradient = field.coefficients[FORCE], field.gradient[FORCE]
-    here = along_xi[0] @ force @ along_eta[0].T
-    slopes = np.einsum("n,nmk,pm->pk", along_xi[0], gradient, along_eta[0], optimize=True)
-    slopes += (np.outer(along_xi[1] @ force @ along_eta[0].T, trap.slopes[0])
-               + (along_xi[0] @ force @ along_eta[1].T)[:, None] * by_number)
-    down = weight.value - here * square_of_voltage.value
+    moving = np.stack([moving[0] + (places - inside)[:, None] * moving[1], moving[1]])
+    row = ENERGY + 1 + field.cavity.measure.focusing.index(axis)
+    force, gradient = field.coefficients[row], field.gradient[row]
+    if axis == 0:
+        force, gradient = force.T, gradient.swapaxes(0, 1)
+    here = fixed[0] @ force @ moving[0].T
+    slopes = np.einsum("n,nmk,pm->pk", fixed[0], gradient, moving[0], optimize=True)
+    slopes += (np.outer(fixed[1] @ force @ moving[0].T, trap.slopes[1 - axis])
+               + (fixed[0] @ force @ moving[1].T)[:, None] * by_number)
+    back = weight.value - here * square_of_voltage.value
     by_all = weight.gradient - slopes * square_of_voltage.value - np.outer(here, square_of_voltage.gradient)
-    if not (down > 0.0).all():
-        raise NoTrap("a particle a quarter wavelength above the deepest trap does not get there")
-    # The weight is carried by a wall, or by the sound between there and a quarter wavelength further.
-    sense = -math.copysign(1.0, weight.value)
-    beyond_trap = np.clip(base.value + sense * rise.value * np.linspace(0.0, 1.0, RASTER_POINTS), 0.0, 1.0)
-    against = -sense * square_of_voltage.value * (along_xi[0] @ force @ _along_eta(beyond_trap, field)[0].T)
-    if np.ptp(beyond_trap) > SETTLED and against.max() < abs(weight.value):
-        raise NoTrap("the field is too weak to hold a particle in the deepest trap against its weight")
-    time = Dual(float(weights @ (1.0 / down)), -(weights / down**2) @ by_all)
+    if not (back > 0.0).all():
+        raise NoTrap(f"a particle a quarter wavelength {side} the deepest trap does not get there")
+    if axis == 1:
+        # The weight is carried by a wall, or by the sound between there and a quarter wavelength further.
+        sense = -math.copysign(1.0, weight.value)
+        beyond_trap = np.clip(base.value + sense * rise.value * np.linspace(0.0, 1.0, RASTER_POINTS), 0.0, 1.0)
+        against = -sense * square_of_voltage.value * (fixed[0] @ force @ _along_eta(beyond_trap, field)[0].T)
+        if np.ptp(beyond_trap) > SETTLED and against.max() < abs(weight.value):
+            raise NoTrap("the field is too weak to hold a particle in the deepest trap against its weight")
+    time = Dual(float(weights @ (1.0 / back)), -(weights / back**2) @ by_all)
     # Stokes' drag, as `particles.drag_coefficient`.
-    return time * quarter * around.fluid["shear_viscosity"] * (0.5 * (FROM - TO) * 6.0 * math.pi * particle.radius)
+    return time * reach * around.fluid["shear_viscosity"] * (0.5 * (FROM - TO) * 6.0 * math.pi * particle.radius)
 
 
 def _raster(field: CavityField) -> tuple[Real, Real]:
@@ -174,10 +196,10 @@ def _on_lines(lines: int, count: int, power: int) -> Real:
     return derivatives(2.0 * np.linspace(0.0, 1.0, lines) ** power - 1.0, count, 0)
 
 
-def _along_xi(xi: float, field: CavityField) -> Real:
-    """Polynomials in s and their first three derivatives by xi (4, n)."""
-    s, first, second = argument(np.array([xi]), field.cavity.measure)
-    by_s = legendre_polynomials(s, field.coefficients.shape[1])[:, 0]
+def _along_xi(xi: Real, field: CavityField) -> Real:
+    """Polynomials in s and their first three derivatives by xi (p,): (4, p, n)."""
+    s, first, second = (each[:, None] for each in argument(xi, field.cavity.measure))
+    by_s = legendre_polynomials(s[:, 0], field.coefficients.shape[1])
     return np.stack([by_s[0], first * by_s[1], second * by_s[1] + first**2 * by_s[2],
                      3.0 * first * second * by_s[2] + first**3 * by_s[3]])
 
@@ -189,7 +211,7 @@ def _along_eta(eta: Real, field: CavityField) -> Real:
 
 def _at_place(place: Real, field: CavityField) -> tuple[Real, Real]:
     """Polynomials in s (4, n) and in t (4, m) at one place (xi, eta), with three derivatives."""
-    return _along_xi(float(place[0]), field), _along_eta(place[1:], field)[:, 0]
+    return _along_xi(place[:1], field)[:, 0], _along_eta(place[1:], field)[:, 0]
 
 
 def _at(field: CavityField, which: int, along_xi: Real, along_eta: Real) -> Dual:

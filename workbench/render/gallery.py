@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.chip import Chip
 from geometry.measure import Axisymmetric
-from geometry.names import CAVITY
+from geometry.names import CAVITY, role_of
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
 from workbench.render.canvas import Picture
@@ -119,6 +119,6 @@ def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:
     """Draw the CAD view from the STL files of a chip's parts, cut through the axis and pulled apart along z."""
     from workbench.render import solids
 
-    shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if name != CAVITY]
+    shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if role_of(name) != CAVITY]
     solids.draw_solids(shapes, path, title=chip.name, explode=0.35 * chip.layers[-1].z_top, cut_open=True)
-    return Picture(path, "the solids of the chip, cut through the axis and pulled apart")
+    return Picture(path, "the solids of the chip, cut open and pulled apart")
