@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, conceal
 
 from workbench.diagnosis.device import device_model
+from workbench.diagnosis.findings import InitialOptimum
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.levels import LEVELS
 from workbench.diagnosis.likelihood import Hypothesis
@@ -19,6 +20,8 @@ from workbench.diagnosis.profile_scan import (
     HELD,
     LOOKED_AT,
     SIZES,
+    _is_basin,
+    _lowest,
     corners,
     scan_profiles,
     search_directions,
@@ -63,6 +66,20 @@ def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path)
     (score,) = (each for each in scores if each.effect.name == ordered[0])
     print("score", score.amplitude)
     assert abs(score.amplitude[0] - 0.2) > 0.1
+
+
+def test_a_basin_is_found_behind_another_one_that_costs_less_on_the_coarse_sizes() -> None:
+    """As of a film that carries waves: an optimum near nothing, and a better one between two coarse sizes."""
+    def tried(size: float) -> InitialOptimum:
+        basin = 30.0 - 25.0 * np.exp(-0.5 * ((size - 0.17) / 0.0425) ** 2)
+        return InitialOptimum(np.array([size]), float(min(12.0 + 400.0 * size, basin)), np.zeros(1))
+
+    profile = {size: tried(size) for size in SIZES}
+    assert min(profile, key=lambda size: profile[size].cost) == SIZES[0]
+    assert [size for size in SIZES if _is_basin(profile, size)] == [0.1]
+    best = _lowest(profile, 0.1, tried)
+    assert abs(best.x[0] - 0.17) <= (SIZES[3] - SIZES[2]) / 2**HALVED
+    assert best.cost < profile[SIZES[0]].cost
 
 
 def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) -> None:

@@ -2,13 +2,15 @@
 
 The tangents at the null hypothesis do not show a large effect, and at the end of a search without it, known numbers
 have moved to make up for a part of it. A scan starts from the prior instead: every hypothesis is tried in several
-sizes, and the known numbers follow to first order. The sizes are coarse at first and are halved beside the best one.
+sizes, and the known numbers follow to first order. The sizes are coarse at first; steps are halved beside the best one
+and in every basin, since a number may have several (the thickness of a gel whose film carries waves).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +33,10 @@ HELD = (0.1, 0.3, 0.6)
 #: Points of a recording that a scan uses, about.
 LOOKED_AT = 41
 
-#: Times that steps about the best size are halved.
+#: Times that steps about a size are halved.
 HALVED = 3
 
-#: Sizes that a scan returns, at most: the best one, and the next best of the coarse ones.
+#: Sizes that a scan returns, at most: those of the basins, and then the next best of the coarse ones.
 LEFT = 2
 
 
@@ -63,7 +65,7 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
             size; the reason is that of the first one.
     """
-    model, found, refused = likelihood.model, list[InitialOptimum](), list[Exception]()
+    model, refused = likelihood.model, list[Exception]()
     own = [model.index(name) for name in effect.names]
     search = likelihood.search(Hypothesis((effect,)))
     steps = [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
@@ -71,36 +73,54 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     spreads = likelihood.point_deviations(LEVELS[0], steps)
     free = np.setdiff1d(search.free, own)
 
-    def tried(direction: Real, size: float) -> float:
-        """The cost that a size leaves, kept with its point; infinite where nothing can be predicted."""
+    def tried(direction: Real, size: float) -> InitialOptimum:
+        """The place of a size with the cost that it leaves; infinite where nothing can be predicted."""
         place = _sized(model, effect, x, direction, size)
+        cost = math.inf
         try:
             weighted = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
+            step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
+            cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
         except NO_END as error:
             refused.append(error)
-            return math.inf
-        step = np.linalg.lstsq(weighted.jacobian[:, free], -weighted.vector, rcond=None)[0]
-        cost = 0.5 * float(np.sum((weighted.vector + weighted.jacobian[:, free] @ step) ** 2))
-        found.append(InitialOptimum(place, cost, np.zeros(place.size)))
-        return cost
+        return InitialOptimum(place, cost, np.zeros(place.size))
 
-    every = [(direction, size, tried(direction, size))
-             for direction in search_directions(model, effect) for size in SIZES]
-    if not found:
+    profiles = [(direction, {size: tried(direction, size) for size in SIZES})
+                for direction in search_directions(model, effect)]
+    coarse = sorted((each for _, profile in profiles for each in profile.values() if each.cost < math.inf),
+                    key=lambda each: each.cost)
+    if not coarse:
         if refused:
             raise refused[0]
         return []
-    coarse = sorted(found, key=lambda each: each.cost)
-    direction, _, _ = min(every, key=lambda each: each[2])
-    known = {0.0: math.inf, **{at: cost for along, at, cost in every if along is direction}}
+    found = [_lowest(profile, size, partial(tried, direction)) for direction, profile in profiles
+             for size in SIZES if profile[size] is coarse[0] or _is_basin(profile, size)]
+    found.sort(key=lambda each: each.cost)
+    return [*found, *(each for each in coarse if not any(each is other for other in found))][:LEFT]
+
+
+def _is_basin(profile: Mapping[float, InitialOptimum], size: float) -> bool:
+    """Whether both a smaller and a larger size cost more, if there is a larger one."""
+    at = SIZES.index(size)
+    beside = [profile[other].cost for other in (*SIZES[max(at - 1, 0):at], *SIZES[at + 1:at + 2])]
+    return at > 0 and all(profile[size].cost < cost for cost in beside)
+
+
+def _lowest(
+    profile: Mapping[float, InitialOptimum], size: float, tried: Callable[[float], InitialOptimum]
+) -> InitialOptimum:
+    """The optimum of least cost near a size of a profile, by halving the steps beside it."""
+    at = SIZES.index(size)
+    near = {other: profile[other] for other in SIZES[max(at - 1, 0):at + 2]}
+    low = SIZES[at - 1] if at else 0.0
     for _ in range(HALVED):
-        sizes = sorted(known)
-        at = sizes.index(min(known, key=lambda each: known[each]))
-        for other in (*sizes[max(at - 1, 0):at], *sizes[at + 1:at + 2]):
-            between = 0.5 * (sizes[at] + other)
-            known[between] = tried(direction, between)
-    best = min(found, key=lambda each: each.cost)
-    return [best, *(each for each in coarse if each is not best)][:LEFT]
+        best = min(near, key=lambda each: near[each].cost)
+        sizes = sorted({low, *near})
+        place = sizes.index(best)
+        for other in (*sizes[max(place - 1, 0):place], *sizes[place + 1:place + 2]):
+            between = 0.5 * (best + other)
+            near[between] = tried(between)
+    return min(near.values(), key=lambda each: each.cost)
 
 
 def _sized(model: Model, effect: Effect, x: Real, direction: Real, size: float) -> Real:
