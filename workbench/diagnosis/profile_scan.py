@@ -36,7 +36,7 @@ LOOKED_AT = 41
 #: Times that steps about a size are halved.
 HALVED = 3
 
-#: Sizes that a scan returns, at most: those of the basins, and then the next best of the coarse ones.
+#: Sizes that a scan returns, at most, of the lowest of its basins and of the coarse ones.
 LEFT = 2
 
 
@@ -95,8 +95,8 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         return []
     found = [_lowest(profile, size, partial(tried, direction)) for direction, profile in profiles
              for size in SIZES if profile[size] is coarse[0] or _is_basin(profile, size)]
-    found.sort(key=lambda each: each.cost)
-    return [*found, *(each for each in coarse if not any(each is other for other in found))][:LEFT]
+    others = (each for each in coarse if not any(each is other for other in found))
+    return sorted([*found, *others], key=lambda each: each.cost)[:LEFT]
 
 
 def _is_basin(profile: Mapping[float, InitialOptimum], size: float) -> bool:
