@@ -78,6 +78,9 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
         else:
             _refuse_not_round(table)
             table.only([*_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _LAYER_KEYS)
+        for key in ("channels", "pitch"):
+            if key in table and not {f"cavity_{across}", f"cavity_{doubled}"} & {*table}:
+                raise table.error(key, f"none without the cavity_{doubled} of the channels")
         bottom = table.optional_quantity("bottom", "length")
         profile = read_profile(table.table("profile"), measure) if "profile" in table else None
         measured: dict[str, float] = {}

@@ -19,7 +19,7 @@ from geometry.free_section import Directed, FreeSection, faces_beside
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
 from geometry.names import CAVITY, TRANSDUCER, role_of
-from geometry.panels import BOND, COUPLANT, FLUID_ROLES, apart, division
+from geometry.panels import BOND, COUPLANT, FLUID_ROLES, apart, division, reach_across
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -376,7 +376,7 @@ def _local_lengths(layout: SectionLayout, size: MeshSize) -> dict[tuple[int, boo
         across, up = zip(*(layout.points[end] for loop in loops for edge, _ in loop for end in layout.ends[edge]),
                          strict=True)
         if role_of(region) == CAVITY:
-            length = size.cavity_corner * max(max(across) - max(min(across), 0.0), max(up) - min(up))
+            length = size.cavity_corner * max(reach_across(min(across), max(across)), max(up) - min(up))
             own = [point for point in corners if solid.get(point, 0.0) > REENTRANT]
         elif role_of(region) == BOND and size.corner_refinement < 1.0:
             length = max(up) - min(up)

@@ -177,7 +177,7 @@ def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float]
     radii, heights = dict[float, float](), dict[float, float]()
     of_solids, of_all = (_reentrant(section, fluids=fluids) for fluids in (False, True))
     for cavity in (p for p in section.rectangles if role_of(p.region) == CAVITY):
-        longer = max(cavity.r_outer - max(cavity.r_inner, 0.0), cavity.z_top - cavity.z_bottom)
+        longer = max(reach_across(cavity.r_inner, cavity.r_outer), cavity.z_top - cavity.z_bottom)
         for r, z in of_solids:
             if r in (cavity.r_inner, cavity.r_outer) and z in (cavity.z_bottom, cavity.z_top):
                 radii[r] = heights[z] = size.cavity_corner * longer
@@ -186,6 +186,11 @@ def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float]
             if r in (bond.r_inner, bond.r_outer) and z in (bond.z_bottom, bond.z_top):
                 radii[r] = min(radii.get(r, math.inf), bond.z_top - bond.z_bottom)
     return radii, heights
+
+
+def reach_across(left: float, right: float) -> float:
+    """The width (m) of something between two places, from the axis or the middle if it lies there."""
+    return right - left if left * right >= 0.0 else max(right, -left)
 
 
 def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]:

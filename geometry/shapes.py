@@ -122,12 +122,13 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
             for place in range(len(layer.holes)):
                 yield from _drafted(chip, number, place)
         if layer.barrel is not None:
-            inner = layer.holes[-1][1] - layer.offset if layer.holes else 0.0
-            for radius in radii:
-                distance = abs(radius - layer.offset)
-                if inner + SAME_LENGTH < distance < layer.outer_radius + SAME_LENGTH:
-                    share = math.copysign((distance - inner) / (layer.outer_radius - inner), radius - layer.offset)
-                    yield Side(True, radius, low, high, _bulging(share * layer.barrel.value, low, high))
+            holes = (layer.holes[0][0], layer.holes[-1][1]) if layer.holes else (layer.offset, layer.offset)
+            for hole, side in zip(holes, layer.sides, strict=True):
+                for radius in radii:
+                    share = (radius - hole) / (side - hole)
+                    if SAME_LENGTH < share * abs(side - hole) < abs(side - hole) + SAME_LENGTH:
+                        outwards = math.copysign(share, side - hole)
+                        yield Side(True, radius, low, high, _bulging(outwards * layer.barrel.value, low, high))
         begin, end = layer.sides
         if layer.bow is not None:
             for face in (low, high):

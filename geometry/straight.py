@@ -65,8 +65,8 @@ def check_straight(
 
     Raises:
         InputError: ports, channels that touch or differ from layer to layer, planes of symmetry that do not bound the
-            section, an offset beside one, a channel that is not in the middle of a layer with a shape, a layer beside
-            the one below, or a live electrode across a plane of odd symmetry.
+            section, an offset beside one, a channel that is not in the middle of a layer with a profile, a layer
+            beside the one below, or a live electrode across a plane of odd symmetry.
     """
     if isinstance(measure, Axisymmetric):
         return
@@ -76,13 +76,12 @@ def check_straight(
     if ports is not None:
         raise InputError(file, "cavity.ports", "ports", "no ports: a channel is straight from end to end")
     for i, layer in enumerate(layers):
-        stated = ["profile"] if layer.profile is not None else [*layer.shapes]
         if layer.cavity_radius is not None:
             _check_channels(layer, layers, i, file)
-        if stated and layer.cavity_radius is not None and abs(layer.cavity_offset - layer.offset) > SAME_LENGTH:
+        if layer.profile is not None and abs(layer.cavity_offset - layer.offset) > SAME_LENGTH:
             raise InputError(file, f"layers[{i}].cavity_offset", millimetres(layer.cavity_offset),
-                             f"{millimetres(layer.offset)}, the middle of the layer, whose {stated[0]} is equal to "
-                             "both sides")
+                             f"{millimetres(layer.offset)}, the middle of the layer, whose profile is equal to both "
+                             "sides")
         for key, offset in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset)):
             if offset and measure.planes:
                 raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset where a plane of "

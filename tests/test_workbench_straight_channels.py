@@ -109,6 +109,11 @@ def test_channels_that_cannot_be_are_told(new: str, words: str) -> None:
         chip(CHIP.replace(WIDTH, f"{WIDTH}\n{new}"))
 
 
+def test_channels_need_a_width() -> None:
+    with pytest.raises(InputError, match=r"layers\[4\]\.channels: .*none without the cavity_width"):
+        chip(CHIP.replace("[states.filled]", 'channels = 3\n[states.filled]'))
+
+
 def test_the_width_of_several_channels_is_no_parameter() -> None:
     found = channels(2)
     with pytest.raises(InputError, match="one channel where its half width is to be a parameter"):

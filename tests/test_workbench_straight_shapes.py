@@ -188,10 +188,18 @@ def test_outlines_that_cannot_be_are_told(old: str, new: str, words: str) -> Non
         chip_section(etched("even", old, new))
 
 
-def test_a_channel_beside_the_middle_of_a_shaped_wall_is_refused() -> None:
-    text = CHIP.replace('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"\ndraft = "9 deg"')
-    with pytest.raises(InputError, match="the middle of the layer, whose draft is equal to both sides"):
-        chip(text.replace('"even"', '"none"'))
+def test_walls_of_a_channel_beside_the_middle_slope_and_bulge_and_have_no_outline() -> None:
+    beside = 'cavity_width = "380 um"\ncavity_offset = "0.4 mm"\n'
+    text = CHIP.replace('"even"', '"none"').replace('cavity_width = "380 um"', beside + 'draft = "9 deg"\n'
+                                                    'barrel = "20 um"')
+    found, mirrored = chip(text), chip(text.replace('"0.4 mm"', '"-0.4 mm"'))
+    grown = 160e-6 * np.tan(np.radians(9.0))
+    assert volumes(found)["cavity"] == pytest.approx((380e-6 + grown) * 160e-6 * 0.02, rel=1e-9)
+    assert chip_solids(found)["substrate"].isValid()
+    one, other = (shot_of(each).fields.current for each in (found, mirrored))
+    assert one == pytest.approx(other, rel=1e-9)
+    with pytest.raises(InputError, match="the middle of the layer, whose profile is equal to both sides"):
+        chip(CHIP.replace('"even"', '"none"').replace(WALLS, ETCHED.replace('cavity_width = "380 um"\n', beside)))
 
 
 def test_a_script_draws_the_cross_section(tmp_path: Path) -> None:
