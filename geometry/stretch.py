@@ -7,17 +7,18 @@ with straight sides stays one, and a dimension of the chip becomes a parameter l
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.dimension import ACROSS, SAME_LENGTH, SHAPES
+from geometry.dimension import ACROSS, SAME_LENGTH, SHAPES, millimetres
 from geometry.mesh import MeshError, SectionMesh
 from geometry.names import COLUMN, LEVEL, part_name
-from geometry.parts import largest_shape
+from geometry.parts import discs, hole_names, largest_shape
 from geometry.section import cut_section
+from workbench.files.errors import InputError
 
 #: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are a ninth shorter.
 KEPT_SHARE = 0.1
@@ -37,10 +38,57 @@ def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
     if what in SHAPES:
         limit = largest_shape(chip.layer(region), what)
         return -limit, limit
-    # A straight section without a plane of symmetry has its breaks on both sides of the middle.
-    breaks = sorted({0.0, *map(abs, cut_section(chip).r_breaks)}) if name.endswith(ACROSS) else [0.0]
-    return (max(b for b in breaks if b < value - SAME_LENGTH),
-            min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
+    if not name.endswith(ACROSS):
+        return 0.0, math.inf
+    breaks, first = cut_section(chip).r_breaks, canonical_names(chip)[name]
+    movers = moved_places(chip, [first])
+    lines = breaks if chip.measure.is_whole else sorted({0.0, *breaks})
+    low, high = 0.0, math.inf
+    for place, (_, sign) in movers.items():
+        for other in lines:
+            apart = sign * (other - place)
+            # A line that moves towards this one leaves half of the way.
+            share = 0.5 if movers.get(other, ("", 0)) == (first, -sign) else 1.0
+            if apart > SAME_LENGTH:
+                high = min(high, value + share * apart)
+            elif apart < -SAME_LENGTH:
+                low = max(low, value + share * apart)
+    return low, high
+
+
+def moved_places(chip: Chip, names: Collection[str]) -> dict[float, tuple[str, int]]:
+    """The breaks of a chip's section across (m) that its radii or half widths of these canonical `names` move: the name
+    for each, and whether the break moves as it does (1) or against it (-1), as the left side of something does.
+
+    Raises:
+        InputError: a break is moved by one of them and by another one, or otherwise.
+    """
+    first, across, holes = canonical_names(chip), chip.measure.across, hole_names(chip.layers, chip.measure.across)
+    breaks, found = cut_section(chip).r_breaks, dict[float, tuple[str, int]]()
+    for place, name, sign in _sides_across(chip, across, holes):
+        at = next((each for each in breaks if abs(each - place) < SAME_LENGTH), None)
+        if at is None or (sign < 0 and at < SAME_LENGTH and not chip.measure.is_whole):
+            continue  # On the other half, which is not in the section.
+        mover = first[name], sign
+        if found.setdefault(at, mover) != mover and {mover[0], found[at][0]} & {*names}:
+            raise InputError(chip.file, name, millimetres(place), "a side that does not coincide with one that "
+                             f"{found[at][0]} moves, or moves as that does")
+    return {at: mover for at, mover in found.items() if mover[0] in names}
+
+
+def _sides_across(chip: Chip, across: str, holes: Mapping[str, str]) -> Iterator[tuple[float, str, int]]:
+    """Places (m) of the left (-1) and right (1) sides of layers, holes and electrodes, with the dimensions that move
+    them; `holes` are the names of those of the cavity, by layer."""
+    for layer in chip.layers:
+        for side, sign in zip(layer.sides, (-1, 1), strict=True):
+            yield side, f"{layer.region}.{across}", sign
+        for hole in layer.holes:
+            for side, sign in zip(hole, (-1, 1), strict=True):
+                yield side, holes.get(layer.region, f"{layer.region}.inner_{across}"), sign
+    for name, disc in discs(chip.electrodes):
+        for radius, key in ((disc.radius, across), (disc.inner_radius, f"inner_{across}")):
+            if radius is not None:
+                yield from ((chip.transducer.offset + sign * radius.value, f"{name}.{key}", sign) for sign in (-1, 1))
 
 
 def admissible_range(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
@@ -95,7 +143,7 @@ def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[
 
     A region that spans several layers (a cavity through two) has a part for each. The facets of a boundary along z
     belong to the layer they stand in, and all others to :data:`geometry.names.LEVEL`. Each column of the section that
-    one of the radii `moving` (m) bounds is a further part, and so are facets along z at such a radius.
+    one of the places `moving` (m) across bounds is a further part, and so are facets along z at such a place.
 
     Returns:
         the mesh, and the pieces of every place: of regions, boundaries and their parts by layers.

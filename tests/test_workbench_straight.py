@@ -90,7 +90,7 @@ def impedance(problem: Problem) -> complex:
     return complex(solution.impedance[0])
 
 
-@pytest.mark.parametrize("symmetry", ["even", "odd"])
+@pytest.mark.parametrize("symmetry", ["even", "odd", "none"])
 def test_half_widths_and_thicknesses_are_exact_parameters(symmetry: str) -> None:
     there = of_symmetry(symmetry)
     moved = {"transducer.half_width": 2.6e-3, "cavity.half_width": 2.1e-4, "electrode_live.inner_half_width": 2.8e-4,
@@ -108,12 +108,13 @@ def test_half_widths_and_thicknesses_are_exact_parameters(symmetry: str) -> None
     assert abs(stretched / impedance(problem) - 1.0) > 1e-2
 
 
-def test_half_widths_of_a_whole_section_are_no_parameters() -> None:
-    there = of_symmetry("none")
+def test_sides_that_coincide_and_move_otherwise_are_told() -> None:
+    text = CHIP.replace('"even"', '"none"').replace('role = "bond"', 'role = "bond"\noffset = "-0.5 mm"')
+    there = chip(text.replace('thickness = "20 um"\nhalf_width = "1.5 mm"', 'thickness = "20 um"\nhalf_width = "2 mm"'))
     problem = build(fill(there), accuracy=COARSE)
-    with pytest.raises(InputError, match="even or odd"):
-        parametrised(problem, there, ["cavity.half_width"])
-    parametrised(problem, there)
+    parametrised(problem, there, ["cavity.half_width"])
+    with pytest.raises(InputError, match=r"a side that does not coincide with one that .*half_width moves"):
+        parametrised(problem, there, ["substrate.half_width"])
 
 
 def test_terms_with_rings_need_an_axis() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import quadratic
+from support import moved_onto, quadratic
 from test_geometry_straight import CHIP, chip
 
 from geometry.chip import Chip, read_chip
@@ -17,6 +17,8 @@ from geometry.measure import Parity, Straight
 from geometry.section import cut_section
 from geometry.solid import chip_solids, volume
 from workbench.diagnosis.observed import region_volumes
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
 from workbench.model.dimensions import parametrised
 from workbench.model.drive import parse_drive
@@ -114,7 +116,13 @@ def test_channels_need_a_width() -> None:
         chip(CHIP.replace("[states.filled]", 'channels = 3\n[states.filled]'))
 
 
-def test_the_width_of_several_channels_is_no_parameter() -> None:
-    found = channels(2)
-    with pytest.raises(InputError, match="one channel where its half width is to be a parameter"):
-        parametrised(build(fill(found), accuracy=COARSE), found, ["cavity.half_width"])
+@pytest.mark.parametrize("symmetry", ["even", "none"])
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_width_of_several_channels_is_an_exact_parameter(count: int, symmetry: str) -> None:
+    there = channels(count, symmetry=symmetry)
+    problem = build(fill(there), accuracy=COARSE)
+    free = parametrised(problem, there, ["cavity.half_width"])
+    moved = replace(problem, mesh=moved_onto(problem.mesh, there.with_dimensions({"cavity.half_width": 2.1e-4})))
+    found, expected = (solve_full(assemble(each.mesh, each.terms), np.array([1.94e6]), each.values).impedance[0]
+                       for each in (free.with_values({"cavity.half_width": 2.1e-4 + 0j}), moved))
+    assert found == pytest.approx(expected, rel=1e-8)

@@ -34,7 +34,7 @@ def of_symmetry(name: str) -> Chip:
     return chip(split.replace('symmetry = "even"', f'symmetry = "{name}"'))
 
 
-@pytest.mark.parametrize(("symmetry", "coefficients"), [("even", True), ("odd", False)])
+@pytest.mark.parametrize(("symmetry", "coefficients"), [("even", True), ("odd", False), ("none", False)])
 def test_ln_z_has_the_derivatives_of_differences_by_every_length_and_coefficient(
     symmetry: str, coefficients: bool
 ) -> None:
@@ -89,11 +89,6 @@ def test_a_range_model_is_that_of_full_solves(symmetry: str, tmp_path: Path) -> 
     with pytest.raises(InputError, match="chip, state, materials and mesh"):
         load_range_model(tmp_path / "model.npz", replace(there, measure=replace(there.measure, length=0.03)), "filled",
                          accuracy=COARSE)
-
-
-def test_half_widths_of_a_whole_section_have_no_range() -> None:
-    with pytest.raises(InputError, match="even or odd"):
-        range_model(of_symmetry("none"), "filled", RANGES, accuracy=COARSE)
 
 
 def test_a_derivative_is_accepted_at_a_limit_of_its_own() -> None:

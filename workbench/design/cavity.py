@@ -29,13 +29,13 @@ from geometry.dimension import SAME_LENGTH
 from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, parent_place
 from geometry.section import cut_section
+from geometry.stretch import canonical_names, moved_places
 from materials.kinds import Fluid
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.radiation import gorkov_potential, radiation_force
 from workbench.design.dual import Dual, dual_derivative
 from workbench.design.legendre import derivatives
 from workbench.fem.operators import FullOperators
-from workbench.model.numbers import ParameterName
 from workbench.model.particles import Particle, compressibility, viscous_scattering
 
 Real = NDArray[np.float64]
@@ -155,9 +155,11 @@ def cavity_of(
     if (rows == -2).any():
         raise NoCavity("the cavity is no rectangle of the mesh")
     known = chip.dimensions()
-    breaks = np.array([b for b in cut_section(chip).r_breaks if b <= holes[0].inner_radius + SAME_LENGTH])
-    of_breaks = np.array([[float(ParameterName.parse(n).is_radius and abs(known[n].value - b) < SAME_LENGTH)
-                           for n in names] for b in breaks])
+    ends, first = (lines[0][0] - SAME_LENGTH, lines[0][-1] + SAME_LENGTH), canonical_names(chip)
+    breaks = np.array([b for b in cut_section(chip).r_breaks if ends[0] <= b <= ends[1]])
+    movers = moved_places(chip, [first[name] for name in names if name in first])
+    of_breaks = np.array([[float(sign) * (first.get(n) == mover) for n in names]
+                          for mover, sign in (movers.get(float(b), ("", 0)) for b in breaks)])
     levels = np.cumsum([0.0, *(hole.thickness.value for hole in holes)])
     of_levels = np.cumsum([[0.0] * len(names), *([float(n == f"{hole.region}.thickness") for n in names]
                                                  for hole in holes)], axis=0)

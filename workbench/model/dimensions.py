@@ -12,9 +12,8 @@ from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.measure import Straight
 from geometry.mesh import MeshError, SectionMesh
-from geometry.names import CAVITY
 from geometry.shapes import with_shapes
-from geometry.stretch import Piece, admissible_range, canonical_names, split
+from geometry.stretch import Piece, admissible_range, canonical_names, moved_places, split
 from workbench.files.errors import InputError, choose
 from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation
 from workbench.model.moved_parts import LayerShape, ShapedLayers, shapes_of
@@ -69,14 +68,8 @@ def parametrised(
     """
     ranges = _ranges(chip, radii)
     straight = isinstance(chip.measure, Straight)
-    if chip.measure.is_whole and ranges:
-        raise InputError(chip.file, "chip.symmetry", "none", "even or odd where a half width is to be a parameter: "
-                         "then one half is meshed, in which all columns move to one side")
-    for name in ranges if any(hole.channels > 1 for hole in chip.holes) else ():
-        if name.startswith(CAVITY) or ".cavity_" in name:
-            raise InputError(chip.file, name, "a range", "one channel where its half width is to be a parameter")
     known = chip.dimensions()
-    moving = {known[name].value: name for name in ranges}
+    moving = moved_places(chip, ranges) if ranges else {}
     mesh, pieces = split(problem.mesh, chip, tuple(moving))
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
     lengths = {**ranges, **_thickness_ranges(nominal, thicknesses)}
@@ -85,7 +78,8 @@ def parametrised(
         _check_parabolas(layers.shapes, chip, ranges)
 
     def radius(value: float) -> MovableLength:
-        return MovableLength(value, next((name for each, name in moving.items() if each == value), ""))
+        name, sign = moving.get(value, ("", 1))
+        return MovableLength(value, name, sign, known[name].value if name and straight else None)
 
     columns: dict[tuple[float, float], RadialInterval] = {}
 

@@ -140,11 +140,18 @@ class ShapedLayers:
             if ratio is not None:
                 (low, high), (below, above) = (
                     (min(each.nominal, least), max(each.nominal, greatest)) for each in (ratio.outer, ratio.inner)
-                    for least, greatest in [self.lengths.get(each.parameter, (each.nominal,) * 2)])
+                    for least, greatest in [self._ends(each)])
                 width = ratio.outer.nominal - ratio.inner.nominal
                 ends = [end * min(max((out - within) / width, 1.0 / most), most) ** power for end in ends
                         for out, within in ((low, above), (high, below))]
         return min(ends), max(ends)
+
+    def _ends(self, length: MovableLength) -> Range:
+        """The least and the greatest value (m) of a length, while its parameter moves."""
+        if length.parameter not in self.lengths:
+            return length.nominal, length.nominal
+        low, high = sorted(map(length.of, self.lengths[length.parameter]))
+        return low, high
 
     def _unfolded(self, shapes: Sequence[LayerShape], cells: Cells, inner: Sequence[Range],
                   outer: Sequence[Range]) -> list[Range]:

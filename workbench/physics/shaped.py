@@ -42,13 +42,23 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class MovableLength:
-    """A length of the chip: its value on the mesh (m) and the parameter that moves it, "" if none does."""
+    """A length of the chip, or a place: its value on the mesh (m) and the parameter that moves it, "" if none does.
+
+    It moves ``by`` 1 or -1 times as the parameter does, whose own value on the mesh is ``begin`` (m): that of the
+    length itself, if none is given.
+    """
 
     nominal: float
     parameter: str = ""
+    by: int = 1
+    begin: float | None = None
 
     def at(self, values: Values) -> float:
-        return complex(values[self.parameter]).real if self.parameter else self.nominal
+        return self.of(complex(values[self.parameter]).real) if self.parameter else self.nominal
+
+    def of(self, value: float) -> float:
+        """Its value (m) for a value of the parameter."""
+        return value if self.begin is None else self.nominal + self.by * (value - self.begin)
 
 
 @dataclass(frozen=True)
@@ -61,8 +71,10 @@ class Ratio:
     def at(self, values: Values) -> tuple[float, dict[str, float]]:
         """Its value, and its derivatives by parameters."""
         nominal = self.outer.nominal - self.inner.nominal
-        slopes = {each.parameter: sign / nominal for each, sign in ((self.outer, 1.0), (self.inner, -1.0))
-                  if each.parameter}
+        slopes: dict[str, float] = {}
+        for each, sign in ((self.outer, 1.0), (self.inner, -1.0)):
+            if each.parameter:
+                slopes[each.parameter] = slopes.get(each.parameter, 0.0) + sign * each.by / nominal
         return (self.outer.at(values) - self.inner.at(values)) / nominal, slopes
 
 
@@ -294,7 +306,7 @@ class Receding(_OfLengths):
         ratio, slopes = self.stretched.at(values)
         by = {name: -slope * self.radius.nominal for name, slope in slopes.items()}
         if self.radius.parameter:
-            by[self.radius.parameter] = by.get(self.radius.parameter, 0.0) + 1.0
+            by[self.radius.parameter] = by.get(self.radius.parameter, 0.0) + self.radius.by
         return self.radius.at(values) - ratio * self.radius.nominal, by
 
 

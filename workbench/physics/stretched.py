@@ -130,7 +130,7 @@ class _OfColumn(WithoutFrequency):
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
-        return tuple(each.parameter for each in (self.column.inner, self.column.outer) if each.parameter)
+        return tuple(dict.fromkeys(each.parameter for each in (self.column.inner, self.column.outer) if each.parameter))
 
     def at(self, inner: float, outer: float) -> tuple[float, float, float]:
         """Its value at two radii (m), and its derivatives by them."""
@@ -141,8 +141,8 @@ class _OfColumn(WithoutFrequency):
 
     def constant_derivative(self, values: Values, name: str) -> complex:
         _, *slopes = self.at(self.column.inner.at(values), self.column.outer.at(values))
-        return complex(sum(slope for slope, each in zip(slopes, (self.column.inner, self.column.outer), strict=True)
-                           if each.parameter == name))
+        return complex(sum(slope * each.by for slope, each in zip(
+            slopes, (self.column.inner, self.column.outer), strict=True) if each.parameter == name))
 
 
 @dataclass(frozen=True)
