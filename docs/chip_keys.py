@@ -80,7 +80,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "filling": "as of a round chip",
         "bottom": "as of a round chip",
         "offset": "how far its middle is to the right of that of a chip with `symmetry = \"none\"`; 0 if not given",
-        "cavity_offset": "the same of the channel",
+        "cavity_offset": "the same of the channel, or of a bore",
         "channels": "number of equal channels side by side; 1 if not given. All lie about the same middle",
         "pitch": "of several, the distance between the middles of neighbours",
         "draft": "the angle by which the channel grows wider upwards: 35.26 deg of silicon etched by KOH",

@@ -76,6 +76,17 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
                 raise InputError(file, f"{place}.tolerance", _shown(name, size.tolerance), "zero or more")
             if name == "draft" and layer.inner_radius + math.tan(size.value) * layer.thickness.value <= 0.0:
                 raise InputError(file, place, said, "a hole that does not close before the top of the layer")
+            if name == "draft" and (room := _beside_holes(layer)) < math.tan(size.value) * layer.thickness.value:
+                raise InputError(file, place, said, "walls that stay apart and within the layer up to its top: there "
+                                 f"is {millimetres(room)} beside each, which they reach at "
+                                 f"{_shown(name, math.atan(room / layer.thickness.value))}")
+
+
+def _beside_holes(layer: Layer) -> float:
+    """The least room (m) that a wall of the layer's holes has before it meets another one, or the layer's side."""
+    between = [0.5 * (right[0] - left[1]) for left, right in itertools.pairwise(layer.holes)]
+    (left, right), low, high = layer.sides, layer.holes[0][0], layer.holes[-1][1]
+    return min(low - left, right - high, *between)
 
 
 def _shown(name: str, size: float) -> str:
@@ -107,7 +118,9 @@ def check_cavity(
                 file,
                 f"layers[{i}].{key}",
                 _hole(layer),
-                f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
+                f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}" if layer.channels == 1 else
+                f"{layer.channels} channels within their layer: with their pitch of {millimetres(layer.pitch)} they "
+                f"take {millimetres(high - low)} of its {millimetres(right - left)}",
             )
         for j, side in ((i - 1, "below"), (i + 1, "above")):
             if side == "above" and is_open:

@@ -22,7 +22,7 @@ from geometry.curves import Arc
 from geometry.dimension import SAME_LENGTH
 from geometry.free_section import Directed, Face, FreeSection
 from geometry.kernel import MILLIMETRES, cadquery_module
-from geometry.measure import ABOUT_AXIS, Measure
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY
 from geometry.section import Electrode, Rectangle
 from workbench.files.errors import InputError
@@ -64,7 +64,9 @@ def section_of(
             pieces += [(region, piece) for piece in own]
             found += [radius for radius in radii if radius not in found]
         beside.append((region, tuple(found)))
-    return replace(_fused(pieces, tuple(electrodes), tuple(rectangles), notes), cuts=tuple(beside), measure=measure)
+    fused = _fused(pieces, tuple(electrodes), tuple(rectangles), notes)
+    _check_contact(fused, list(drawn), source)
+    return replace(fused, cuts=tuple(beside), measure=measure)
 
 
 def faces_of(
@@ -100,6 +102,15 @@ def _check_fit(faces: Mapping[str, cadquery.Shape], source: str) -> None:
                              f"{cad.place(points[0])}", "a layer that touches one below it")
 
 
+def _check_contact(section: FreeSection, layers: Sequence[str], source: str) -> None:
+    """Raise if a layer touches what is below it in points alone."""
+    touching = [{section.faces[face].region for face in faces} for faces in section.beside if len(faces) == 2]
+    for k, layer in enumerate(layers[1:], start=1):
+        if not any(layer in both and both & set(layers[:k]) for both in touching):
+            raise InputError(source, f"layer {layer}", "a contact in points alone with what is below it",
+                             "a layer that lies on one below it, along a line of the section")
+
+
 def _enclosed(
     faces: Mapping[str, cadquery.Shape], *, walls: Collection[str], source: str, measure: Measure
 ) -> cadquery.Face | None:
@@ -114,6 +125,9 @@ def _enclosed(
               and each.BoundingBox().zmin > edge.zmin + cad.SAME_POINT]
     inside = [each for each in inside if each.Area() > cad.LEAST_AREA]
     likely = [each for each in inside if any(faces[wall].distance(each) < cad.SAME_POINT for wall in walls)]
+    if isinstance(measure, Straight) and not measure.is_whole:
+        # Beside the middle it would be one of two, with a wall between them.
+        likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
     if len(likely) > 1:
         likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
     wanted = likely if len(likely) == 1 else []

@@ -155,7 +155,7 @@ def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS) -> Profile:
         raise table.error(key, "none for points, which are r and z already; it places the solid of a script or file")
     source: Outline | Script | StepPart
     if sources == ["points"]:
-        source = _outline(table, {*of_layer, *(name for name, _ in parameters)})
+        source = _outline(table, {*of_layer, *(name for name, _ in parameters)}, angles)
     elif sources == ["script"]:
         source = _script(table)
     else:
@@ -212,13 +212,15 @@ def _parameters(
     return tuple(found), frozenset(angles)
 
 
-def _outline(table: FileTable, names: set[str]) -> Outline:
+def _outline(table: FileTable, names: set[str], angles: frozenset[str]) -> Outline:
     entries = table.content["points"]
     expected = 'a list of three or more points, each ["1 mm", "0 mm"] (r, z) or { at = [...], fillet = "0.2 mm" }'
     if not isinstance(entries, list) or len(entries) < 3:
         raise table.error("points", expected)
 
     def size(value: object, place: str) -> Size:
+        if isinstance(value, str) and value in angles:
+            raise InputError(table.source, place, value, "a length: that parameter is an angle, for scripts alone")
         if isinstance(value, str) and not any(c.isdigit() for c in value[:2]):
             return choose(value, names, source=table.source, field=place)
         return parse_quantity(value, "length", source=table.source, field=place)
@@ -273,7 +275,7 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
     scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
     try:
         exec(compile(script.path.read_text(encoding="utf-8"), str(script.path), "exec"), scope)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(str(script.path), _line(error, script.path, "script"), _said(error),
                          "a script that runs") from error
     functions = {name: each for name, each in scope.items() if inspect.isfunction(each)}
@@ -292,17 +294,17 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
                          f"one called {unused[0]!r}, which the chip file states", nearest_names(unused[0], wanted))
     try:
         return function(**wanted)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         shown = ", ".join(f"{name} = {value:.6g}" for name, value in wanted.items())
         raise InputError(str(script.path), _line(error, script.path, f"{script.function}({shown})"), _said(error),
                          "a solid") from error
 
 
-def _said(error: Exception) -> str:
+def _said(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _line(error: Exception, path: Path, what: str) -> str:
+def _line(error: BaseException, path: Path, what: str) -> str:
     """The line of the script that failed, with `what` was run: the last line of that file in the traceback."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):

@@ -40,7 +40,7 @@ class Side:
     """Displacements (m) of the points of a line of the section across it, from `begin` to `end` (m) along it.
 
     An upright line at the radius ``at`` moves along r as a function of z, a level one at the height ``at`` along z as a
-    function of r.
+    function of r. What is beside it follows, less and less, until the lines at ``reach`` (m), by default the next ones.
     """
 
     upright: bool
@@ -48,6 +48,7 @@ class Side:
     begin: float
     end: float
     moved: Moved
+    reach: tuple[float, float] | None = None
 
     def across(self, along: Real) -> Real:
         """Displacements of points of cells (nodes, cells) at places along the line (m); zero for cells outside its
@@ -111,8 +112,8 @@ def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
     return replace(chip, layers=tuple(layer.with_shapes(stated.get(layer.region, {})) for layer in chip.layers))
 
 
-def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
-    """The sides that the shapes of a chip's layers move; `radii` (m) are those of all upright lines of its section.
+def sides(chip: Chip, section: Section) -> Iterator[Side]:
+    """The sides that the shapes of a chip's layers move in its `section`.
 
     Where the section shows both sides of the middle, the left ones are the mirror images of the right ones.
     """
@@ -120,11 +121,11 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
         low, high = layer.z_bottom, layer.z_top
         if layer.draft is not None:
             for place in range(len(layer.holes)):
-                yield from _drafted(chip, number, place)
+                yield from _drafted(chip, section, number, place)
         if layer.barrel is not None:
             holes = (layer.holes[0][0], layer.holes[-1][1]) if layer.holes else (layer.offset, layer.offset)
             for hole, side in zip(holes, layer.sides, strict=True):
-                for radius in radii:
+                for radius in section.r_breaks:
                     share = (radius - hole) / (side - hole)
                     if SAME_LENGTH < share * abs(side - hole) < abs(side - hole) + SAME_LENGTH:
                         outwards = math.copysign(share, side - hole)
@@ -137,7 +138,7 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
             yield Side(False, high, begin, end, _bulging(layer.dome.value, begin, end))
 
 
-def _drafted(chip: Chip, number: int, place: int) -> Iterator[Side]:
+def _drafted(chip: Chip, section: Section, number: int, place: int) -> Iterator[Side]:
     """The sides that the draft of a layer moves: the walls of its hole at a `place` among its holes, as far as they are
     in the section, and their continuation above."""
     layer = chip.layers[number]
@@ -146,16 +147,34 @@ def _drafted(chip: Chip, number: int, place: int) -> Iterator[Side]:
         at, slope = layer.holes[place][side], sign * math.tan(0.0 if layer.draft is None else layer.draft.value)
         if at < 0.0 and not chip.measure.is_whole:
             continue
-        yield Side(True, at, low, high, _sloping(slope, low))
+        goes_on = [above.cavity_radius is not None and abs(above.holes[place][side] - at) < SAME_LENGTH
+                   for above in chip.layers[number + 1:]]
+        last = next((k for k, each in enumerate(goes_on) if not each), len(goes_on) - 1)
+        end = chip.layers[number + 1 + last].z_top if goes_on else high
+        reach = _reach(section, at, (low, end), high - low)
+        yield Side(True, at, low, high, _sloping(slope, low), reach)
         shift = slope * (high - low)
-        for above in chip.layers[number + 1:]:
-            goes_on = above.cavity_radius is not None and abs(above.holes[place][side] - at) < SAME_LENGTH
+        for above, further in zip(chip.layers[number + 1:number + 2 + last], goes_on, strict=False):
             bottom, top = above.z_bottom, above.z_top
             # At the end of the hole the line returns within the layer above, of which it bounds nothing.
             yield Side(True, at, bottom, top,
-                       _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
-            if not goes_on:
-                break
+                       _sloping(0.0, bottom, shift) if further else _sloping(shift / (bottom - top), top), reach)
+
+
+def _reach(section: Section, at: float, heights: tuple[float, float], room: float) -> tuple[float, float]:
+    """The lines (m) on both sides of an upright one that what is beside it follows it to: the next ones, but for those
+    that bound nothing between two `heights` (m) and are nearer than the `room` (m) that it may take."""
+    breaks, grid = section.r_breaks, section.grid()
+    rows = [j for j, z in enumerate(section.z_breaks[:-1]) if heights[0] - SAME_LENGTH < z < heights[1] - SAME_LENGTH]
+    here = min(range(len(breaks)), key=lambda k: abs(breaks[k] - at))
+    found = []
+    for step in (-1, 1):
+        k = min(max(here + step, 0), len(breaks) - 1)
+        while 0 < k < len(breaks) - 1 and abs(breaks[k] - at) < room and (
+                grid[rows, k - 1] == grid[rows, k]).all():
+            k += step
+        found.append(breaks[k])
+    return found[0], found[1]
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
@@ -177,7 +196,7 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
     """
     if not isinstance(mesh.section, Section):
         return None
-    found = list(sides(chip, mesh.section.r_breaks))
+    found = list(sides(chip, mesh.section))
     if not found:
         return None
     corners = mesh.mesh.p[:, mesh.mesh.t]
@@ -195,7 +214,7 @@ def _moved(found: Sequence[Side], section: Section, r: Real, z: Real) -> Real:
 def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
     """The outline of every layer, and of the cavity in every layer, anticlockwise, by region: lines and parabolas."""
     section = cut_section(chip)
-    found = list(sides(chip, section.r_breaks))
+    found = list(sides(chip, section))
     result = []
     for each in section.rectangles:
         columns = range(section.r_breaks.index(each.r_inner), section.r_breaks.index(each.r_outer))
@@ -224,12 +243,13 @@ def _through(points: Real) -> Arc:
 
 def _along(found: Sequence[Side], across: Real, along: Real, breaks: Sequence[float]) -> Real:
     """New coordinates across the lines of points (nodes, cells) at places `across` and `along` them."""
-    lines = np.array(breaks)
-    before = np.clip(np.searchsorted(lines, across.mean(axis=0)) - 1, 0, lines.size - 2)
-    share = (across - lines[before]) / (lines[before + 1] - lines[before])
+    lines, middle = np.array(breaks), across.mean(axis=0)
     result = across.copy()
     for side in found:
-        at = int(np.argmin(np.abs(lines - side.at)))
-        weight = np.where(before == at, 1.0 - share, 0.0) + np.where(before + 1 == at, share, 0.0)
-        result += weight * side.across(along)
+        k = int(np.argmin(np.abs(lines - side.at)))
+        at = lines[k]
+        low, high = (lines[max(k - 1, 0)], lines[min(k + 1, lines.size - 1)]) if side.reach is None else side.reach
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = np.where(middle < at, (across - low) / (at - low), (high - across) / (high - at))
+        result += np.where((middle > low) & (middle < high), weight, 0.0) * side.across(along)
     return result

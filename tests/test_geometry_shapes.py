@@ -97,7 +97,7 @@ def test_a_dome_is_filled_by_what_lies_on_it(small_chip: Chip, straight: Section
 
 def test_a_shape_that_reaches_beyond_what_is_beside_it_is_refused(small_chip: Chip, straight: SectionMesh) -> None:
     # A bow of 60 um of a bond of 100 um would do; 0.12 mm do not.
-    with pytest.raises(MeshError, match=r"folds its section at r = .* mm, z = .* mm"):
+    with pytest.raises(MeshError, match=r"fold its section at r = .* mm, z = .* mm"):
         shaped(straight, shape(small_chip, "superstrate", bow=-0.12e-3))
 
 

@@ -182,7 +182,7 @@ def test_shapes_that_make_no_sense_are_refused(
 
 
 def test_a_range_that_folds_a_cell_is_refused(chip: Chip, problem: Problem) -> None:
-    with pytest.raises(MeshError, match="folds its section"):
+    with pytest.raises(MeshError, match="fold its section"):
         parametrised(problem, chip, (), {"superstrate.bow": (-70e-6, 0.0)})
 
 

@@ -79,6 +79,7 @@ def test_its_losses_are_those_of_its_boundary_layers() -> None:
 
 @pytest.mark.parametrize(("keys", "words"), [
     ({"lower": FIRST, "upper": SECOND, "filling": "wter"}, "did you mean 'water'"),
+    ({"lower": FIRST, "upper": SECOND, "filling": "pmma"}, "filling of cavity_2: .*a liquid or a gas"),
     ({"lower": SECOND, "upper": SECOND}, "a first cavity, of layers with a cavity_radius"),
     ({"lower": FIRST, "upper": SECOND, "materials": {"cavity_3": "air"}}, "cavity_2"),
 ])

@@ -16,6 +16,7 @@ from geometry.chip_section import volumes
 from geometry.measure import Parity, Straight
 from geometry.section import cut_section
 from geometry.solid import chip_solids, volume
+from workbench.acoustics.captures import Window, light_curve
 from workbench.diagnosis.observed import region_volumes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
@@ -23,6 +24,7 @@ from workbench.files.errors import InputError
 from workbench.model.dimensions import parametrised
 from workbench.model.drive import parse_drive
 from workbench.model.problem import build, fill
+from workbench.simulation.beads import trajectories
 from workbench.simulation.channel import channel_figures
 from workbench.simulation.run import Snapshot, snapshot
 from workbench.simulation.streaming import streaming
@@ -92,6 +94,8 @@ def test_halves_equal_the_whole_and_every_channel_has_its_energy_and_its_flow(co
     for line in both.lines:
         assert any(left - 1e-9 <= line.place <= right + 1e-9 for left, right in zip(walls[::2], walls[1::2],
                                                                                     strict=True))
+    assert [line.time for line in found.lines] == pytest.approx(
+        [line.time for line in both.lines if line.place > -1e-9], rel=5e-2)
     flow = streaming(whole)
     assert flow.net_flux < 1e-10
     x, speed = flow.mesh.points[:, 0], np.hypot(*flow.velocity.T)
@@ -103,12 +107,21 @@ def test_halves_equal_the_whole_and_every_channel_has_its_energy_and_its_flow(co
     ("channels = 3", r"layers\[3\]\.pitch: .*distance between the middles of neighbouring channels"),
     ('pitch = "1 mm"', r"none for one channel; channels = 2 or more"),
     ('channels = 2\npitch = "0.3 mm"', "do not touch: more than their width, 0.38 mm"),
-    ('channels = 4\npitch = "0.9 mm"', "a hole narrower than its layer"),
+    ('channels = 4\npitch = "0.9 mm"', "4 channels within their layer: .* take 3.08 mm of its 3 mm"),
+    ('channels = 3\npitch = "450 um"\ndraft = "30 deg"', "0.035 mm beside each, which they reach at 12.34 deg"),
     ('channels = 0\npitch = "1 mm"', "channels: received 0"),
 ])
 def test_channels_that_cannot_be_are_told(new: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         chip(CHIP.replace(WIDTH, f"{WIDTH}\n{new}"))
+
+
+def test_a_window_is_about_the_middle_of_every_channel() -> None:
+    found = trajectories(shot_of(channels(2, symmetry="none")), 1.0, particles=40, seed=1)
+    middles = np.array([-0.4e-3, 0.4e-3])
+    distance = np.abs(found.positions[:, :, :1] - middles).min(axis=2)
+    assert light_curve(found, Window(outer=60e-6)) == pytest.approx((distance <= 60e-6).mean(axis=0))
+    assert light_curve(found, Window(outer=190e-6)) == pytest.approx(1.0)
 
 
 def test_channels_need_a_width() -> None:

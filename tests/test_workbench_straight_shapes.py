@@ -182,10 +182,26 @@ def test_an_etched_channel_has_figures_and_is_written_and_read_back(tmp_path: Pa
     ('["0 mm", "floor"]', '["-0.1 mm", "floor"]', r"x = -0\.1 mm.*no point beyond the middle: x of zero or more"),
     ("points = [", 'axis = "y", points = [', "points, or a script that draws a face, in a straight chip"),
     ('"half_width", "0 mm"', '"radius", "0 mm"', "did you mean 'half_width'|one of .*half_width"),
+    ('floor = "0.5 mm"', 'floor = "0.5 deg"', "a length: that parameter is an angle"),
+    ('["half_width", "thickness"]', '["half_width", "0.6 mm"]', "a contact in points alone with what is below it"),
+    ('["cavity_half_width", "thickness"]', '["cavity_half_width", "0.65 mm"]', "a contact in points alone"),
+    ('["0 mm", "floor"]', '["50 um", "floor"], ["50 um", "thickness"], ["0 mm", "thickness"]', "leave no gap"),
 ])
 def test_outlines_that_cannot_be_are_told(old: str, new: str, words: str) -> None:
     with pytest.raises(InputError, match="(?s)" + words):
         chip_section(etched("even", old, new))
+
+
+@pytest.mark.parametrize("gap", ["0.19 mm", "0.25 mm"])
+def test_walls_may_pass_lines_that_bound_nothing_beside_them(gap: str) -> None:
+    """Silicon etched by KOH: the top of the wall is beyond the end of an electrode far below."""
+    slope = 'cavity_width = "380 um"'
+    found = chip(CHIP.replace(slope, slope + '\ndraft = "35.26 deg"').replace(
+        'live = "bottom"', f'live = "bottom", live_inner_half_width = "{gap}"'))
+    assert volumes(found)["cavity"] == pytest.approx(
+        (380e-6 + 160e-6 * np.tan(np.radians(35.26))) * 160e-6 * 0.02, rel=1e-9)
+    # A folded cell would be refused.
+    assert shot_of(found).closure < 1e-9
 
 
 def test_walls_of_a_channel_beside_the_middle_slope_and_bulge_and_have_no_outline() -> None:

@@ -171,7 +171,7 @@ def by_ngsolve(chip: Chip, registry: Registry, state: str, settings: Settings) -
         now = time.perf_counter()
         seconds[name], started = now - started, now
 
-    shape = list(sides(chip, section.r_breaks))
+    shape = list(sides(chip, section))
     mesh = triangles(ngsolve, geom2d, section, shape, materials, float(frequency[-1]), settings)
     lap("mesh")
     space, kept, electrode = unknowns(ngsolve, mesh, materials, settings.order, section.measure)

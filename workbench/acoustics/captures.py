@@ -8,6 +8,7 @@ from numbers import Real
 
 import numpy as np
 
+from workbench.acoustics.channel import channel_sides
 from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.acoustics.trajectories import Fate, Trajectories
 from workbench.files.errors import InputError
@@ -41,7 +42,7 @@ class CaptureStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """The part of a cavity that is looked at: radii (of a channel, distances from its middle to either side) from
+    """The part of a cavity that is looked at: radii (of channels, distances from their middles to either side) from
     ``inner`` to ``outer`` and heights from ``bottom`` to ``top``, in m; all of it unless stated.
 
     Raises:
@@ -66,7 +67,11 @@ class Window:
 def light_curve(found: Trajectories, window: Window) -> FloatArray:
     """Share (n,) of the particles that are in the `window` at each of the times of the record."""
     r, z = np.moveaxis(found.positions, 2, 0)
-    distance = np.abs(r)
+    mesh = found.report.forces.mesh
+    # A channel of which a plane of symmetry is the left side has its middle there, and so has a round cavity.
+    middles = [left if mesh.mirrors.on(np.array(left)) else 0.5 * (left + right)
+               for left, right in channel_sides(mesh, found.report.forces.region)]
+    distance = np.min([np.abs(r - middle) for middle in middles], axis=0)
     inside = (distance >= window.inner) & (distance <= window.outer) & (z >= window.bottom) & (z <= window.top)
     return np.asarray(inside.mean(axis=0))
 

@@ -18,7 +18,7 @@ from geometry.measure import Measure
 from workbench.acoustics.basins import find_basins, label_basins
 from workbench.acoustics.fields import Fields
 from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
-from workbench.acoustics.nodal import FloatArray, NodalArray, integrate, interpolate, raster
+from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, integrate, interpolate, raster
 from workbench.acoustics.streaming import critical_diameter
 from workbench.model.particles import FluidProperties, Particle, viscosity
 from workbench.results.brief import Brief
@@ -146,18 +146,23 @@ def channel_of(
 
 
 def _shares(fields: Fields, region: str) -> Iterator[ChannelShare]:
-    """The channels of the section, from left to right: where cells of the `region` lie side by side."""
+    """The channels of the section, from left to right, with the energy in them."""
     mesh = fields.mesh
+    for left, right in channel_sides(mesh, region):
+        here = ((mesh.points[:, 0] >= left) & (mesh.points[:, 0] <= right)).astype(float)
+        energy = integrate(mesh, fields.energy_density * here, [region]) / integrate(mesh, here, [region])
+        yield ChannelShare(left, right, float(energy))
+
+
+def channel_sides(mesh: NodalMesh, region: str) -> Iterator[tuple[float, float]]:
+    """The sides (m) of the channels of a section, from left to right: where cells of the `region` lie side by side."""
     x = mesh.points[mesh.cells[mesh.cells_of([region])], 0].reshape(-1, (mesh.order + 1) ** 2)
     sides = np.stack([x.min(axis=1), x.max(axis=1)], axis=1)
     sides = sides[np.argsort(sides[:, 0])]
     reached = np.maximum.accumulate(sides[:, 1])
     begins = np.flatnonzero(np.append(True, sides[1:, 0] > reached[:-1] + SAME_LENGTH))
     for first, last in zip(begins, [*begins[1:], len(sides)], strict=True):
-        left, right = float(sides[first, 0]), float(reached[last - 1])
-        here = ((mesh.points[:, 0] >= left) & (mesh.points[:, 0] <= right)).astype(float)
-        energy = integrate(mesh, fields.energy_density * here, [region]) / integrate(mesh, here, [region])
-        yield ChannelShare(left, right, float(energy))
+        yield float(sides[first, 0]), float(reached[last - 1])
 
 
 def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
@@ -234,8 +239,8 @@ def _time(
     """Time (s) to a line, the shorter one of those from its two sides; `ends` (m) are the right and the left end of the
     liquid at that height."""
     mesh, found = forces.mesh, []
-    for side, end, mirror in zip((1.0, -1.0), ends, (mesh.mirrors.right, mesh.mirrors.left), strict=True):
-        reach = quarter if mirror is not None else min(quarter, abs(end - place))
+    for side, end in zip((1.0, -1.0), ends, strict=True):
+        reach = quarter if mesh.mirrors.on(np.array(end)) else min(quarter, abs(end - place))
         try:
             found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * reach,
                                           stop=place + side * COUNTED_TO * reach))

@@ -269,11 +269,11 @@ def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:
     """The way (m) from a trap to the wall beside it; infinite to a plane of symmetry, behind which the channel goes on.
     """
     mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
-    if (mirrors.right if side > 0.0 else mirrors.left) is not None:
-        return math.inf
     way = np.linspace(trap.radius, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
     inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, trap.height)], axis=1))[:, 0])
     last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    if mirrors.on(way[last:last + 1]).all():
+        return math.inf
     return abs(float(way[last]) - trap.radius)
 
 

@@ -130,12 +130,9 @@ def cavity_of(
         frequency: the highest one (Hz), for the degree of the polynomials.
 
     Raises:
-        NoCavity: holes of different radii, or a cavity whose shape follows some of the lengths.
+        NoCavity: holes of different radii, several channels or one off the middle, or a cavity that is no rectangle,
+            or does not stay one while the lengths move.
     """
-    shapes = _shaping(operators, lengths)
-    if shapes:
-        raise NoCavity("figures of fields need a cavity that stays a cylinder, and this one changes its shape with "
-                       + ", ".join(shapes))
     holes = chip.holes
     if max(hole.inner_radius for hole in holes) - min(hole.inner_radius for hole in holes) > SAME_LENGTH:
         raise NoCavity(f"figures of fields need a cavity of one {chip.measure.across.replace('_', ' ')} throughout its "
@@ -153,7 +150,11 @@ def cavity_of(
     rows = np.full((lines[0].size, lines[1].size), -2)
     rows[where[0], where[1]] = operators.numbering["p"][dofs[nodes]]
     if (rows == -2).any():
-        raise NoCavity("the cavity is no rectangle of the mesh")
+        raise NoCavity("figures of fields need a cavity with plane faces and upright walls: layers have shapes or "
+                       "outlines about this one")
+    if shapes := _shaping(operators, lengths):
+        raise NoCavity("figures of fields need a cavity that keeps plane faces and upright walls, and this one changes "
+                       "its shape with " + ", ".join(shapes))
     known = chip.dimensions()
     ends, first = (lines[0][0] - SAME_LENGTH, lines[0][-1] + SAME_LENGTH), canonical_names(chip)
     breaks = np.array([b for b in cut_section(chip).r_breaks if ends[0] <= b <= ends[1]])

@@ -87,7 +87,12 @@ def _coordinates(mesh: SectionMesh, chip: Chip, sizes: Mapping[str, float]) -> R
         assert isinstance(mesh.section, FreeSection)
         section = chip_section(chip.with_dimensions(together), like=mesh.section)
         assert isinstance(section, FreeSection)
-        found = moved_free(mesh, section).coordinates
+        try:
+            found = moved_free(mesh, section).coordinates
+        except MeshError as error:
+            stated = ", ".join(f"{name} = {value:.6g}" for name, value in sizes.items())
+            raise MeshError(f"{error} ({stated}, in m or rad; a narrower range about what is stated can be moved in)"
+                            ) from error
     assert found is not None
     return found
 

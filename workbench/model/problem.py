@@ -184,6 +184,8 @@ def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
                          f"a piezoelectric material; this is {_kind(material)}")
     if role_of(region) == CAVITY and isinstance(material, Piezoelectric):
         raise InputError(chip.file, f"material of {region}", name, f"a solid or a fluid; this is {_kind(material)}")
+    if role_of(region) == CAVITY and region != CAVITY and not isinstance(material, Fluid):
+        raise InputError(chip.file, f"filling of {region}", name, f"a liquid or a gas; this is {_kind(material)}")
     if isinstance(material, IsotropicSolid) and not complex(material.shear_modulus).real > 0.0:
         raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus, or for what has none "
                          'an entry of kind = "fluid"')

@@ -60,8 +60,9 @@ def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
     if area.min() <= 0.0:
         cell, node = np.unravel_index(int(np.argmin(area)), area.shape)
         r, z = 1e3 * coordinates[:, node, cell]
-        raise MeshError(f"the shape of chip {chip.name!r} folds its section at r = {r:.4g} mm, z = {z:.4g} mm: a side "
-                        "reaches beyond what is beside it")
+        shapes = ", ".join(f"{layer.region}.{shape}" for layer in chip.layers for shape in layer.shapes)
+        raise MeshError(f"the shapes of chip {chip.name!r} ({shapes}) fold its section at {chip.measure.symbol} = "
+                        f"{r:.4g} mm, z = {z:.4g} mm: a side reaches beyond what is beside it")
     return result
 
 
