@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,8 @@ class Sensitivities:
     """Exact first-order sensitivities of figures at ``nominal`` numbers.
 
     ``steps`` (k,) SI are the standard uncertainties of the numbers ``names``, or :data:`SHARE` of them where not
-    ``stated``; ``figures`` SI by label, ``gradient`` (k,) SI per SI by label.
+    ``stated``; ``figures`` SI by label, ``gradient`` (k,) SI per SI by label. ``missing`` says of a figure that there
+    is not why.
     """
 
     names: tuple[str, ...]
@@ -51,6 +52,7 @@ class Sensitivities:
     stated: tuple[bool, ...]
     figures: Mapping[str, float]
     gradient: Mapping[str, Real]
+    missing: Mapping[str, str] = field(default_factory=dict)
 
     def changes(self, label: str) -> Real:
         """The change (k,) of the figure as each number grows by its step, to first order."""
@@ -78,7 +80,7 @@ def sensitivities(found: Evaluation, uncertainty: Uncertainty) -> Sensitivities:
     known = {each.name: each.deviation for each in uncertainty.inputs}
     steps = np.array([known.get(name, SHARE * abs(number)) for name, number in found.values.items()])
     return Sensitivities(tuple(found.values), dict(found.values), steps, tuple(name in known for name in found.values),
-                         dict(found.figures), dict(found.gradient))
+                         dict(found.figures), dict(found.gradient), dict(found.missing))
 
 
 @dataclass(frozen=True, eq=False)

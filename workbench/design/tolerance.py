@@ -96,6 +96,8 @@ class Tolerance(Shown):
     def findings(self) -> tuple[str, ...]:
         """Further statements, in words."""
         found = [*self.uncertainty.notes]
+        found += [f"the chip as stated has no {each.label}: {self.sensitivities.missing[each.label]}"
+                  for each in self.requested if each.label in self.sensitivities.missing]
         found += [f"the chip as stated does not meet {each.requirement.text!r} itself" for each in self.bounds
                   if not each.low <= each.nominal <= each.high]
         if self.outcomes is not None:
