@@ -19,7 +19,7 @@ import argparse
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -33,7 +33,9 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 
 from geometry.chip import Chip, read_chip
+from geometry.dimension import Dimension
 from geometry.names import CAVITY
+from geometry.shapes import sides
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.fields import fields
@@ -98,7 +100,7 @@ def by_ngsolve(chip: Chip, inviscid: bool, frequency: oracle.Real, settings: ora
     ngsolve, geom2d = oracle.imported()
     device = filled(chip, inviscid)
     section, materials = device.section, device.materials
-    mesh = oracle.triangles(ngsolve, geom2d, section, (), materials, chip.band[1], settings)
+    mesh = oracle.triangles(ngsolve, geom2d, section, list(sides(chip, section)), materials, chip.band[1], settings)
     space, kept, electrode = oracle.unknowns(ngsolve, mesh, materials, settings.order, section.measure)
     parts = oracle.matrices(ngsolve, mesh, materials, space, kept, section.measure)
     liquid = materials[CAVITY]
@@ -167,6 +169,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chip", default="glass_channel", help="name of a straight chip in geometry/chips")
     parser.add_argument("--near", type=float, default=1.89, help="frequency near the resonance, MHz")
+    parser.add_argument("--draft", type=float, default=0.0, help="angle by which the channel grows wider upwards, deg")
     parser.add_argument("--accuracy", type=float, default=1e-4, help="of the workbench's mesh")
     parser.add_argument("--order", type=int, default=5)
     parser.add_argument("--elements-per-wavelength", type=float, default=3.0)
@@ -180,6 +183,10 @@ def main() -> None:
 
 def measure(options: argparse.Namespace, kept: Measurements) -> None:
     chip = read_chip(oracle.ROOT / "geometry" / "chips" / f"{options.chip}.toml")
+    if options.draft:
+        draft = Dimension(math.radians(options.draft))
+        chip = replace(chip, layers=tuple(each.with_shapes({"draft": draft}) if each.cavity_radius else each
+                                          for each in chip.layers))
     settings = oracle.Settings(options.order, options.elements_per_wavelength, options.levels, 0.15, 0, "MMD_AT_PLUS_A")
     far: list[str] = []
     print("| layers | program | unknowns | f0 (MHz) | E_ac at 1 V (J/m^3) | Q |")
