@@ -9,6 +9,7 @@ momentum flux, the mean mass flux and the drift of the moving walls. Elements re
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,7 @@ class Resolved:
     def _form(self, rows: skfem.Basis, columns: skfem.Basis, integrand: Any) -> sparse.csr_matrix:
         return skfem.BilinearForm(lambda u, v, w: integrand(u, v, w.x[0]) * w.x[0]).assemble(columns, rows).tocsr()
 
+    @cached_property
     def _operators(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
         """The viscous stress on (u_r, u_z), and the divergence tested by the pressure."""
         eta, u = self.shear, self.u
@@ -120,7 +122,7 @@ class Resolved:
         return x
 
     def _first_order(self) -> tuple[Complex, Complex]:
-        viscous, divergence = self._operators()
+        viscous, divergence = self._operators
         mass = self._form(self.u, self.u, lambda u, v, r: u * v)
         squares = self._form(self.p, self.p, lambda u, v, r: u * v)
         matrix = sparse.bmat([[viscous - 1j * self.omega * DENSITY * sparse.block_diag([mass, mass]), -divergence.T],
@@ -142,7 +144,7 @@ class Resolved:
 
     def _second_order(self) -> Real:
         """The mean velocity of the liquid itself, flow plus drift (2, N)."""
-        viscous, divergence = self._operators()
+        viscous, divergence = self._operators
         v = [np.asarray(self.u.interpolate(component)) for component in self.velocity]
         # The pressure of the mean flow is little more than that of the sound alone, -potential. What the elements leave
         # of it would drive a flow, so that it is taken off exactly.
