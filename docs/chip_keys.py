@@ -181,7 +181,8 @@ TAKES: Mapping[str, str] = {
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "fill": "a length", "offset": "a length", "cavity_offset": "a length", "open": "`true` or `false`",
-    "inner_radius": "a length", "inner_diameter": "a length", "poled": "text", "live": "text",
+    **{f"inner_{size}": "a length" for size in ("radius", "diameter", "half_width", "width")},
+    "filling": "text", "channels": "a whole number", "pitch": "a length", "poled": "text", "live": "text",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
        for size in ("radius", "diameter", "half_width", "width")},

@@ -40,7 +40,7 @@ class Side:
     """Displacements (m) of the points of a line of the section across it, from `begin` to `end` (m) along it.
 
     An upright line at the radius ``at`` moves along r as a function of z, a level one at the height ``at`` along z as a
-    function of r. What is beside it follows, less and less, until the lines at ``reach`` (m), by default the next ones.
+    function of r. Points beside it follow, less and less, until the lines at ``reach`` (m), by default the next ones.
     """
 
     upright: bool
@@ -162,8 +162,8 @@ def _drafted(chip: Chip, section: Section, number: int, place: int) -> Iterator[
 
 
 def _reach(section: Section, at: float, heights: tuple[float, float], room: float) -> tuple[float, float]:
-    """The lines (m) on both sides of an upright one that what is beside it follows it to: the next ones, but for those
-    that bound nothing between two `heights` (m) and are nearer than the `room` (m) that it may take."""
+    """The lines (m) on both sides of an upright one up to which the points beside it follow it: the next ones, but for
+    those that bound nothing between two `heights` (m) and are nearer than the `room` (m) that it may take."""
     breaks, grid = section.r_breaks, section.grid()
     rows = [j for j, z in enumerate(section.z_breaks[:-1]) if heights[0] - SAME_LENGTH < z < heights[1] - SAME_LENGTH]
     here = min(range(len(breaks)), key=lambda k: abs(breaks[k] - at))

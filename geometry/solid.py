@@ -154,8 +154,8 @@ def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:
 
 
 def _bodies(face: Face, measure: Measure) -> list[Shape]:
-    """What a face of the section (mm) stands for: a body of revolution, or a prism and its image beyond a plane of
-    symmetry."""
+    """The bodies that a face of the section (mm) stands for: one of revolution, or a prism and its image beyond a plane
+    of symmetry."""
     if not isinstance(measure, Straight):
         return [revolution.revolved(face)]
     cadquery, long = cadquery_module(), MILLIMETRES * measure.length
