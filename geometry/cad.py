@@ -71,7 +71,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
     if isinstance(where, Outline):
         drawn = DrawnLayer(_outline(where, profile.sizes(sizes), source=source, field=f"{field}.points"))
     elif isinstance(where, Script):
-        made = called(where, profile.sizes(sizes), profile.angles)
+        made = called(where, profile.sizes(sizes), profile.angles, [name for name, _ in profile.parameters])
         drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function, measure)
     else:
         drawn, bottom = _step_section(where, profile.asymmetry, profile.placement), 0.0

@@ -85,7 +85,7 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
 def _beside_holes(layer: Layer) -> float:
     """The least room (m) that a wall of the layer's holes has before it meets another one, or the layer's side."""
     between = [0.5 * (right[0] - left[1]) for left, right in itertools.pairwise(layer.holes)]
-    (left, right), low, high = layer.sides, layer.holes[0][0], layer.holes[-1][1]
+    (left, right), (low, high) = layer.sides, layer.hole_sides
     return min(low - left, right - high, *between)
 
 
@@ -112,7 +112,7 @@ def check_cavity(
         if layer.bore is not None:
             raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
                              f"either the {key} of a cavity or the inner_{measure.across} of an empty ring")
-        (left, right), low, high = layer.sides, layer.holes[0][0], layer.holes[-1][1]
+        (left, right), (low, high) = layer.sides, layer.hole_sides
         if low < left + SAME_LENGTH or high > right - SAME_LENGTH:
             raise InputError(
                 file,
@@ -132,7 +132,7 @@ def check_cavity(
                     _hole(layer),
                     f"a closed cavity: a layer {side} {layer.region!r}; {CLOSED}",
                 )
-            if layers[j].sides[0] > low - SAME_LENGTH or layers[j].sides[1] < high + SAME_LENGTH:
+            if not layers[j].covers(layer):
                 raise InputError(
                     file,
                     f"layers[{i}].{key}",
@@ -174,9 +174,7 @@ def _check_fillings(layers: Sequence[Layer], file: str, measure: Measure) -> Non
             if beside is not None and beside.filling not in (None, layer.filling):
                 raise InputError(file, f"layers[{j}].filling", beside.filling,
                                  f"{layer.filling!r}, as in {layer.region!r}: they are one cavity")
-            if beside is None or (beside.filling is None and (
-                    beside.holes or beside.sides[0] > layer.holes[0][0] - SAME_LENGTH
-                    or beside.sides[1] < layer.holes[0][1] + SAME_LENGTH)):
+            if beside is None or (beside.filling is None and (beside.holes or not beside.covers(layer))):
                 raise InputError(file, place, layer.filling, f"a closed cavity: a layer {side} {layer.region!r} that "
                                  "covers it")
 
@@ -186,7 +184,7 @@ def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
     above = layers[top + 1] if top + 1 < len(layers) else None
     if above is None or above.bore is not None or above.profile is not None:
         return
-    (left, right), low, high = above.sides, layers[top].holes[0][0], layers[top].holes[-1][1]
+    (left, right), (low, high) = above.sides, layers[top].hole_sides
     if left < low + SAME_LENGTH and right > high - SAME_LENGTH:
         raise InputError(file, "cavity.open", True, f"a free surface: {above.region!r} covers the cavity; leave out "
                          "that layer, give it a hole, or state open = false")

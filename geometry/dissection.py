@@ -125,10 +125,8 @@ def _enclosed(
               and each.BoundingBox().zmin > edge.zmin + cad.SAME_POINT]
     inside = [each for each in inside if each.Area() > cad.LEAST_AREA]
     likely = [each for each in inside if any(faces[wall].distance(each) < cad.SAME_POINT for wall in walls)]
-    if isinstance(measure, Straight) and not measure.is_whole:
-        # Beside the middle it would be one of two, with a wall between them.
-        likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
-    if len(likely) > 1:
+    # In half a straight section one beside the middle would be one of two, with a wall between them.
+    if len(likely) > 1 or (isinstance(measure, Straight) and not measure.is_whole):
         likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
     wanted = likely if len(likely) == 1 else []
     gaps = [each for each in inside if not any(each is other for other in wanted)]

@@ -106,6 +106,16 @@ class Layer:
         return tuple((middle - self.inner_radius, middle + self.inner_radius) for middle in middles)
 
     @property
+    def hole_sides(self) -> tuple[float, float]:
+        """Places (m) of the outermost sides of its holes; both in its middle without one."""
+        return (self.holes[0][0], self.holes[-1][1]) if self.holes else (self.offset, self.offset)
+
+    def covers(self, other: Layer) -> bool:
+        """Whether it reaches beyond the holes of another layer on both sides."""
+        (left, right), (low, high) = self.sides, other.hole_sides
+        return left <= low - SAME_LENGTH and right >= high + SAME_LENGTH
+
+    @property
     def shapes(self) -> dict[str, Dimension]:
         """Its stated shapes, by the names of :data:`SHAPES`."""
         return {name: size for name in SHAPES if (size := getattr(self, name)) is not None}

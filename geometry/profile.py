@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.dimension import SHAPES, Dimension, read_dimension
-from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Straight
+from geometry.measure import ABOUT_AXIS, Measure, Straight
 from workbench.files.errors import InputError, choose, nearest_files, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
@@ -266,11 +266,12 @@ def _script(table: FileTable) -> Script:
     return Script(path, table.text("function", expected="the name of a function of the script"), content)
 
 
-def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -> Any:
+def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str], stated: Sequence[str]) -> Any:
     """The result of a script's function for some sizes (m, rad), which it gets in millimetres and degrees.
 
     Raises:
-        InputError: the script does not run, has no such function, or the function asks for an unknown size.
+        InputError: the script does not run, has no such function, or the function asks for an unknown size, or not for
+            one of those that its profile has `stated`.
     """
     scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
     try:
@@ -287,8 +288,7 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
             wanted[name] = math.degrees(sizes[name]) if name in angles else 1e3 * sizes[name]
         elif parameter.default is inspect.Parameter.empty:
             choose(name, sizes, source=str(script.path), field=f"parameter of {script.function}")
-    unused = sorted(set(sizes) - set(wanted) - {name for each in (Axisymmetric(), Straight())
-                                                for name in names_of_layer(each)})
+    unused = sorted(set(stated) - set(wanted))
     if unused:
         raise InputError(str(script.path), f"parameters of {script.function}", ", ".join(wanted) or None,
                          f"one called {unused[0]!r}, which the chip file states", nearest_names(unused[0], wanted))

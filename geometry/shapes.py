@@ -121,10 +121,9 @@ def sides(chip: Chip, section: Section) -> Iterator[Side]:
         low, high = layer.z_bottom, layer.z_top
         if layer.draft is not None:
             for place in range(len(layer.holes)):
-                yield from _drafted(chip, section, number, place)
+                yield from _drafted(chip, section, number, place, math.tan(layer.draft.value))
         if layer.barrel is not None:
-            holes = (layer.holes[0][0], layer.holes[-1][1]) if layer.holes else (layer.offset, layer.offset)
-            for hole, side in zip(holes, layer.sides, strict=True):
+            for hole, side in zip(layer.hole_sides, layer.sides, strict=True):
                 for radius in section.r_breaks:
                     share = (radius - hole) / (side - hole)
                     if SAME_LENGTH < share * abs(side - hole) < abs(side - hole) + SAME_LENGTH:
@@ -138,13 +137,13 @@ def sides(chip: Chip, section: Section) -> Iterator[Side]:
             yield Side(False, high, begin, end, _bulging(layer.dome.value, begin, end))
 
 
-def _drafted(chip: Chip, section: Section, number: int, place: int) -> Iterator[Side]:
-    """The sides that the draft of a layer moves: the walls of its hole at a `place` among its holes, as far as they are
-    in the section, and their continuation above."""
+def _drafted(chip: Chip, section: Section, number: int, place: int, outwards: float) -> Iterator[Side]:
+    """The sides that the draft of a layer moves, `outwards` by its height: the walls of its hole at a `place` among its
+    holes, as far as they are in the section, and their continuation above."""
     layer = chip.layers[number]
     low, high = layer.z_bottom, layer.z_top
     for side, sign in enumerate((-1.0, 1.0)):
-        at, slope = layer.holes[place][side], sign * math.tan(0.0 if layer.draft is None else layer.draft.value)
+        at, slope = layer.holes[place][side], sign * outwards
         if at < 0.0 and not chip.measure.is_whole:
             continue
         goes_on = [above.cavity_radius is not None and abs(above.holes[place][side] - at) < SAME_LENGTH

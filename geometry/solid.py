@@ -103,11 +103,12 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
     channels = _channels(cadquery, chip)
     drilled = chip.port_axis()[0].region if channels else None
     bodies = _of_outlines(chip) if chip.is_shaped else _discs(cadquery, chip)
+    fused = {region: _fused(each) for region, each in bodies.items()}
     # The walls on both sides of a straight channel, which a layer below or above of one part with them joins.
-    apart = {layer.region for layer in chip.layers if len(_fused(bodies[layer.region]).Solids()) > 1}
+    apart = {layer.region for layer in chip.layers if len(fused[layer.region].Solids()) > 1}
     made: dict[str, Solid | Compound] = {}
     for name, layers in parts(chip).items():
-        shape = _fused([body for layer in layers for body in bodies[layer.region]])
+        shape = _fused([fused[layer.region] for layer in layers])
         volume_of_ports = 0.0
         if drilled in {layer.region for layer in layers}:
             shape = shape.cut(*channels)
@@ -117,7 +118,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
             SHAPED_TOLERANCE + volume_of_ports / expected[name]),
                               _pieces(chip) if all(layer.region in apart for layer in layers) else 1)
     for region, around in _cavities(chip).items():
-        made[region] = _checked(region, _fused(bodies[region]), expected[region],
+        made[region] = _checked(region, fused[region], expected[region],
                                 SHAPED_TOLERANCE if chip.is_shaped else ROUND_TOLERANCE, around[0].channels)
     return made
 
