@@ -53,7 +53,7 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
     """Write the entries that `names` mean to the file `path`, and return their full names.
 
     Raises:
-        InputError: an unknown name, an entry of the package, or a spoiled one.
+        InputError: an unknown name, an entry of the package, or a spoiled one; another file is at `path`.
     """
     found = [registry.find(name) for name in names]
     entries = []
@@ -69,6 +69,12 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
         if withdrawal is not None:
             entry["withdrawal"] = {"date": withdrawal.date, "reason": withdrawal.reason}
         entries.append(entry)
+    if path.is_file():
+        try:
+            _read(path)
+        except InputError as error:
+            raise InputError("materials", "output", str(path), "a new name, or a file of exported materials, which is "
+                             f"replaced; this is another file ({error})") from None
     write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
     return tuple(dict(found))
 

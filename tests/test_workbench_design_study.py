@@ -231,7 +231,7 @@ def test_two_studies_at_once_in_one_folder_are_refused(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL)
 
     def second(text: str, share: float) -> None:
-        with pytest.raises(InputError, match="no other study is at work"):
+        with pytest.raises(InputError, match="no other run is at work; process"):
             run(plan, tmp_path / "out")
 
     run(plan, tmp_path / "out", progress=second)

@@ -66,10 +66,11 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 def _run(command: ModuleType, options: argparse.Namespace, console: Console, interrupted: Interruption) -> int:
     import time
     import warnings
-    from pathlib import Path
+    from contextlib import suppress
 
     from workbench.files.errors import InputError
-    from workbench.files.writing import remedy, settle_folder
+    from workbench.files.writing import remedy
+    from workbench.jobs import interruption
     from workbench.physics.term import ModelError
 
     started = time.perf_counter()
@@ -82,6 +83,8 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
             complete = not interrupted.requested
+            held = getattr(options, "held", None)
+            leftovers = str(held.tidy()) if held is not None and complete else ""
         except BaseException as error:
             interrupted.stage = "closing"
             if interrupted.requested or isinstance(error, KeyboardInterrupt):
@@ -100,11 +103,16 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
                     return 1
             raise
         finally:
-            if isinstance(output, Path) and output.is_dir():
-                settle_folder(output, complete=complete)
+            held = getattr(options, "held", None)
+            # Threads in native code that were interrupted may still write: the folder is held until the program ends.
+            if held is not None and (complete or interruption.wait()):
+                with suppress(OSError):
+                    held.finish(complete=complete)
     if interrupted.requested and output is not None:
         # The command made its report of what it knew by then.
         return _interrupted(output, console, interrupted)
+    if leftovers:
+        console.print(leftovers, markup=False)
     if status == 0 and output is not None:
         console.print(f"done in {time.perf_counter() - started:.1f} s; see {output}", markup=False)
     return status

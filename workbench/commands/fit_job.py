@@ -93,6 +93,13 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     return Done(result, prepared, record, gel)
 
 
+def fit_files(job: Job) -> tuple[str, ...]:
+    """Names of the files of a fit."""
+    return ("fit.json", "report.html", "intervals.png", "correlation.png", "gel.png",
+            *(name for member in job.members
+              for name in (f"{member.name}_fitted.csv", f"{member.name}_start.csv", f"fit_{member.name}.png")))
+
+
 def job_key(job: Job, settings: Settings) -> str:
     """A digest of all that decides the result of a job (see `batch.content_key`)."""
     registry = user_registry(settings.materials, inviscid=settings.inviscid)

@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 from workbench.bench.compensation import Compensation
 from workbench.bench.pairs import degrees
 from workbench.bench.plan import expected_points
-from workbench.bench.run_file import Run, exists, read_run, write_run
+from workbench.bench.rig import marker_path
+from workbench.bench.run_file import Run, exists, journal_path, read_run, write_run
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.spectra import level_spectra, read_compensation, results
 from workbench.bench.sweep import measure
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
+from workbench.files.output import begin
+from workbench.files.ownership import Outputs
 from workbench.report.measurement import measured_figures_table, write_measurement
 from workbench.results.spectrum import write_spectrum
 
@@ -38,7 +41,9 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
     # Before the sweep, so that a recording that is missing is not found out after it.
     compensation = read_compensation(setup.standards)
     path: Path = options.output
-    path.parent.mkdir(parents=True, exist_ok=True)
+    options.held = begin(path.parent, Outputs(
+        "measure", (f"{path.stem}.csv", f"{path.stem}_*Vpp.csv", f"{path.stem}.html"), kept=("*",), marked=False,
+        named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output")
     before = exists(path)
     try:
         with _ended_in_order(), _live(console, expected_points(setup)) as show:

@@ -218,7 +218,8 @@ def _materials(sub: argparse.ArgumentParser) -> None:
     withdraw.add_argument("--reason", required=True, metavar="TEXT", help="for those who used it")
     export = action("export", "materials of your own in one file")
     export.add_argument("names", nargs="+", metavar="NAME")
-    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, overwritten")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
+                        help="the file; replaced if materials were exported to it")
     importing = action("import", "put exported materials into the last folder of --materials, or else your own")
     importing.add_argument("file", type=Path, metavar="FILE")
 

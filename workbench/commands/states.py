@@ -60,16 +60,22 @@ class _UnfinishedSpectrum:
         for row in rows if first == key else []:
             frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))
             self.known[frequency] = complex(real, imaginary)
-        write_atomic(path, "".join(f"{line}\n" for line in (key, *(_hexadecimal(f, z) for f, z in self.known.items()))))
+        self._lines = [key, *(_hexadecimal(f, z) for f, z in self.known.items())]
 
     def add(self, frequency: float, impedance: complex) -> None:
-        """Append one point; it is on disk when this returns."""
-        with self.path.open("a", encoding="ascii") as stream:
-            stream.write(_hexadecimal(frequency, impedance) + "\n")
+        """Add one point; it is on disk when this returns."""
+        self._lines.append(_hexadecimal(frequency, impedance))
+        write_atomic(self.path, "".join(f"{line}\n" for line in self._lines))
 
 
 def _hexadecimal(frequency: float, impedance: complex) -> str:
     return ",".join(number.hex() for number in (frequency, impedance.real, impedance.imag))
+
+
+def field_files(state: str) -> tuple[str, ...]:
+    """Names of the files of the fields of a state: pictures (`workbench.render.gallery`), and those for ParaView."""
+    pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh")
+    return (f"fields_{state}.vtu", *(f"{name}_{state}.png" for name in pictures))
 
 
 def write_fields(run: Snapshot, folder: Path) -> Path:

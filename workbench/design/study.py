@@ -30,6 +30,7 @@ from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
+from workbench.files.output import OutputFolder
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
 from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
@@ -47,7 +48,7 @@ AHEAD = 2
 
 def study(
     plan: Study,
-    folder: Path | str,
+    folder: Path | str | OutputFolder,
     *,
     jobs: int | None = None,
     executor: Executor | None = None,
@@ -76,7 +77,8 @@ def study(
     check_jobs(jobs, source="study")
     models, show = models or ReducedModels(), by_part(progress)
     parts = parts_of(plan)
-    with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:
+    place = folder if isinstance(folder, OutputFolder) else Path(folder)
+    with opened(place, plan, parts, overwrite=overwrite) as kept:
         try:
             with begin_workers(jobs, executor) as workers:
                 run = _Run(plan, kept, workers, show)
@@ -88,7 +90,7 @@ def study(
             raise RuntimeError(f"{error}; what was finished is on the disk, {left} of {plan.size} points remain: the "
                                "same study in the same folder goes on from there") from error
         found = StudyResult(plan, kept.rows(), kept.full_rows())
-        found.write(Path(folder))
+        found.write(kept.path)
     return found
 
 

@@ -11,12 +11,10 @@ A run that is killed at any moment goes on from here: nothing is ever half there
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib.metadata
 import io
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -30,6 +28,8 @@ from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
 from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
+from workbench.files.output import OutputFolder, held
+from workbench.files.ownership import Manifest, Outputs, discard
 from workbench.files.writing import write_atomic, write_json
 from workbench.model.problem import fill
 
@@ -38,7 +38,7 @@ Real = NDArray[np.float64]
 #: Number of the layout at the head of begun.json; raise it where the layout changes.
 FORMAT = 1
 
-_BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full.", ".lock"
+_BEGUN, _MODELS, _POINTS, _FULL = "begun.json", "models", "points", "full."
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,40 +116,40 @@ class StudyFolder:
                                      self.figures)
 
 
+def outputs_of(study: Study) -> Outputs:
+    """The files of a study; a run goes on with those of its models and points."""
+    working = (_BEGUN, f"{_MODELS}/*", f"{_POINTS}/*")
+    return Outputs("study", working=working, names=(
+        *working, "study.parquet", "study.nc", "study.json", "report.html",
+        *(f"{name}_{state}{end}" for state in study.states
+          for name, end in (("parallel", ".png"), ("slices", "_*.png"), ("maps", "_*.png")))))
+
+
 @contextmanager
-def opened(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False) -> Iterator[StudyFolder]:
-    """The folder for a study, made if need be, for this process alone; `overwrite` begins anew.
+def opened(
+    path: Path | OutputFolder, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False
+) -> Iterator[StudyFolder]:
+    """The folder for a study, made if need be, for this run alone; `overwrite` begins anew.
 
     Raises:
-        InputError: the folder holds another study, another process is at work in it, or it is a file.
+        InputError: the folder holds another study, or see `workbench.files.output.begin`.
     """
-    path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise InputError(study.file, "folder", str(path), "a folder; a file is in the way")
-    path.mkdir(parents=True, exist_ok=True)
-    with (path / _LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(study.file, "folder", str(path), "a folder in which no other study is at work") from None
-        _begin(path, study, parts, overwrite=overwrite)
-        yield StudyFolder(path, study.figures)
+    with held(path, outputs_of(study), source=study.file) as folder:
+        _begin(folder.path, study, parts, overwrite=overwrite)
+        yield StudyFolder(folder.path, study.figures)
 
 
 def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool) -> None:
     begun, asked = path / _BEGUN, study_description(study, parts)
     if begun.exists() and overwrite:
-        # First: points without it are nobody's, and are cleared away below.
-        begun.unlink()
+        # Removed first: without it, points are orphans, which are removed below.
+        discard(begun)
     if begun.exists():
         _check_same(json.loads(begun.read_text(encoding="utf-8")), asked, path, study)
-        # Files that a kill left half written.
-        for stray in (*(path / _MODELS).glob(".*"), *(path / _POINTS).glob(".*")):
-            shutil.rmtree(stray)
         return
-    for folder in (_MODELS, _POINTS):
-        shutil.rmtree(path / folder, ignore_errors=True)
-        (path / folder).mkdir()
+    for name in Manifest(path).commands:
+        if name.startswith((f"{_MODELS}/", f"{_POINTS}/")):
+            discard(path / name)
     write_json(begun, asked)
 
 

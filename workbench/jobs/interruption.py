@@ -167,10 +167,9 @@ def on_disk(output: Path | None, since: float) -> str:
     `since` (s since the epoch) is when it began."""
     if output is None:
         return "interrupted: the command writes no files"
-    from workbench.files.writing import MARK
+    from workbench.files.output import MARK
 
     folder = output if output.is_dir() or not output.suffix else output.parent
-    clear(folder, since)
     if folder == output:
         found = sorted(path for path in output.rglob("*") if path.is_file()) if output.is_dir() else []
     else:
@@ -189,13 +188,3 @@ def on_disk(output: Path | None, since: float) -> str:
     marked = f"; {MARK} says that this is not all" if (folder / MARK).exists() else ""
     return f"interrupted: {folder} holds " + " and ".join(filter(None, (listed, earlier))) + marked
 
-
-def clear(folder: Path, since: float) -> None:
-    """Remove what files that were being written in a folder have left there (`workbench.files.writing.replacing`)."""
-    import shutil
-
-    from workbench.files.writing import UNFINISHED
-
-    for path in folder.rglob(f".*{UNFINISHED}*") if folder.is_dir() else ():
-        if path.is_dir() and path.stat().st_mtime >= since - 2.0:
-            shutil.rmtree(path, ignore_errors=True)
