@@ -85,6 +85,7 @@ def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to() -> N
 
 @pytest.mark.parametrize(("old", "new", "field", "said"), [
     ('port = "/dev/ttyUSB0"', "", "generator.port", "one line of text"),
+    ('name = "chip 3"', 'name = "chip\\u001b[2J3"', "device.name", "a text on one line"),
     ('resistance = "0.5 ohm"', 'resistance = "0.5"', "reference.resistance", "ohm"),
     ('resistance = "0.5 ohm"', 'resistance = "0 ohm"', "reference.resistance", "above zero"),
     ('tolerance = "1 %"', 'tolerance = "150 %"', "reference.tolerance", "less than"),

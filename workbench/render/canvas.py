@@ -209,16 +209,17 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def typeset(excitation: Excitation) -> str:
-    """The line that describes the field of a force, with its symbols set for matplotlib."""
-    return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
+    """The line that describes the field of a force, with its symbols as letters."""
+    return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "p₀ =")
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty matplotlib figure of that size in inches, outside pyplot's global state."""
+    """An empty matplotlib figure of that size in inches, outside pyplot's global state; its texts are no formulas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height))
+    from workbench.render.figure import TextFigure
+
+    figure = TextFigure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
