@@ -128,7 +128,7 @@ class Registry:
         for folder in self._folders():
             if not folder.is_dir():
                 raise InputError("materials", "folder", str(folder), "an existing folder of materials")
-            # What begins with a dot is of a file manager or an editor.
+            # File managers and editors begin the names of their own files with a dot.
             for path in sorted(folder.glob("[!.]*/[!.]*.toml")):
                 name = check_name(entry_name(path), source=str(path), field="name", form="material/source",
                                   marks=f"{MARKS}@")

@@ -24,7 +24,7 @@ from materials.registry import PACKAGE_DATA, Registry
 from materials.versions import check_saved_name, split_version
 from workbench.campaign.campaign import read_campaign
 from workbench.cli import main
-from workbench.commands.console import ErrorConsole
+from workbench.commands.console import error_console
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.design.plan import read_study
 from workbench.files.errors import InputError
@@ -111,7 +111,7 @@ figures = ["f0"]
 NO_FILES = ("x/../../../escaped", "../up", "/etc/passwd", ".hidden", "..", "a\\u001b[2J", "a\\nb", "a\\u0000", "dot.",
             "blank ", "-o", "a\\\\b", "a:b", "a$b", "a\\u202Eb", "n" * 100)
 #: And in the place of a title.
-NO_TITLES = ("a\\u001b]0;owned\\u0007", "a\\nb", "a\\rb", "a\\u0085b", "a\\u2028b", "a\\u202Eb", "a\\u009b2J", "a\\u007F")
+NO_TITLES = ("a\\u001b]0;own\\u0007", "a\\nb", "a\\rb", "a\\u0085b", "a\\u2028b", "a\\u202Eb", "a\\u009b2J", "a\\u007F")
 
 
 def written(folder: Path, name: str, text: str, **names: str) -> Path:
@@ -134,23 +134,29 @@ def folder(tmp_path: Path) -> Path:
 # The rule.
 
 
+def mistake(check: Callable[..., str], text: str) -> InputError | None:
+    """The error that refuses a text, whose remedy must be one; None if the text is returned as it is."""
+    try:
+        assert check(text, source="chip", field="states") == text
+    except InputError as error:
+        for nearest in error.nearest:
+            assert check(nearest, source="", field="") == nearest
+        return error
+    return None
+
+
 @given(st.text())
 @example("a/..")
 @example("\u0345")
 @example("a" * 81)
 def test_a_name_is_refused_or_names_a_file_of_its_folder(name: str) -> None:
-    folder = Path("/results")
-    try:
-        accepted = check_name(name, source="chip", field="states")
-    except InputError as error:
+    error = mistake(check_name, name)
+    if error is not None:
         assert (error.source, error.field, error.value) == ("chip", "states", name)
-        # The remedy is one.
-        for nearest in error.nearest:
-            assert check_name(nearest, source="", field="") == nearest
         return
-    path = folder / f"{accepted}.csv"
-    assert path.parent == folder
-    assert path.stem == accepted == name == name.strip()
+    path = Path("/results") / f"{name}.csv"
+    assert path.parent == Path("/results")
+    assert path.stem == name == name.strip()
     assert len(path.name.encode()) <= MOST_BYTES + 4
     assert visible(name) == name
     assert not name.startswith(".")
@@ -160,11 +166,7 @@ def test_a_name_is_refused_or_names_a_file_of_its_folder(name: str) -> None:
 @example("a\u2028b")
 @example("\ud800")
 def test_a_title_is_refused_or_printed_on_one_line(title: str) -> None:
-    try:
-        check_title(title, source="chip", field="name")
-    except InputError as error:
-        for nearest in error.nearest:
-            assert check_title(nearest, source="", field="") == nearest
+    if mistake(check_title, title) is not None:
         return
     assert len(title.splitlines()) == 1
     assert visible(title) == title
@@ -197,7 +199,7 @@ def test_the_remedy_is_the_name_without_what_is_wrong() -> None:
 @pytest.mark.parametrize("name", ["disc", "pzt4/a/b", "pzt4/a.b", "pzt4/a b", "pzt4/a@1", "../a", "/a", "a/", "a/..",
                                   "a/\n", 3])
 def test_a_fit_is_saved_under_two_names_that_numbers_can_have(name: str) -> None:
-    with pytest.raises(InputError, match="a material/name of letters, digits"):
+    with pytest.raises(InputError, match="a material/name in letters, digits"):
         check_saved_name(name)
     assert check_saved_name("pzt4/disc_7") == check_name("pzt4/disc_7", source="", field="", form="a/b",
                                                          marks=NUMBER_MARKS)
@@ -229,7 +231,7 @@ def test_no_state_row_or_joint_fit_names_a_file_elsewhere(name: str, folder: Pat
     refused(read_batch, written(folder, "batch.toml", BATCH, **good | {"ROW": name}), "recordings[0].name", 5)
     refused(read_batch, written(folder, "batch.toml", BATCH, **good | {"JOINT": name}), "joint[0].name", 16)
     refused(read_batch, written(folder, "batch.toml", BATCH, **good | {"SAVE": name}), "recordings[0].save", 9)
-    refused(read_batch, written(folder, "batch.toml", BATCH, **good | {"TOGETHER": f"pzt4/{name}"}), "joint[0].save", 18)
+    refused(read_batch, written(folder, "batch.toml", BATCH, **good | {"TOGETHER": f"a/{name}"}), "joint[0].save", 18)
 
 
 @pytest.mark.parametrize("title", NO_TITLES)
@@ -247,7 +249,7 @@ def test_no_title_has_control_characters(title: str, folder: Path) -> None:
 
 def test_names_are_checked_in_python_too(folder: Path) -> None:
     chip = read_chip(folder / "chip.toml")
-    with pytest.raises(InputError, match="states: received '../up'"):
+    with pytest.raises(InputError, match=r"states: received '\.\./up'"):
         replace(chip, states=(replace(chip.states[0], name="../up"),))
     with pytest.raises(InputError, match=r"chip.name: received 'a\\nb'"):
         replace(chip, name="a\nb")
@@ -291,7 +293,7 @@ def test_a_state_that_leaves_the_folder_writes_nothing(
     told = " ".join(capsys.readouterr().err.split())
     assert "line 26: states: received 'x/../../../escaped'" in told
     assert "did you mean 'x_escaped'?" in told
-    assert not [path for path in tmp_path.rglob("*escaped*")]
+    assert not list(tmp_path.rglob("*escaped*"))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -329,7 +331,7 @@ def test_control_characters_of_paths_and_messages_are_escapes(
 
 def test_every_way_to_the_terminal_is_visible(capsys: pytest.CaptureFixture[str]) -> None:
     text = "a\x1b[2J [/red] :bug: \x9b \u202e \udcff"
-    console = ErrorConsole()
+    console = error_console()
     console.print(text, style="yellow")
     print_line(text)
     print_table(text, TextTable((text, "x"), ((text, text),)))

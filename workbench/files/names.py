@@ -56,7 +56,7 @@ def check_name(name: object, *, source: str, field: str, form: str = "name", mar
     shown = " ".join((*(["blanks and"] if " " in marks else []), *marks.replace(" ", "")))
     raise InputError(
         _placed(source, name), field, name,
-        f"a {form} of letters, digits, {shown}, a letter or digit first, no blank or dot last, at most {MOST_BYTES} "
+        f"a {form} in letters, digits, {shown}, a letter or digit first, no blank or dot last, at most {MOST_BYTES} "
         "bytes, as it names files and folders", _nearest([_as_name(part, marks) for part in parts], count + 1))
 
 

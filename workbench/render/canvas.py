@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.writing import replacing
+from workbench.render.figure import text_figure
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -217,9 +218,7 @@ def new_figure(width: float, height: float) -> Figure:
     """An empty matplotlib figure of that size in inches, outside pyplot's global state; its texts are no formulas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from workbench.render.figure import TextFigure
-
-    figure = TextFigure(figsize=(width, height))
+    figure = text_figure(width, height)
     FigureCanvasAgg(figure)
     return figure
 
