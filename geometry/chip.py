@@ -64,6 +64,7 @@ class Chip:
     is_open: bool = False
 
     def __post_init__(self) -> None:
+        checks.check_names(self.name, self.layers, self.states, self.file)
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file, self.measure)
         checks.check_cavity(self.layers, self.file, self.measure, is_open=self.is_open)

@@ -13,7 +13,7 @@ from materials.fit import Fit
 from materials.kinds import Fluid, Material
 from materials.registry import PACKAGE_DATA, bibliography_keys
 from materials.value import RECORDING, UNITS, Value
-from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
+from materials.versions import check_saved_name, entry_file, entry_name, put, split_version, versions_of
 from workbench.files.errors import InputError
 from workbench.files.tables import parse_toml
 from workbench.files.toml import TomlEntry, toml_lines, toml_table
@@ -85,7 +85,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
     Warns:
         materials.PassivityWarning: active by no more than its own uncertainty.
     """
-    check_name(name)
+    check_saved_name(name)
     for place in (PACKAGE_DATA, folder):
         if entry_file(place, name).exists():
             raise InputError("materials", "name", name, f"another name: {entry_file(place, name)} has no versions")

@@ -46,9 +46,9 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 
     options = command_parser().parse_args(arguments)
     interrupted.output = str(getattr(options, "output", None) or "")
-    from rich.console import Console
+    from workbench.commands.console import error_console
 
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    console = error_console()
     from workbench.commands.early_checks import check_early
     from workbench.files.errors import InputError
 

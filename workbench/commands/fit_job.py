@@ -11,7 +11,7 @@ from typing import Any
 from geometry.chip import read_chip
 from materials import Registry, save_fit, user_registry
 from materials.kinds import Material
-from materials.versions import check_name
+from materials.versions import check_saved_name
 from workbench.commands.parsed_options import saving_folder
 from workbench.files.errors import InputError
 from workbench.files.writing import write_json
@@ -56,7 +56,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     prepared, sources = _prepared(job, settings, registry)
     # Mistakes are reported before the search, not after.
     if job.save is not None:
-        check_name(job.save)
+        check_saved_name(job.save)
     for thickness in settings.gel_thicknesses:
         with_gel(prepared.chip, thickness)
     starts = material_starts(prepared, registry, settings.starts)
