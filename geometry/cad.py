@@ -11,8 +11,9 @@ from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.limits import FULL_DISC
 from geometry.measure import ABOUT_AXIS, Measure, Straight
-from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
+from geometry.profile import AXES, Outline, Placement, Profile, Size, StepPart
 from geometry.revolution import SAME_POINT, cut
+from geometry.scripts import Script, called
 from geometry.step_file import step_part
 from workbench.files.errors import InputError
 

@@ -59,9 +59,9 @@ def read_band(head: FileTable) -> tuple[float, float]:
     return low, high
 
 
-def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], Electrodes]:
+def read_layers(root: FileTable, measure: Measure, *, scripts: bool = True) -> tuple[tuple[Layer, ...], Electrodes]:
     """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes, with the
-    keys of a chip of that `measure`."""
+    keys of a chip of that `measure`; `scripts` allows layers that a script draws."""
     across, doubled = measure.across, measure.doubled
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
@@ -82,7 +82,7 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
             if key in table and not {f"cavity_{across}", f"cavity_{doubled}"} & {*table}:
                 raise table.error(key, f"none without the cavity_{doubled} of the channels")
         bottom = table.optional_quantity("bottom", "length")
-        profile = read_profile(table.table("profile"), measure) if "profile" in table else None
+        profile = read_profile(table.table("profile"), measure, scripts=scripts) if "profile" in table else None
         measured: dict[str, float] = {}
         if profile is not None and isinstance(profile.source, StepPart):
             from geometry.cad import measured_part  # CadQuery takes seconds to import

@@ -90,7 +90,7 @@ class Bases:
     pressure_error: float
 
     def arrays(self) -> dict[str, Real]:
-        """What cannot be computed again from the problem without full solves; see :func:`stored_bases`."""
+        """The arrays that full solves gave; :func:`stored_bases` makes the rest again from the problem."""
         found = {"operating": self.operating.matrices, "sketch": self.sketch, "sweeping": self.sweeping.matrices,
                  "frequency": self.frequency, "errors": np.array([self.error, self.pressure_error])}
         return found if self.rows is None else {**found, "rows": self.rows}
