@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -262,3 +262,8 @@ def _script(table: FileTable, *, scripts: bool) -> Script:
     found = Script(path, table.text("function", expected="the name of a function of the script"), content)
     warn_of(found, table.source)
     return found
+
+
+def step_profiles(profiles: Iterable[Profile | None]) -> tuple[Profile, ...]:
+    """Those of the profiles that are parts of STEP files."""
+    return tuple(each for each in profiles if each is not None and isinstance(each.source, StepPart))
