@@ -148,7 +148,7 @@ def _kept(path: Path, read: Callable[[Path, Study, StudyPart], M], study: Study,
     except InputError as error:
         if error.source != str(path):
             raise
-        warnings.warn(f"{error}; it is made again", stacklevel=2)
+        warnings.warn(f"{path} cannot be used ({error.field}: {error.value}): it is made again", stacklevel=2)
         return None
 
 

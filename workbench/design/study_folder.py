@@ -129,7 +129,8 @@ class StudyFolder:
             except InputError as error:
                 if isinstance(error.__cause__, OSError):
                     raise  # the disk or a permission, no damage
-                warnings.warn(f"{error}; its points are computed again", stacklevel=2)
+                warnings.warn(f"{path} is damaged ({error.field}: {error.value}): its points are computed again",
+                              stacklevel=2)
                 path.unlink()
 
     def _files(self, pattern: str) -> list[Path]:

@@ -53,7 +53,8 @@ def is_sealed(path: Path) -> bool:
     if end != _MARK + digest + b"\n":
         stated = end[len(_MARK):].decode("ascii", "replace")
         raise InputError(str(path), "content", f"sha256 {digest[:12].decode()}",
-                         f"{stated[:12]}, the digest at its end: it was changed, or damaged, after it was written")
+                         f"{stated[:12]}, the digest at its end: the file was changed after it was written; restore a "
+                         "copy, or make it again")
     return True
 
 
@@ -88,7 +89,7 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """
     if not is_sealed(path):
         raise InputError(str(path), "content", "no digest at its end", "a whole file of this version of the workbench: "
-                         "this one was cut off, or written by something else")
+                         "this one was cut off, or written by something else; restore a copy, or make it again")
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
