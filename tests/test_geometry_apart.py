@@ -46,6 +46,8 @@ def test_a_process_that_gives_no_answer_says_how_it_ended(function: str, request
 def test_an_answer_is_json_and_prints_do_not_disturb_it() -> None:
     assert answer_apart("math:sqrt", 2, seconds=60) == 2**0.5
     assert answer_apart("os:system", "echo chatter", seconds=60) == 0
+    # Ctrl-C in the terminal is for this process alone, which then ends the other.
+    assert answer_apart("os:getsid", 0, seconds=60) != os.getsid(0)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,12 @@ def test_the_section_is_the_same_to_the_last_bit_and_read_once(folder: Path, mon
     from geometry.step_file import step_part
 
     begun = []
-    monkeypatch.setattr(cad, "answer_apart", lambda *args, **asked: begun.append(args) or answer_apart(*args, **asked))
+
+    def counted(*args: Any, **asked: Any) -> Any:
+        begun.append(args)
+        return answer_apart(*args, **asked)
+
+    monkeypatch.setattr(cad, "answer_apart", counted)
     chip = read_chip(folder / "chip.toml")
     assert chip_section(chip).regions == ("transducer", "substrate")
     read_chip(folder / "chip.toml")
