@@ -25,7 +25,9 @@ def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
     Raises:
         NoAnswer: the process crashed, failed, or took longer.
     """
-    code = f"import sys; sys.path[:] = {sys.path!r}; from geometry.apart import serve; serve({function!r}, {seconds})"
+    # It ends without destructors: those of a library may crash yet.
+    code = (f"import os, sys; sys.path[:] = {sys.path!r}; from geometry.apart import answer_request; "
+            f"answer_request({function!r}, {seconds}); os._exit(0)")
     # In a session of its own Ctrl-C is not for it: this process is interrupted, and ends it.
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], input=json.dumps(request).encode(),
                           stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True, check=False)
@@ -40,8 +42,8 @@ def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
     return found
 
 
-def serve(function: str, seconds: int) -> None:
-    """Answer the request on standard input on standard output; the end of this process."""
+def answer_request(function: str, seconds: int) -> None:
+    """Write the answer to the request on standard input to standard output, in the process of :func:`answer_apart`."""
     # The system ends a process whose library never returns, also after the one that waits for it has ended.
     signal.alarm(seconds)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -55,5 +57,3 @@ def serve(function: str, seconds: int) -> None:
         answer = "failed", f"{type(error).__name__}: {error}"
     answers.write(json.dumps(answer).encode())
     answers.flush()
-    # Destructors of the library may crash yet.
-    os._exit(0)

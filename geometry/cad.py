@@ -264,7 +264,7 @@ def step_answers(request: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def measures(drawn: DrawnLayer) -> dict[str, float]:
+def section_measures(drawn: DrawnLayer) -> dict[str, float]:
     """Measures (m) of the section of a solid: ``bottom``, ``thickness``, ``radius`` and, if there is a hole along the
     axis, ``cavity_radius``."""
     box = drawn.face.BoundingBox()

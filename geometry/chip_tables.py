@@ -126,9 +126,9 @@ def _measured(profiles: tuple[Profile, ...]) -> dict[Profile, dict[str, float]]:
     """Measures (m) of parts of STEP files, by profile."""
     if not profiles:
         return {}
-    from geometry.cad import measures, step_sections  # CadQuery takes seconds to import
+    from geometry.cad import section_measures, step_sections  # CadQuery takes seconds to import
 
-    return {profile: measures(drawn) for profile, drawn in step_sections(profiles).items()}
+    return {profile: section_measures(drawn) for profile, drawn in step_sections(profiles).items()}
 
 
 def _further_live(table: FileTable) -> Literal["top", "bottom"] | None:
