@@ -68,6 +68,18 @@ def files_are_declared(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def kernel_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """STEP files are read by this process, which need not load the CAD kernel again for each."""
+    from geometry import cad
+
+    def answer_here(function: str, request: object, *, seconds: int) -> object:
+        assert (function, seconds) == ("geometry.cad:step_answers", cad.STEP_SECONDS)
+        return json.loads(json.dumps(cad.step_answers(json.loads(json.dumps(request)))))
+
+    monkeypatch.setattr(cad, "answer_apart", answer_here)
+
+
+@pytest.fixture
 def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The titles of the tables printed, each of which is checked to fit 80 columns without the loss of a word."""
     from support import check_table, table_lines

@@ -46,6 +46,16 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 
     options = command_parser().parse_args(arguments)
     interrupted.output = str(getattr(options, "output", None) or "")
+    if not getattr(options, "no_scripts", False):
+        return _checked(options, interrupted)
+    from geometry.scripts import no_scripts
+
+    with no_scripts():
+        return _checked(options, interrupted)
+
+
+def _checked(options: argparse.Namespace, interrupted: Interruption) -> int:
+    """Run the command that the options name, unless what they name has mistakes."""
     from workbench.commands.console import error_console
 
     console = error_console()

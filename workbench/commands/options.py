@@ -42,8 +42,16 @@ def _with_materials(sub: argparse.ArgumentParser) -> None:
                           "be repeated; default none)")
 
 
+def _with_scripts(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--no-scripts", action="store_true",
+                     help="refuse chip files with a script, which is a program with all your rights (default: it is "
+                          "named, and runs)")
+
+
 def _with_filling(sub: argparse.ArgumentParser) -> None:
+    """The options of every command that fills a chip with materials."""
     _with_materials(sub)
+    _with_scripts(sub)
     sub.add_argument("--inviscid", action="store_true",
                      help="leave out the boundary layers of what the cavity holds (default: part of the model)")
 
@@ -152,6 +160,7 @@ def _mesh(sub: argparse.ArgumentParser) -> None:
 
 def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_scripts(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -358,6 +367,7 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
     _with_band(sub)
     _with_accuracy(sub)
     _with_materials(sub)
+    _with_scripts(sub)
     _with_jobs(sub, "pieces of the search")
     sub.add_argument("--minutes", type=float, metavar="M",
                      help="begin nothing new after so many minutes, and report what is known by then")

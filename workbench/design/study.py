@@ -79,6 +79,7 @@ def study(
     parts = parts_of(plan)
     place = folder if isinstance(folder, OutputFolder) else Path(folder)
     with opened(place, plan, parts, overwrite=overwrite) as kept:
+        kept.clear_damaged()
         try:
             with begin_workers(jobs, executor) as workers:
                 run = _Run(plan, kept, workers, show)
@@ -114,7 +115,8 @@ class _Run:
             self.show(part.label, "model", 0.0)
             model = models.model(self.plan, part, self.kept.model(part),
                                  lambda _text, share: self.show(part.label, "model", share))
-            self.workers.share(pickle.loads, model)
+            # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
+            self.workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
             self._work(self._point_tasks(part, left))
         self.show(part.label, "points", 1.0)
 
