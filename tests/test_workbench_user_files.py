@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from support import visible
 
 from workbench.cli import main
-from workbench.files.output import MARK, begin
+from workbench.files.output import MARK, OutputFolder, begin
 from workbench.files.ownership import STATE, Outputs
+from workbench.files.writing import write_atomic
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry/chips"
 QUICK = ["--accuracy", "2 %", "--points", "21", "--no-cad", "--no-pictures"]
@@ -50,6 +56,91 @@ def here(tmp_path: Path) -> Path:
 
 def files(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+COMMANDS = {
+    "study": ["study", "study.toml", "--jobs", "1"],
+    "simulate": ["simulate", "disc.toml", *QUICK],
+    "design": ["design", "goal.toml", "--no-cad", "--jobs", "1"],
+    "export": ["export", "disc.toml"],
+    "render": ["render", "disc.toml", "--at", "1 MHz"],
+    "tolerance": ["tolerance", "disc.toml"],
+    "sensitivity": ["sensitivity", "disc.toml"],
+    "mesh": ["mesh", "disc.toml", "--converge"],
+    "compare": ["compare", "recording.csv", "disc.toml"],
+    "fit": ["fit", "pzt", "recording.csv", "--chip", "disc.toml"],
+    "fit batch": ["fit", "batch", "batch.toml"],
+    "diagnose": ["diagnose", "recording.csv", "--chip", "disc.toml"],
+    "particles": ["particles", "chip.toml", "--drive", "1 Vpp"],
+}
+
+BATCH = """
+[[recordings]]
+name = "one"
+kind = "pzt"
+file = "recording.csv"
+chip = "disc.toml"
+"""
+
+#: Names of files of a user; some are those of results.
+NAMES = ["report.html", "spectrum.csv", "merit.json", "begun.json", "models/0.npz", "points/survey.csv", "best.toml",
+         "front/01.toml", "chip.step", "transducer.stl", "displacement_default.png", "fit.json", "one/fit.json",
+         "recording_fitted.csv", "diagnosis.json", "tolerance.json", "ranking.png", "residual.png", "convergence.json",
+         "trajectories.npz", "notes.txt", "models/chip.step", "one/notes.txt", ".hidden", MARK, f"{STATE}/notes.txt"]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that all commands read."""
+    folder = tmp_path_factory.mktemp("inputs")
+    root = CHIPS.parent.parent
+    shutil.copy(CHIPS / "disc_20x2.toml", folder / "disc.toml")
+    shutil.copy(root / "examples/small_campaign/chip.toml", folder / "chip.toml")
+    shutil.copy(root / "tests/data/reference/free_disc_nominal_rho7500.csv", folder / "recording.csv")
+    for name, text in (("study", STUDY), ("goal", GOAL), ("batch", BATCH)):
+        (folder / f"{name}.toml").write_text(text)
+    return folder
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(command=st.sampled_from(sorted(COMMANDS)), mine=st.lists(st.sampled_from(NAMES), max_size=3, unique=True),
+       ends=st.sampled_from(["refused", "fails", "interrupted", "killed"]))
+def test_files_of_the_user_are_what_they_were_after_any_command(
+    inputs: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, command: str,
+    mine: list[str], ends: str
+) -> None:
+    """Every command begins for real, writes a file of each of its names, and ends early."""
+    folder = tmp_path_factory.mktemp("user")
+    for name in mine:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("mine")
+    before = files(folder)
+    begun: list[OutputFolder] = []
+
+    def beginning(*arguments: Any, **named: Any) -> OutputFolder:
+        found = begin(*arguments, **named)
+        begun.append(found)
+        for name in found.outputs.names:
+            write_atomic(found.path / name.replace("*", "x").replace("?", "x"), "result")
+        if ends == "killed":
+            # As after a kill: the lock is free, and nothing was settled.
+            os.close(found._lock)
+            found._lock = -1
+        if ends == "interrupted":
+            raise KeyboardInterrupt
+        raise RuntimeError("it fails")
+
+    with monkeypatch.context() as patched, contextlib.chdir(inputs):
+        patched.setattr("workbench.commands.parsed_options.begin", beginning)
+        status = main([*COMMANDS[command], "-o", str(folder)])
+    after = files(folder)
+    if begun:
+        assert status == (130 if ends == "interrupted" else 1)
+        assert {name: after.get(name) for name in before} == before
+        assert MARK in after
+    else:
+        assert status == 2
+        assert after == before
 
 
 @pytest.mark.parametrize(("words", "mine"), [
@@ -133,8 +224,6 @@ def test_a_design_that_fails_keeps_the_best_chip_of_the_run_before(
 ) -> None:
     out = here / "out"
     with begin(out, Outputs("design", ("best.toml",)), source="x", field="y"):
-        from workbench.files.writing import write_atomic
-
         write_atomic(out / "best.toml", "of the run before")
 
     def failing(*_arguments: object, **_named: object) -> None:

@@ -46,7 +46,7 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
         say_finding(text, console)
     folder = output_folder(options, Outputs("design", names=(
         SO_FAR, BEST, "front/*.toml", "design.json", "report.html", "impedance.png", "convergence.png", "front.png",
-        "cad.png", *solid_names(goal.chip),
+        "cad.png", *solid_names(goal.chip), *(f"{folder}*-{12 * '?'}.py" for folder in ("", "front/")),
         *(f"{label}/{name}" for label in ("before", "after") for name in field_files(goal.state)))))
     so_far = folder / SO_FAR
     with progress_bars(console) as show:
