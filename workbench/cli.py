@@ -67,7 +67,7 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
         _complain(console, "error", str(error))
         return 2
     except Exception as error:
-        if not memory.is_shortage(error):
+        if not (memory.is_shortage(error) or memory.is_exhausted()):
             raise
         # The frames of the error hold arrays; nothing is printed by libraries that memory may be missing for.
         text = memory.shortage_text(error.with_traceback(None), _estimated(options))

@@ -47,6 +47,10 @@ FAILED = re.compile(r"malloc|bad_alloc|bad allocation|out of ?memory|not enough 
                     r"|can't start new thread|failed to map segment", re.IGNORECASE)
 
 
+#: Bytes of address space below which it is nearly used up. Doubled, defects of the program are taken for a lack of memory
+#: more often under a limit.
+EXHAUSTED = 100e6
+
 #: Characters of the reason of a failure that are shown, its last ones. Doubled, the advice of numpy is shown too.
 SHOWN = 200
 
@@ -234,6 +238,12 @@ def confined(size: float) -> Iterator[None]:
 def is_shortage(error: BaseException) -> bool:
     """Whether an error, or one behind it, comes of too little memory, or of too few threads."""
     return _behind(error) is not None
+
+
+def is_exhausted() -> bool:
+    """Whether the address space is limited and nearly used up: whatever a library raises then comes of that."""
+    limit = address_limit()
+    return limit is not None and limit - _mapped(Path("/proc")) < EXHAUSTED
 
 
 def _behind(error: BaseException) -> BaseException | None:
