@@ -76,7 +76,8 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
 def save_fit(material: Material, name: str, *, folder: Path) -> str:
     """Save a fitted material as the next version of `name`, and return its full name, such as ``pzt4/disc_7@2``.
 
-    If the newest version has the same content, all but the date, nothing is saved, and its name is returned. No existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
+    If the newest version has the same content, all but the date, nothing is saved, and its name is returned. No
+    existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
     (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in place.
 
     Args:

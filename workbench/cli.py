@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from workbench.jobs import interruption, memory
 
     own = arguments is None
-    if own and memory.address_limit() is not None and (status := memory.watched()) is not None:
+    if own and memory.address_limit() is not None and (status := memory.supervised()) is not None:
         return status
     with interruption.heeded(stays=own) as interrupted:
         try:

@@ -47,8 +47,8 @@ FAILED = re.compile(r"malloc|bad_alloc|bad allocation|out of ?memory|not enough 
                     r"|can't start new thread|failed to map segment", re.IGNORECASE)
 
 
-#: Bytes of address space below which it is nearly used up. Doubled, defects of the program are taken for a lack of memory
-#: more often under a limit.
+#: Bytes of address space below which it is nearly used up. Doubled, a defect of the program is more often taken for a
+#: lack of memory under a limit.
 EXHAUSTED = 100e6
 
 #: Characters of the reason of a failure that are shown, its last ones. Doubled, the advice of numpy is shown too.
@@ -274,7 +274,7 @@ def shortage_text(error: BaseException, needed: str = "") -> str:
             "--jobs, a coarser --accuracy or a narrower band take less; otherwise give it more")
 
 
-def watched() -> int | None:
+def supervised() -> int | None:
     """Go on in a child process, for which this function returns None; in its parent it returns the child's exit status.
 
     A library that finds no memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
