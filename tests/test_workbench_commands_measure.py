@@ -145,7 +145,7 @@ def test_a_request_to_end_ends_safe_with_everything_kept(tmp_path: Path, end: An
                     time.sleep(0.02)
             process.send_signal(end)
             _, error = process.communicate(timeout=60.0)
-        assert process.returncode == 130, error
+        assert process.returncode == 128 + end, error
         assert bench.drive == 0.0
     assert not marker_path(path).exists()
     run = read_run(path)

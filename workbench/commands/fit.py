@@ -98,7 +98,9 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
     refused = refusals(done.result)
     for text in refused:
         console.print(f"not accepted: {text}", style="bold red", markup=False)
-    if done.record["saved_as"]:
+    if done.saved_before:
+        print_line(f"{done.record['saved_as']} has the same content already: not saved again")
+    elif done.record["saved_as"]:
         print_line(f"saved as {done.record['saved_as']}")
     elif wanted is not None:
         console.print(f"not saved as {wanted}; --force saves it all the same", style="bold red", markup=False)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +42,7 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
         named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output")
     before = exists(path)
     try:
-        with _ended_in_order(), _live(console, expected_points(setup)) as show:
+        with _live(console, expected_points(setup)) as show:
             measure(setup, path, resume=options.resume, on_point=show)
     except InputError:
         raise  # a mistake in the command or in BENCH.toml: what is at the path is another run
@@ -56,21 +52,6 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
         raise
     _write_results(setup, read_run(path), compensation, path, console)
     return 0
-
-
-@contextmanager
-def _ended_in_order() -> Iterator[None]:
-    """Let a request to terminate, or a terminal that is closed, do what Ctrl-C does: drive off, points kept."""
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    ends = (signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(end, interrupt) for end in ends]
-    try:
-        yield
-    finally:
-        for end, handler in zip(ends, before, strict=True):
-            signal.signal(end, handler)
 
 
 class _live:

@@ -27,7 +27,8 @@ def command_parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(
         prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
-        epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
+        epilog="exit status: 0 done, 1 computation failed (or memory was not enough), 2 mistake in the command or a "
+               "file,\n130 interrupted, 143 terminated (SIGTERM), 129 terminal closed (SIGHUP)",
     )
     whole.add_argument("--version", action="version", version=f"workbench {__version__}")
     subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip, read_chip
 from workbench.commands.export import export_solids, solid_names
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
-from workbench.commands.states import SIMULATED, field_files, run_state, write_fields
+from workbench.commands.states import SIMULATED, field_files, run_state, state_sizes, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.ownership import Outputs, discard
 from workbench.files.writing import write_json
 from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
-from workbench.model.discretisation import discretisation
-from workbench.model.job_size import job_size, memory_to_use
+from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
 from workbench.report.page import Picture
 from workbench.report.resonances import resonances_table
@@ -136,10 +135,8 @@ def _simulated(
 
 def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     """Two states at a time where there is memory for them, else one."""
-    made, room = discretisation(model.accuracy), memory_to_use()
-    devices = [fill(chip, name, model.registry) for name in states]
-    sizes = sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
-    return 2 if room is None or sum(sizes[-2:]) <= room else 1
+    room = memory_to_use()
+    return 2 if room is None or sum(state_sizes(chip, states, model)[-2:]) <= room.size else 1
 
 
 @contextmanager

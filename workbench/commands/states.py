@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from workbench.commands.parsed_options import ModelOptions
 from workbench.commands.terminal import Show
 from workbench.files.writing import write_atomic
 from workbench.model.discretisation import discretisation
+from workbench.model.job_size import job_size
 from workbench.model.problem import fill
 from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import Simulation, Snapshot
@@ -36,6 +38,13 @@ def run_state(
         on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),
     )
+
+
+def state_sizes(chip: Chip, states: Sequence[str], model: ModelOptions) -> list[float]:
+    """Estimated memory (bytes) of the models of states, the largest last."""
+    made = discretisation(model.accuracy)
+    devices = [fill(chip, name, model.registry) for name in states]
+    return sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
 
 
 def simulated(show: Show, state: str, activity: str, fraction: float) -> None:

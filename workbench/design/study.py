@@ -31,6 +31,7 @@ from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
 from workbench.files.output import OutputFolder
+from workbench.jobs.memory import is_shortage
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
 from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
@@ -167,6 +168,8 @@ def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, poi
                 # By place: of radii that coincide the model has another name than the study.
                 found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
             except Exception as error:
+                if is_shortage(error):
+                    raise  # through no fault of this point
                 where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
                 raise RuntimeError(f"point {row} of the study ({where}): {error!r}") from error
     return FinishedPoints.of(rows, found, figures)
