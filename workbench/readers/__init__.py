@@ -6,7 +6,7 @@
 A table with clear headings needs no more; for one without, :func:`read_recording` asks for a column map, and proposes
 one. A file that cannot be trusted (cut short, not a number) is an `InputError` with the line. A sweep in another order
 than that of frequency is put in order, with a finding. A file that can be read but contradicts physics gives findings,
-and is corrected only on request. Rows without a value are left out with a finding; points that cannot be, only on request.
+and is corrected only on request. Rows without a value are left out with a finding, impossible points only on request.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ FORMATS: Mapping[str, Format] = {
 }
 
 #: Findings on the spectrum itself, which are found anew after a correction.
-_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency", "outlier",
-                       "spacing"})
+_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency",
+                       "outlier", "spacing"})
 #: The setting of an origin that lists the points left out on request.
 LEFT_OUT = "left out"
 
@@ -117,7 +117,8 @@ class Reading(Shown):
             **spectrum.origin.settings, LEFT_OUT: words}))
         rest = Rows(rows.of(np.flatnonzero(kept)), rows.word)
         others = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
-        return Reading(spectrum, (*others, Finding("left_out", f"left out {words}"), *examine(spectrum, rows=rest)), rest)
+        said = Finding("left_out", f"left out {words}")
+        return Reading(spectrum, (*others, said, *examine(spectrum, rows=rest)), rest)
 
 
 def detect(path: Path | str) -> str:
@@ -136,8 +137,8 @@ def read_recording(
     """Read a recording of impedance.
 
     `format` (a key of :data:`FORMATS`) skips the detection; `columns`, a map or its file, reads any other table;
-    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`, and `without_outliers` leaves out the
-    points of :meth:`Reading.without_outliers`. :attr:`Reading.read_as` states the meaning of a table's columns.
+    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`; `without_outliers` leaves out points
+    as :meth:`Reading.without_outliers` does. :attr:`Reading.read_as` states the meaning of a table's columns.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.

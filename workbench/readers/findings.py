@@ -103,28 +103,25 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     findings = _odd_points(spectrum, rows, turned)
     if stretches:
         words = " and ".join(rows.named(np.arange(begin, end), frequency) for begin, end in stretches)
-        findings.append(Finding("stretch", f"{words} do not join their neighbours, as if a sign were turned there: look "
-                                "at them in the file, or measure again; no correction mends them, since each turns "
-                                f"every point; {LEAVE_OUT.format(it='them')}", rows.of(turned)))
+        findings.append(Finding("stretch", f"{words} do not join their neighbours, as if a sign were turned there: "
+                                "look at them in the file, or measure again; no correction mends them, since each "
+                                f"turns every point; {LEAVE_OUT.format(it='them')}", rows.of(turned)))
     odd = {row for finding in findings for row in finding.rows}
     whole = np.array([row not in odd for row in rows.numbers])
     resistance = spectrum.impedance.real
     active = int(np.count_nonzero(resistance < 0.0))
     if active < 0.9 * points:
         findings += _active(spectrum, rows, whole)
-    if np.count_nonzero(whole) < max(2, points / 2):
-        return tuple(findings)
-    spectrum = spectrum.at(whole)
-    if stretches:
-        pass
-    elif active >= 0.9 * points:
+    if np.count_nonzero(whole) >= max(2, points / 2):
+        spectrum = spectrum.at(whole)
+    if active >= 0.9 * points and not stretches:
         if shunt_gain:
             findings.append(Finding("inverse_ratio", f"Re Z < 0 at {active} of {points} points: the gain is "
                                     "probably the inverse ratio; read with inverse=True (or False if it was set)"))
         else:
             findings.append(Finding("negated", f"Re Z < 0 at {active} of {points} points: the phase is probably "
                                     "off by 180 degrees (reversed polarity); read with correction='negate'"))
-    elif turns_anticlockwise(spectrum):
+    elif not stretches and turns_anticlockwise(spectrum):
         findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
                                 "anticlockwise with rising frequency; read with correction='conjugate'"))
     typical = float(np.median(spectrum.magnitude))
@@ -175,7 +172,8 @@ def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Fi
     noise = scatter(spectrum.at(whole)) if np.count_nonzero(whole) > 1 else 0.0
     beyond = active[share[active] < -BEYOND_NOISE * noise]
     words = (f"Re Z < 0 at {len(active)} of {len(share)} points, worst {spectrum.phase_deg[worst]:.2f} degrees at "
-             f"{spectrum.frequency[worst]:.9g} Hz: a passive device cannot do so (noise, or the analyser's compensation)")
+             f"{spectrum.frequency[worst]:.9g} Hz: a passive device cannot do so (noise, or the analyser's "
+             "compensation)")
     if len(beyond):
         words += f"; beyond the noise: {rows.named(beyond, spectrum.frequency)}; {LEAVE_OUT.format(it='them')}"
     return [Finding("active", words, rows.of(beyond))]

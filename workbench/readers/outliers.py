@@ -14,23 +14,29 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Probability of a false alarm in a recording whose noise is normal: no part of it reaches sqrt(2 ln(n / this)) standard
-#: deviations. Doubled, the limit falls by 1 %.
+#: Probability of a false alarm in a recording of normal noise. Doubled, the limit falls by 4 %.
 FALSE_ALARM = 1e-3
 #: Median of the smallest of five deviations over the standard deviation of a point's real and imaginary part, each, for
 #: white noise (one deviation: 1.18). Doubled, the noise passes for half of what it is.
 MEDIAN_OF_NOISE = 0.8
 #: Points on either side that tell the noise. Doubled, noise that changes within a sweep is averaged.
 NOISE_WITHIN = 15
-#: Points on either side that tell the error of interpolation, the number of deviations in noise above which their
-#: largest is such an error, and the factor by which a point exceeds it: in simulated devices with a point a bandwidth
-#: no whole one reaches it. Doubled, the factor hides a wrong point within a resonance of two points a bandwidth.
+#: Points on either side that tell the error of interpolation, the number of standard deviations of noise above which
+#: their largest is such an error, and the factor by which a point exceeds it (a pair: twice). Doubled, the factor hides
+#: a wrong point within a resonance of one point a bandwidth; halved, more whole ones of half a point are named.
 INTERPOLATED_WITHIN = 4
-INTERPOLATION = (2.5, 5.0)
+INTERPOLATION = (2.5, 10.0)
 #: Smallest deviation of ln Z that is worth a word. Doubled, a change of 1 % at the end of a sweep goes unseen.
 LEAST = 5e-3
 #: Fewest points in which one, or two beside each other, may be odd. Doubled, short tables are not examined.
-FEWEST = {1: 9, 2: 12}
+FEWEST = {1: 12, 2: 16}
+#: Rounds of taking points out. Doubled, a recording that is odd throughout takes twice the time.
+ROUNDS = 10
+#: Share of a step by which a frequency is beside the even steps of the others, and by which steps count as even.
+#: Doubled, a wrong digit that moves a frequency by a sixth of a step goes unseen.
+OFF_THE_GRID = (0.1, 0.02)
+#: Share of the steps that are even in a sweep of even steps, the two at a point apart from it left out.
+EVEN = 0.95
 
 
 def outliers(frequency: Real, impedance: Complex) -> dict[int, float]:
@@ -40,14 +46,15 @@ def outliers(frequency: Real, impedance: Complex) -> dict[int, float]:
     examined again, since two wrong points hide each other.
     """
     kept, found = np.arange(len(frequency)), dict[int, float]()
-    while True:
+    for _ in range(ROUNDS):
         odd: dict[int, float] = {}
         for block in FEWEST:
             odd = odd or _odd(frequency[kept], impedance[kept], block)
         if not odd:
-            return found
+            break
         found |= {int(kept[index]): away for index, away in odd.items()}
         kept = np.delete(kept, sorted(odd))
+    return found
 
 
 def _odd(frequency: Real, impedance: Complex, block: int) -> dict[int, float]:
@@ -68,10 +75,14 @@ def _odd(frequency: Real, impedance: Complex, block: int) -> dict[int, float]:
         there = (at >= 0) & (at < points)
         largest[:, there] = np.maximum(largest[:, there], other[:, at[there]])
     alone = size if block == 1 else np.min(_deviation(frequency, impedance, (0,))[0], axis=0)
-    noise = np.array([np.median(alone[max(0, i - NOISE_WITHIN):i + NOISE_WITHIN + 1]) for i in first]) / MEDIAN_OF_NOISE
+    around = [alone[max(0, i - NOISE_WITHIN):i + NOISE_WITHIN + 1] for i in first]
+    noise = np.array([np.median(each) for each in around]) / MEDIAN_OF_NOISE
+    # Student's law for a complex number: half a degree of freedom a point, since a median tells less than a mean.
+    freedom = np.array([len(each) for each in around]) / 2.0
+    away = np.sqrt(2.0 * freedom * ((FALSE_ALARM / points) ** (-1.0 / freedom) - 1.0))
     in_noise, factor = INTERPOLATION
     interpolation = np.maximum(np.min(largest, axis=0) - in_noise * noise, 0.0)
-    limit = np.sqrt(2.0 * np.log(points / FALSE_ALARM)) * noise + block * factor * interpolation
+    limit = away * noise + block * factor * interpolation
     odd = np.flatnonzero((size > limit) & (raw > LEAST))
     return {int(first[index]) + place: float(np.min(inside[place][1][:, index])) for index in odd
             for place in range(block)}
@@ -136,17 +147,11 @@ def _nearest(points: int, gone: tuple[int, ...], size: int) -> NDArray[np.intp]:
     return found
 
 
-#: Share of a step by which a frequency is beside the even steps of the others, and by which steps count as even. Doubled,
-#: a wrong digit of a twentieth of a step goes unseen; it moves no point by more than a tenth of the step does.
-OFF_THE_GRID = (0.1, 0.02)
-#: Share of the steps that are even in a sweep of even steps, the two at a point apart from it left out.
-EVEN = 0.95
-
-
 def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
-    """Indices of the frequencies (n,) Hz that lie beside the even steps (or ratios) of the others, and the step in words.
+    """Indices of the frequencies (n,) Hz beside the even steps (or ratios) of the others, and the step in words.
 
-    An end of the sweep counts if its step is too long: a shorter one is the rest of a band.
+    An end of the sweep counts if its step is too long, but for a row or two that were left out beside it; a shorter one
+    is the rest of a band.
     """
     nothing = np.empty(0, np.intp)
     if len(frequency) < FEWEST[1]:
@@ -161,7 +166,8 @@ def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
         rest = np.ones(len(steps), dtype=bool)
         rest[points] = rest[points - 1] = False
         ends = np.array([index for index, beside in ((0, 0), (len(x) - 1, -1))
-                         if steps[beside] > 1.5 * step and rest[beside]], dtype=np.intp)
+                         if steps[beside] > 1.5 * step and rest[beside]
+                         and np.min(np.abs(steps[beside] / step - (2.0, 3.0))) > even], dtype=np.intp)
         rest[[0, -1]] = False
         if np.any(rest) and np.mean(np.abs(steps[rest] - step) < even * step) >= EVEN:
             return np.sort(np.concatenate((points, ends))), word.format(step if x is frequency else np.exp(step))

@@ -25,10 +25,8 @@ ONE_VALUE = 1e-6
 #: neighbouring frequencies and this share, or the last share in any case. Doubled, a drift of twice the size is
 #: averaged with milder words.
 TWO_STATES = (3.0, 0.02, 0.25)
-
-
-#: Rows above the last one by which it counts as cut off: of cells with equal decimals and no line end, and of any
-#: other. A program that drops zeros at the end makes one cell in ten shorter. Doubled, short tables are not examined.
+#: Fewest rows above a last one that may be cut off: without a line end, and with one. A program that drops zeros at the
+#: end makes one cell in ten shorter. Doubled, short tables are not examined.
 FEW_ROWS = (4, 30)
 _LAST_NUMBER = re.compile(r"(\d*)(?:\.(\d*))?([eE][+-]?\d*)?$")
 
@@ -47,14 +45,15 @@ class Recorded:
 
 def in_order(
     text: RecordingText, frequency: NDArray[np.float64], impedance: NDArray[np.complex128], *, lines: Sequence[int],
-    column: int, origin: Origin, cells: Sequence[NDArray[np.float64]], uncertainty: NDArray[np.float64] | None = None, shared_uncertainty: float = 0.0,
-    findings: Sequence[Finding] = (),
+    column: int, origin: Origin, cells: Sequence[NDArray[np.float64]], uncertainty: NDArray[np.float64] | None = None,
+    shared_uncertainty: float = 0.0, findings: Sequence[Finding] = (),
 ) -> Recorded:
     """The spectrum of points (n,) in Hz and ohm that stand on `lines`, `frequency` being the `column` from one.
 
     `cells` are the columns of numbers, (n,) each, behind the impedance; points with NaN in one, which stands for no
-    value (:data:`workbench.readers.text.NO_VALUE`), are left out. Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
-    overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
+    value (:data:`workbench.readers.text.NO_VALUE`), are left out, as are those without a frequency (zero: idle rows,
+    direct current). A falling sweep is turned round, overlapping ones are merged, points of one frequency are joined:
+    equal values to one, different ones to their mean.
     Without a stated noise, repeated readings give it. Findings report this, after `findings`, and the origin's setting
     :data:`PUT_IN_ORDER` holds their words.
 
@@ -139,9 +138,9 @@ def in_order(
 def _cut_off(text: RecordingText, lines: Sequence[int]) -> Finding | None:
     """The finding that the file ends within a number: its last cell is shorter than all those above.
 
-    Some programs write no end of the last line, so that a missing end alone says nothing. Where all cells above have
-    the same number of decimals, the last one has too; where they differ, only a missing end and a cell with fewer
-    digits than all others are told.
+    Some programs write no end of the last line, so that a missing end alone is no sign. Where all cells above have the
+    same number of decimals, the last one has too; where they differ, only a cell with fewer digits than all others in
+    a line without an end is a sign, in a short table fewer by three than usual.
     """
     last = max((line for line, content in enumerate(text.lines, 1) if content.strip()), default=0)
     if text.row != "line" or last not in lines:
@@ -156,17 +155,20 @@ def _cut_off(text: RecordingText, lines: Sequence[int]) -> Finding | None:
         whole = next(iter(forms))
         short = decimals < whole[0] or exponent < whole[1]
     else:
-        short = not text.ended and len(above) >= many and digits < min(size for _, size in above)
+        sizes = [size for _, size in above]
+        fewest = min(sizes) if len(above) >= many else min(*sizes, float(np.median(sizes)) - 2.0)
+        short = not text.ended and digits < fewest
     if not short:
         return None
     ending = "" if text.ended else ", whose line has no end,"
-    return Finding("cut_off", f"line {last}: its last cell{ending} is shorter than all above it: the file may have been "
-                   "cut off; record or copy it again", (last,))
+    return Finding("cut_off", f"line {last}: its last cell{ending} is shorter than all above it: the file may have "
+                   "been cut off; record or copy it again", (last,))
 
 
 def _last_cell(content: str) -> tuple[tuple[int, int], int]:
     """Decimals and characters of the exponent of the last number of a line, and its digits before the exponent."""
-    found = _LAST_NUMBER.search(content.partition("!")[0].rstrip(' \t,;")jiJI'))
+    content = content.replace(",", ".") if re.search("[;\t]", content) else content
+    found = _LAST_NUMBER.search(content.partition("!")[0].rstrip(' \t.;")jiJI'))
     whole, decimals, exponent = (found[1], found[2] or "", found[3] or "") if found else ("", "", "")
     return (len(decimals), len(exponent)), len((whole + decimals).lstrip("0"))
 

@@ -25,9 +25,8 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 #: and for a point that was not measured. Doubled, it is read as ohms.
 NO_VALUE = 9.9e37
 #: Words that instruments, programs and spreadsheets write for the same.
-_NO_VALUE_WORDS = frozenset("""nan -nan +nan inf +inf -inf infinity +infinity -infinity 1.#inf -1.#inf 1.#qnan -1.#ind ovld
-    ol -ol +ol over ovl ovf ovr ovrld overload overld overflow overrange n/a na #n/a #num! #div/0! -- --- ---- -----
-    ------""".split())
+_NO_VALUE = re.compile(r"[+-]?(nan|inf|infinity|1\.#(inf|qnan|ind)|ol|ov(er)?(ld|l|f|r|load|flow|range)|over)|"
+                       r"n/?a|#n/a|#num!|#div/0!|-{2,}", re.IGNORECASE)
 
 #: Signs at the beginning of a line that is no row.
 COMMENTS = ("%", "#", "!")
@@ -215,8 +214,9 @@ def _unquoted(cell: str) -> str:
 
 def holds_no_value(cell: str, decimal: str = ".") -> bool:
     """Whether a cell holds what instruments write for no value: a word, or a number of :data:`NO_VALUE` or more."""
-    return cell.casefold() in _NO_VALUE_WORDS or (
-        is_number(cell, decimal) and not abs(float(_plain(cell, decimal))) < NO_VALUE)
+    if is_number(cell, decimal):
+        return not abs(float(_plain(cell, decimal))) < NO_VALUE
+    return _NO_VALUE.fullmatch(cell) is not None
 
 
 def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:

@@ -56,8 +56,8 @@ def parse_workbench_csv(text: RecordingText) -> Recorded:
         if not number.isdecimal():
             raise text.error(line, None, number, "the number of rows below the column names")
         if int(number) != len(table) - 1:
-            findings.append(Finding("rows", f"{len(table) - 1} rows, and line {line} states {number}: the file may have "
-                                    "been cut off, or rows taken out"))
+            findings.append(Finding("rows", f"{len(table) - 1} rows, and line {line} states {number}: the file may "
+                                    "have been cut off, or rows taken out"))
     if stated and not text.ended:
         findings.append(Finding("cut_off", f"line {len(text.lines)} has no end: the file may have been cut off",
                                 (table[-1][0],)))
