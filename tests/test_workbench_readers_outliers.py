@@ -60,8 +60,8 @@ def first_row(name: str) -> int:
     return TABLES[name][0].count("\n") + 1
 
 
-@pytest.mark.parametrize("cell", ["9.9e37", "-9.9E+37", "9.91000E37", "9.90000E37", "1e308", "1e999", "OVLD", "-OL", "nan",
-                                  "---", "Inf"])
+@pytest.mark.parametrize("cell", [
+    "9.9e37", "-9.9E+37", "9.91000E37", "9.90000E37", "1e308", "1e999", "OVLD", "-OL", "nan", "---", "Inf"])
 @pytest.mark.parametrize("name", TABLES)
 def test_a_row_without_a_value_is_left_out_and_named(name: str, cell: str, tmp_path: Path) -> None:
     def change(cells: list[list[str]]) -> None:
@@ -277,7 +277,8 @@ def test_a_campaign_and_a_batch_leave_out_on_request(tmp_path: Path) -> None:
     as_filed = read_campaign(file)
     (empty,) = (state for state in as_filed.states if state.name == "empty")
     assert any(f"line {len(lines) - 39} " in text for text in empty.findings)
-    file.write_text(file.read_text().replace('recording = "empty.csv"', 'recording = "empty.csv"\nwithout_outliers = true'))
+    file.write_text(file.read_text().replace(
+        'recording = "empty.csv"', 'recording = "empty.csv"\nwithout_outliers = true'))
     (without,) = (state for state in read_campaign(file).states if state.name == "empty")
     assert without.measured.frequency.size == empty.measured.frequency.size - 1
     assert any("left out 1 of" in text for text in without.findings)

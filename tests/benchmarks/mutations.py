@@ -1,6 +1,6 @@
 """Mutated files: is every one read or refused in one line, and is a changed spectrum noticed?
 
-    .venv/bin/python tests/benchmarks/mutations.py [--seed 1] [--count 500] [--kinds recording,chip] [--limit 60]
+    .venv/bin/python tests/benchmarks/mutations.py [--seed 1] [--count 500] [--kinds recording chip] [--limit 60]
 
 Files of several kinds (:data:`KINDS`) are mutated one at a time and read in a process beside, which is ended and begun
 again after `--limit` seconds or a crash. The first table counts how the readings ended: read, refused (InputError),
@@ -495,20 +495,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=500, help="mutated files, over all kinds (default 500)")
-    parser.add_argument("--kinds", default=",".join(KINDS), help=f"some of {','.join(KINDS)} (default all)")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS, help="of files (default all)")
     parser.add_argument("--limit", type=float, default=60.0, metavar="SECONDS", help="for one file (default 60)")
     with_json(parser)
     options = parser.parse_args()
-    kinds = options.kinds.split(",")
     started = time.perf_counter()
     with measurements(options.json) as kept:
-        found = run(kinds, options.count, options.seed, options.limit, show=True)
+        found = run(options.kinds, options.count, options.seed, options.limit, show=True)
         for where in ("value", "frequency"):
             kept.add(f"share noticed, {where}", 100.0 * found.share(where), "%")
         kept.add("tracebacks, hangs, crashes", len(found.faults), "1")
     for words in found.unnoticed:
         print(f"not noticed: {words}")
-    print_tables(found, kinds)
+    print_tables(found, options.kinds)
     print(f"seed {options.seed}, {time.perf_counter() - started:.0f} s")
     sys.exit(1 if found.faults else 0)
 

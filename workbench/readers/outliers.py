@@ -22,7 +22,7 @@ MEDIAN_OF_NOISE = 0.8
 #: Points on either side that tell the noise. Doubled, noise that changes within a sweep is averaged.
 NOISE_WITHIN = 15
 #: Points on either side that tell the error of interpolation, the number of standard deviations of noise above which
-#: their largest is such an error, and the factor by which a point exceeds it (a pair: twice). Doubled, the factor hides
+#: their largest is such an error, and the factor by which a point exceeds it. Doubled, the factor hides
 #: a wrong point within a resonance of one point a bandwidth; halved, more whole ones of half a point are named.
 INTERPOLATED_WITHIN = 4
 INTERPOLATION = (2.5, 10.0)
@@ -82,7 +82,7 @@ def _odd(frequency: Real, impedance: Complex, block: int) -> dict[int, float]:
     away = np.sqrt(2.0 * freedom * ((FALSE_ALARM / points) ** (-1.0 / freedom) - 1.0))
     in_noise, factor = INTERPOLATION
     interpolation = np.maximum(np.min(largest, axis=0) - in_noise * noise, 0.0)
-    limit = away * noise + block * factor * interpolation
+    limit = away * noise + factor * interpolation
     odd = np.flatnonzero((size > limit) & (raw > LEAST))
     return {int(first[index]) + place: float(np.min(inside[place][1][:, index])) for index in odd
             for place in range(block)}
