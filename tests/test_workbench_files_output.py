@@ -48,7 +48,7 @@ def test_files_of_the_user_under_names_of_the_run_are_refused_by_name(tmp_path: 
     before = contents(tmp_path)
     with pytest.raises(InputError) as caught:
         hold(tmp_path)
-    assert "workbench simulate` writes: report.html, spectrum_x.csv, points/survey.csv; choose" in str(caught.value)
+    assert "wrote report.html, spectrum_x.csv, points/survey.csv as they are now: choose" in str(caught.value)
     assert contents(tmp_path) == before
     assert not (tmp_path / STATE).exists()
 
@@ -77,7 +77,7 @@ def test_a_run_replaces_its_own_files_and_removes_those_it_does_not_make_again(t
             write_atomic(folder.path / name, "first")
     (tmp_path / "out/notes.txt").write_text("mine")
     (tmp_path / "out/front/02.toml").write_text("changed by hand")
-    with pytest.raises(InputError, match=r"or changed since.*front/02\.toml; choose another folder, or move it away"):
+    with pytest.raises(InputError, match=r"wrote front/02\.toml as it is now: choose another folder, or move it away"):
         hold(tmp_path / "out")
     (tmp_path / "out/front/02.toml").unlink()
     folder = hold(tmp_path / "out")
@@ -160,7 +160,7 @@ def test_a_damaged_working_file_is_a_runs_own_and_one_that_no_run_began_is_not(t
     assert folder.tidy() == Leftovers((), ())
     folder.finish(complete=True)
     (tmp_path / "out/points/2").write_text("mine")
-    with pytest.raises(InputError, match="writes: points/2;"):
+    with pytest.raises(InputError, match="wrote points/2 as it is now"):
         hold(tmp_path / "out", outputs)
 
 
@@ -194,7 +194,7 @@ def test_a_killed_run_leaves_no_half_file_and_the_next_one_clears_up(tmp_path: P
     assert list((out / STATE).glob(f"{NEW}*"))
     # A file of the user that came after the kill is the user's.
     (out / "spectrum_a.csv").write_text("mine")
-    with pytest.raises(InputError, match=r"writes: spectrum_a\.csv;"):
+    with pytest.raises(InputError, match=r"wrote spectrum_a\.csv as it is now"):
         hold(out)
     (out / "spectrum_a.csv").unlink()
     with hold(out):

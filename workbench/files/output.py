@@ -245,9 +245,10 @@ def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> Non
     theirs = [name for name in in_the_way(path, (*outputs.names, *([MARK] if outputs.marked else [])))
               if not manifest.owns(name, outputs.working) and not (name == MARK and _is_old_mark(path / MARK))]
     if theirs:
-        raise InputError(source, field, str(path), "a folder without files of your own, or changed since, under names "
-                         f"that `workbench {outputs.command}` writes: {enumerated(theirs)}; choose another folder, or "
-                         f"move {'it' if len(theirs) == 1 else 'them'} away")
+        raise InputError(
+            source, field, str(path), f"a folder in which `workbench {outputs.command}` replaces no file of yours; no "
+            f"run of the workbench wrote {enumerated(theirs)} as {'it is' if len(theirs) == 1 else 'they are'} now: "
+            f"choose another folder, or move {'it' if len(theirs) == 1 else 'them'} away")
 
 
 def _is_old_mark(mark: Path) -> bool:
