@@ -7,7 +7,7 @@ depend on which of the two they are given. Parameter values are never stored her
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -24,9 +24,8 @@ from workbench.fem.coefficients import Coefficients
 from workbench.fem.dense import Span
 from workbench.fem.elements import Lagrange
 from workbench.fem.factorisation import factorisation
-from workbench.fem.forms import combined_matrices
 from workbench.fem.places import Place, place_of
-from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
+from workbench.fem.sparsity import FreeUnknowns, Kind, Pattern, Stack, real_product
 from workbench.fem.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
@@ -209,56 +208,86 @@ class FullOperators(Brief):
                         result[self.forms[index]] += p.weight * grams[*_pair(p), integral.radial]
         return result
 
-    def images(self, state: Complex, constants: Complex) -> Complex:
-        """Products sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k).
+    def images(self, states: Complex, constants: Complex) -> Complex:
+        """Products sum_q constants_qk A_q x_k for `constants` (number of integrals, k): (size, k).
+
+        `states` is one state x (size,) for all of them, or as many as there are (size, k).
         """
-        result = np.empty((self.size, constants.shape[1]), dtype=complex)
-        for column, each in zip(result.T, constants.T, strict=True):
-            column[:] = self.summed(each).times(state)
+        columns = states.reshape(len(states), -1)
+        result = np.zeros((self.size, constants.shape[1]), dtype=complex)
+        for place_name, kinds in self._kinds.items():
+            place, names = self.places[place_name], list(kinds)
+            weights = np.stack([kinds[kind] for kind in names]) @ constants
+            acting = [(kind, row) for kind, row in zip(names, weights, strict=True) if row.any()]
+            for start in range(0, len(place.weights), TOGETHER) if acting else ():
+                self._add_images(place.of(slice(start, start + TOGETHER)), acting, columns, result)
         return result
 
-    def summed(self, constants: Complex) -> Symmetric:
-        """The matrix sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
-        upper = np.zeros(self._pattern.keys.size, dtype=complex)
-        for block in self._blocks:
-            weights = block.mixing @ constants
-            if weights.any():
-                upper[block.positions] += combined_matrices(weights, block.entries)
-        return Symmetric(self._pattern, upper)
+    def _add_images(
+        self, place: Place, acting: Sequence[tuple[Kind, Complex]], columns: Complex, result: Complex
+    ) -> None:
+        """Add to `result` (size, k) the products over the cells of a place, for the kinds that act, with their weights
+        (k,)."""
+        fields, forces = dict[Part, Complex](), dict[Part, Complex]()
+        rows = {component: self.numbering[component][place.dofs.T]
+                for component in {part[0] for (a, b, _), _ in acting for part in (a, b)}}
+        local = {component: np.where((at >= 0)[:, :, None], columns[at], 0.0) for component, at in rows.items()}
+        for part in {part for (a, b, _), _ in acting for part in (a, b)}:
+            found = _real_times(place.shapes[part[1]], local[part[0]])
+            fields[part] = found * place.factor(part[2])[:, :, None] if part[2] else found
+        for (a, b, radial), weight in acting:
+            measure = place.measure(radial)[:, :, None]
+            for one, other in {(a, b), (b, a)}:
+                force = (0.5 if a != b else 1.0) * measure * fields[other] * weight
+                forces[one] = forces[one] + force if one in forces else force
+        by_component: dict[str, Complex] = {}
+        for part, force in forces.items():
+            turned = force * place.factor(part[2])[:, :, None] if part[2] else force
+            back = _real_times(place.shapes[part[1]].transpose(0, 2, 1), turned)
+            by_component[part[0]] = by_component[part[0]] + back if part[0] in by_component else back
+        for component, force in by_component.items():
+            at = rows[component].ravel()
+            kept = np.flatnonzero(at >= 0)
+            spread = sparse.csr_array((np.ones(kept.size), (at[kept], kept)), shape=(self.size, at.size))
+            result += real_product(spread, force.reshape(at.size, -1))
+
+    def summed(self, constants: Complex) -> Complex:
+        """Entries (upper, k) of sum_q constants_qk A_q in the upper triangle of the pattern (`sparsity.Pattern`), for
+        `constants` (number of integrals, k)."""
+        return self._stack.summed(constants)
 
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
-        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`."""
-        return self.summed(constants).stored
+        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`, for `constants`
+        (number of integrals,)."""
+        return self.summed(constants[:, None])[:, 0][self.sparsity.mirror]
 
     @property
     def pattern(self) -> sparse.csc_matrix:
         """The symmetric sparsity pattern (size, size) with all ones and sorted indices."""
-        return self._pattern.matrix
+        return self.sparsity.matrix
 
     @cached_property
     def free(self) -> FreeUnknowns:
         """The part of :attr:`pattern` without the electrode, which every solve factorises."""
-        whole = self.pattern
+        whole, last = self.pattern, self.size - 1
         column = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(whole.indptr))
-        inside = (whole.indices < self.size - 1) & (column < self.size - 1)
-        entries = np.flatnonzero(inside)
-        rows, columns = whole.indices[entries], column[entries]
-        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.size - 1))]).astype(np.int32)
-        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), rows, starts),
-                                    shape=(self.size - 1, self.size - 1))
-        return FreeUnknowns(pattern, entries, factorisation(pattern))
+        entries = np.flatnonzero((whole.indices < last) & (column < last))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(column[entries], minlength=last))]).astype(np.int32)
+        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), whole.indices[entries], starts),
+                                    shape=(last, last))
+        return FreeUnknowns(pattern, self.sparsity.mirror[entries], factorisation(pattern))
 
     def _components(self, group: Iterable[Integral]) -> list[str]:
         used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
         return [c for c in COMPONENTS if c in used]
 
     @cached_property
-    def _blocks(self) -> tuple[MatrixBlock, ...]:
-        """The real matrices that every sum here is made of: one for each pair of parts and each measure."""
-        found: list[MatrixBlock] = []
+    def _kinds(self) -> dict[str, dict[Kind, Real]]:
+        """By place, the weight (integrals,) of every pair of parts in each integral; a pair counts once for both
+        orders."""
+        found: dict[str, dict[Kind, Real]] = {}
         for place_name, group in self._by_place.items():
-            # Weight of every pair of parts in each integral; a pair counts once for both orders.
-            held: dict[Kind, NDArray[np.float64]] = {}
+            held: dict[Kind, Real] = {}
             for integral in group:
                 for p in integral.products:
                     for a in OPERATORS[p.row]:
@@ -266,18 +295,35 @@ class FullOperators(Brief):
                             kind = min(a, b), max(a, b), integral.radial
                             row = held.setdefault(kind, np.zeros(len(self.integrals)))
                             row[self._index[id(integral)]] += p.weight
-            by_components: dict[tuple[str, str], list[Kind]] = {}
-            for kind in sorted(held, key=repr):
-                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
-            found += [self._block(self.places[place_name], components, kinds, np.stack([held[k] for k in kinds]))
-                      for components, kinds in by_components.items()]
-        return tuple(found)
+            found[place_name] = {kind: held[kind] for kind in sorted(held, key=repr)}
+        return found
 
-    def _block(self, place: Place, components: tuple[str, str], kinds: list[Kind], mixing: Real) -> MatrixBlock:
+    @cached_property
+    def _stack(self) -> Stack:
+        """The real matrices that every sum here is made of."""
+        positions, entries, mixing = [], [], []
+        for place_name, held in self._kinds.items():
+            by_components: dict[tuple[str, str], list[Kind]] = {}
+            for kind in held:
+                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
+            for components, kinds in by_components.items():
+                where, values = self._block(self.places[place_name], components, kinds)
+                positions += [where] * len(kinds)
+                entries += list(values)
+                mixing += [held[kind] for kind in kinds]
+        starts = np.concatenate([[0], np.cumsum([each.size for each in positions])])
+        stacked = sparse.csc_array((np.concatenate(entries), np.concatenate(positions), starts),
+                                   shape=(self.sparsity.keys.size, len(entries)))
+        return Stack(stacked, sparse.csr_array(np.stack(mixing)))
+
+    def _block(
+        self, place: Place, components: tuple[str, str], kinds: list[Kind]
+    ) -> tuple[NDArray[np.int64], Real]:
+        """Positions (m,) in the upper triangle, and the entries (kinds, m) there, of some kinds at one place."""
         rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
         rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
         kept = ((rows >= 0) & (columns >= 0)).ravel()
-        positions, inverse = np.unique(self._pattern.position(rows.ravel()[kept], columns.ravel()[kept]),
+        positions, inverse = np.unique(self.sparsity.position(rows.ravel()[kept], columns.ravel()[kept]),
                                        return_inverse=True)
         # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
         # twice.
@@ -293,10 +339,11 @@ class FullOperators(Brief):
                 # Both triangles fall on the upper one.
                 product = 0.5 * (product + product.transpose(0, 2, 1))
             entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
-        return MatrixBlock(mixing, positions, entries)
+        return positions, entries
 
     @cached_property
-    def _pattern(self) -> Pattern:
+    def sparsity(self) -> Pattern:
+        """The sparsity pattern of all matrices."""
         rows, columns = [], []
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
@@ -305,6 +352,12 @@ class FullOperators(Brief):
             rows.append(np.broadcast_to(local[:, :, None], shape).ravel())
             columns.append(np.broadcast_to(local[:, None, :], shape).ravel())
         return Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
+
+
+def _real_times(matrices: Real, columns: Complex) -> Complex:
+    """Products of real matrices (ne, m, n) and complex columns (ne, n, k), without complex copies of the matrices."""
+    parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
+    return np.ascontiguousarray(matrices @ parts).view(np.complex128)
 
 
 def _pair(product: Product) -> tuple[str, str]:
