@@ -228,7 +228,7 @@ class FullOperators(Brief):
     ) -> None:
         """Add to `result` (size, k) the products over the cells of a place, for the kinds that act, with their weights
         (k,)."""
-        fields, forces = dict[Part, Complex](), dict[Part, Complex]()
+        fields, forces = dict[Part, Complex](), dict[tuple[Part, MeasureFactor | None], Complex]()
         rows = {component: self.numbering[component][place.dofs.T]
                 for component in {part[0] for (a, b, _), _ in acting for part in (a, b)}}
         local = {component: np.where((at >= 0)[:, :, None], columns[at], 0.0) for component, at in rows.items()}
@@ -236,20 +236,24 @@ class FullOperators(Brief):
             found = _real_times(place.shapes[part[1]], local[part[0]])
             fields[part] = found * place.factor(part[2])[:, :, None] if part[2] else found
         for (a, b, radial), weight in acting:
-            measure = place.measure(radial)[:, :, None]
             for one, other in {(a, b), (b, a)}:
-                force = (0.5 if a != b else 1.0) * measure * fields[other] * weight
-                forces[one] = forces[one] + force if one in forces else force
+                force = fields[other] * ((0.5 if a != b else 1.0) * weight)
+                if (one, radial) in forces:
+                    forces[one, radial] += force
+                else:
+                    forces[one, radial] = force
         by_component: dict[str, Complex] = {}
-        for part, force in forces.items():
-            turned = force * place.factor(part[2])[:, :, None] if part[2] else force
-            back = _real_times(place.shapes[part[1]].transpose(0, 2, 1), turned)
+        for (part, radial), force in forces.items():
+            measure = place.measure(radial)
+            force *= (measure * place.factor(part[2]) if part[2] else measure)[:, :, None]
+            back = _real_times(place.shapes[part[1]].transpose(0, 2, 1), force)
             by_component[part[0]] = by_component[part[0]] + back if part[0] in by_component else back
         for component, force in by_component.items():
-            at = rows[component].ravel()
-            kept = np.flatnonzero(at >= 0)
-            spread = sparse.csr_array((np.ones(kept.size), (at[kept], kept)), shape=(self.size, at.size))
-            result += real_product(spread, force.reshape(at.size, -1))
+            touched, at = np.unique(rows[component].ravel(), return_inverse=True)
+            gather = sparse.csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(touched.size, at.size))
+            found = real_product(gather, force.reshape(at.size, -1))
+            first = int(touched[0] < 0)  # no unknown
+            result[touched[first:]] += found[first:]
 
     def summed(self, constants: Complex) -> Complex:
         """Entries (upper, k) of sum_q constants_qk A_q in the upper triangle of the pattern (`sparsity.Pattern`), for
@@ -323,8 +327,12 @@ class FullOperators(Brief):
         rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
         rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
         kept = ((rows >= 0) & (columns >= 0)).ravel()
-        positions, inverse = np.unique(self.sparsity.position(rows.ravel()[kept], columns.ravel()[kept]),
-                                       return_inverse=True)
+        every = self.sparsity.position(rows.ravel()[kept], columns.ravel()[kept])
+        number = np.full(self.sparsity.keys.size, -1, dtype=np.int32)
+        number[every] = 0
+        positions = np.flatnonzero(number == 0)
+        number[positions] = np.arange(positions.size)
+        inverse = number[every]
         # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
         # twice.
         twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)

@@ -248,8 +248,8 @@ class System:
         """The charge -x^T A x of a state (size,)."""
         pattern, upper = self.operators.sparsity, self._at(frequency)
         triangle = sparse.csc_array((upper, pattern.rows, pattern.starts), shape=(pattern.size,) * 2)
-        # Both triangles have the diagonal.
-        return complex(state @ (triangle.diagonal() * state) - 2.0 * (state @ (triangle @ state)))
+        # Large terms cancel within a row: the form of one triangle alone would keep their rounding.
+        return -complex(state @ (triangle @ state + triangle.T @ state - triangle.diagonal() * state))
 
     def _at(self, frequency: float) -> Complex:
         """The entries (upper,) of A(w) in the upper triangle; those of the last frequency are kept."""

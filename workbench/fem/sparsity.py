@@ -77,16 +77,17 @@ class Pattern:
         return np.searchsorted(self.keys, wanted)
 
     def whole(self, upper: NDArray[np.inexact]) -> sparse.csr_array:
-        """The symmetric matrix with these entries (upper,); those that are zero are left out.
+        """The symmetric matrix with these entries (upper,). By rows it is the same as by columns, and products are
+        faster by rows."""
+        whole = self.matrix
+        return sparse.csr_array((upper[self.mirror], whole.indices, whole.indptr), shape=whole.shape)
 
-        By rows it is the same as by columns, and products are faster by rows.
-        """
-        entries = upper[self.mirror]
-        kept = np.flatnonzero(entries)
-        if kept.size == entries.size:
-            return sparse.csr_array((entries, self.matrix.indices, self.matrix.indptr), shape=(self.size,) * 2)
+    def nonzero(self, upper: Real) -> sparse.csr_array | None:
+        """The symmetric matrix of the entries (upper,) that are not zero; None if all are."""
+        kept = np.flatnonzero((upper != 0.0)[self.mirror])
         starts = np.searchsorted(kept, self.matrix.indptr).astype(np.int32)
-        return sparse.csr_array((entries[kept], self.matrix.indices[kept], starts), shape=(self.size,) * 2)
+        return sparse.csr_array((upper[self.mirror[kept]], self.matrix.indices[kept], starts),
+                                shape=self.matrix.shape) if kept.size else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class SplitMatrix:
     @classmethod
     def of(cls, pattern: Pattern, upper: Complex) -> SplitMatrix:
         """The matrix with these entries (upper,) in the upper triangle of a pattern."""
-        return cls(*(pattern.whole(part) if part.any() else None for part in (upper.real, upper.imag)))
+        return cls(pattern.nonzero(upper.real), pattern.nonzero(upper.imag))
 
     def times(self, columns: NDArray[np.inexact]) -> Complex:
         """The product with real or complex `columns` (size, k)."""

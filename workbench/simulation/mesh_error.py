@@ -26,6 +26,7 @@ from scipy import sparse
 from skfem import Dofs
 
 from workbench.fem.elements import Lagrange, gauss_lobatto
+from workbench.fem.factorisation import factorisation
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import Place
 from workbench.fem.solve import System, factorise, one_thread
@@ -91,7 +92,8 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorE
     middle = float(np.median(frequency))
     residual = surplus.basis.T @ surplus.finer.images(surplus.embedding @ model.expand(solution), g.T)
     with one_thread():
-        factor = factorise(System(surplus.operators, values).matrix(middle), middle)
+        matrix = System(surplus.operators, values).matrix(middle)
+        factor = factorise(matrix, middle, factorisation(matrix))
         added = factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * residual)
         right = model.basis[:, :-1].T @ (surplus.embedding.T @ surplus.finer.images(surplus.basis @ added, g.T))
         summed = model.operators.combinations(np.array([constants for _, constants in solution.groups]))
