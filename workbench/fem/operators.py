@@ -7,7 +7,7 @@ depend on which of the two they are given. Parameter values are never stored her
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -44,6 +44,9 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+
+#: Two operators in alphabetical order, and the further factor of the measure.
+Pair = tuple[str, str, MeasureFactor | None]
 
 #: Number of cells whose points are projected at once, so that they stay in the processor's cache.
 TOGETHER = 64
@@ -107,7 +110,7 @@ class FullOperators(Brief):
             local[component][rows < 0] = 0.0  # not an unknown
         taken: dict[Part, NDArray[np.inexact]] = {}
         for component, kind, factor in parts:
-            part = place.shapes[kind] @ local[component]
+            part = _real_times(place.shapes[kind], local[component])
             taken[component, kind, factor] = part * place.factor(factor)[:, :, None] if factor else part
         result = {}
         for name in names:
@@ -116,8 +119,13 @@ class FullOperators(Brief):
         return result
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        parts = self.element_quadratic(left, right)
-        return np.stack([part.sum(axis=0) for part in parts], axis=-1)
+        result = np.zeros((right.shape[1], len(self.integrals)), dtype=complex)
+        for place_name, forms in self.pair_forms(left, right):
+            sums = {pair: each.sum(axis=0) for pair, each in forms.items()}
+            for integral in self.by_place[place_name]:
+                result[:, self._index[id(integral)]] = sum(
+                    p.weight * sums[*pair_of(p), integral.radial] for p in integral.products)
+        return result
 
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
         acting = np.flatnonzero(constants.any(axis=0))
@@ -126,19 +134,32 @@ class FullOperators(Brief):
     def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
         """Forms left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
         result: dict[int, Complex] = {}
-        for place_name, group in self._by_place.items():
-            place = self.places[place_name]
-            used = _operators_of(group)
-            lefts = self.evaluate(place, used, left)
-            rights = lefts if right is left else self.evaluate(place, used, right)
-            for integral in group:
-                density = sum(
-                    0.5 * p.weight * (lefts[p.row] * rights[p.column] + lefts[p.column] * rights[p.row])
-                    for p in integral.products
-                )
-                weights = place.measure(integral.radial)
-                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, weights)
+        for place_name, forms in self.pair_forms(left, right):
+            for integral in self.by_place[place_name]:
+                result[self._index[id(integral)]] = sum(
+                    p.weight * forms[*pair_of(p), integral.radial] for p in integral.products)
         return tuple(result[q] for q in range(len(self.integrals)))
+
+    def pair_forms(self, left: Complex, right: Complex) -> Iterator[tuple[str, dict[Pair, Complex]]]:
+        """The symmetric forms of pairs of operators that all integrals are sums of, cell by cell.
+
+        For columns `left` and `right` (size, n): by place, an array (ne, n) for every pair.
+        """
+        for place_name, group in self.by_place.items():
+            place, used = self.places[place_name], _operators_of(group)
+            pairs = dict.fromkeys((*pair_of(p), integral.radial) for integral in group for p in integral.products)
+            found = {pair: np.empty((len(place.weights), right.shape[1]), dtype=complex) for pair in pairs}
+            for start in range(0, len(place.weights), TOGETHER):
+                some = slice(start, start + TOGETHER)
+                cells = place.of(some)
+                lefts = self.evaluate(cells, used, left)
+                rights = lefts if right is left else self.evaluate(cells, used, right)
+                for row, column, radial in pairs:
+                    density = lefts[row] * rights[column]
+                    if row != column and rights is not lefts:
+                        density = 0.5 * (density + lefts[column] * rights[row])
+                    found[row, column, radial][some] = _real_times(cells.measure(radial)[:, None], density)[:, 0]
+            yield place_name, found
 
     def of(self, integrals: NDArray[np.int64]) -> FullOperators:
         """A copy with the same unknowns and only the integrals of these indices (k,)."""
@@ -155,7 +176,8 @@ class FullOperators(Brief):
         return {id(integral): q for q, integral in enumerate(self.integrals)}
 
     @cached_property
-    def _by_place(self) -> dict[str, list[Integral]]:
+    def by_place(self) -> dict[str, list[Integral]]:
+        """The integrals by the name of their place."""
         groups: dict[str, list[Integral]] = {}
         for integral in self.integrals:
             groups.setdefault(integral.domain, []).append(integral)
@@ -165,7 +187,7 @@ class FullOperators(Brief):
     def forms(self) -> NDArray[np.int64]:
         """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
         known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None], int] = {}
-        return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
+        return np.array([known.setdefault((i.domain, frozenset((pair_of(p), p.weight) for p in i.products), i.radial),
                                           len(known)) for i in self.integrals], dtype=int)
 
     def project(self, basis: Real, further: Real | None = None) -> Real:
@@ -183,9 +205,9 @@ class FullOperators(Brief):
         first = np.unique(self.forms, return_index=True)[1]
         result = np.zeros((first.size, columns.shape[1], count))
         for place_name, place in places.items():
-            group = self._by_place[place_name]
+            group = self.by_place[place_name]
             used = _operators_of(group)
-            grams = {(*_pair(p), integral.radial): np.zeros((columns.shape[1], count))
+            grams = {(*pair_of(p), integral.radial): np.zeros((columns.shape[1], count))
                      for integral in group for p in integral.products}
             for start in range(0, len(place.weights), TOGETHER):
                 cells = place.of(slice(start, start + TOGETHER))
@@ -205,7 +227,7 @@ class FullOperators(Brief):
                 index = self._index[id(integral)]
                 if first[self.forms[index]] == index:
                     for p in integral.products:
-                        result[self.forms[index]] += p.weight * grams[*_pair(p), integral.radial]
+                        result[self.forms[index]] += p.weight * grams[*pair_of(p), integral.radial]
         return result
 
     def images(self, states: Complex, constants: Complex) -> Complex:
@@ -290,7 +312,7 @@ class FullOperators(Brief):
         """By place, the weight (integrals,) of every pair of parts in each integral; a pair counts once for both
         orders."""
         found: dict[str, dict[Kind, Real]] = {}
-        for place_name, group in self._by_place.items():
+        for place_name, group in self.by_place.items():
             held: dict[Kind, Real] = {}
             for integral in group:
                 for p in integral.products:
@@ -353,7 +375,7 @@ class FullOperators(Brief):
     def sparsity(self) -> Pattern:
         """The sparsity pattern of all matrices."""
         rows, columns = [], []
-        for place_name, group in self._by_place.items():
+        for place_name, group in self.by_place.items():
             place = self.places[place_name]
             local = np.concatenate([self.numbering[c][place.dofs] for c in self._components(group)]).T  # (ne, nl)
             shape = (local.shape[0], local.shape[1], local.shape[1])
@@ -362,13 +384,15 @@ class FullOperators(Brief):
         return Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
 
 
-def _real_times(matrices: Real, columns: Complex) -> Complex:
-    """Products of real matrices (ne, m, n) and complex columns (ne, n, k), without complex copies of the matrices."""
+def _real_times(matrices: Real, columns: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """Products of real matrices (ne, m, n) and columns (ne, n, k), without complex copies of the matrices."""
+    if not np.iscomplexobj(columns):
+        return np.asarray(matrices @ columns)
     parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
     return np.ascontiguousarray(matrices @ parts).view(np.complex128)
 
 
-def _pair(product: Product) -> tuple[str, str]:
+def pair_of(product: Product) -> tuple[str, str]:
     """The two operators of a product in alphabetical order, since forms are symmetric."""
     return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 
