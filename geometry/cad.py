@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geometry.apart import NoAnswer, answer_apart
 from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.limits import FULL_DISC
 from geometry.measure import ABOUT_AXIS, Measure, Straight
-from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
+from geometry.profile import AXES, Outline, Placement, Profile, Size, StepPart
 from geometry.revolution import SAME_POINT, cut
+from geometry.scripts import Script, called
 from geometry.step_file import step_part
 from workbench.files.errors import InputError
 
@@ -22,6 +27,10 @@ if TYPE_CHECKING:
 #: Largest area (mm^2) that two faces may have in common without an overlap: far below any intended one, far above
 #: rounding.
 LEAST_AREA = 1e-7
+
+#: Seconds that the CAD kernel may take for one STEP file. Doubled, a file on which it hangs is refused that much later,
+#: and larger assemblies can be read.
+STEP_SECONDS = 300
 
 
 @dataclass(frozen=True)
@@ -56,11 +65,13 @@ def mirrored(drawn: DrawnLayer, middle: float) -> DrawnLayer:
 
 
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
-                 measure: Measure = ABOUT_AXIS, is_transducer: bool = False) -> DrawnLayer:
+                 measure: Measure = ABOUT_AXIS, is_transducer: bool = False, steps: tuple[Profile, ...] = ()
+                 ) -> DrawnLayer:
     """The section of a layer whose bottom is at the height `bottom` (m), right of the axis or of its middle.
 
     Args:
         sizes: the layer's own dimensions by name (m).
+        steps: the profiles of all parts of STEP files in the chip, which are read together.
 
     Raises:
         InputError: the outline is not closed, crosses itself or leaves the half plane, a script or a STEP file lacks
@@ -74,7 +85,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
         made = called(where, profile.sizes(sizes), profile.angles, [name for name, _ in profile.parameters])
         drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function, measure)
     else:
-        drawn, bottom = _step_section(where, profile.asymmetry, profile.placement), 0.0
+        drawn, bottom = step_sections(steps or (profile,))[profile], 0.0
     box = drawn.face.BoundingBox()
     hole, middle = f"cavity_{measure.across}", measure.middle
     if box.xmin < -SAME_POINT:
@@ -206,20 +217,57 @@ def _closed(wire: Any, source: str, field: str) -> Face:
     return face
 
 
-@lru_cache(maxsize=32)
-def _step_section(where: StepPart, asymmetry: float, placement: Placement) -> DrawnLayer:
-    solid = step_part(where.path, where.scale, where.content, where.part)
-    return _section(solid, asymmetry, placement, str(where.path), where.part)
-
-
-def measured_part(where: StepPart, asymmetry: float, placement: Placement) -> dict[str, float]:
-    """Measures (m) of the solid of a STEP file: ``bottom``, ``thickness``, ``radius`` and, if there is a hole along the
-    axis, ``cavity_radius``.
+@lru_cache(maxsize=8)
+def step_sections(profiles: tuple[Profile, ...]) -> Mapping[Profile, DrawnLayer]:
+    """The sections of solids of STEP files, by profile. A process of its own reads each file.
 
     Raises:
-        InputError: as in :func:`profile_face`.
+        InputError: as in :func:`profile_face`, or the CAD kernel crashed on a file, or did not finish.
     """
-    box = _step_section(where, asymmetry, placement).face.BoundingBox()
+    files = dict[tuple[Path, float, str], list[Profile]]()
+    for profile in profiles:
+        if isinstance(where := profile.source, StepPart):
+            files.setdefault((where.path, where.scale, where.content), []).append(profile)
+    cadquery, found = cadquery_module(), dict[Profile, DrawnLayer]()
+    for (path, scale, content), of_file in files.items():
+        request = {"path": str(path), "scale": scale, "content": content, "parts": [
+            {"part": each.source.part, "asymmetry": each.asymmetry, **vars(each.placement)}
+            for each in of_file if isinstance(each.source, StepPart)]}
+        try:
+            answers = answer_apart("geometry.cad:step_answers", request, seconds=STEP_SECONDS)
+        except NoAnswer as error:
+            raise InputError(str(path), "STEP file", f"a file that the CAD kernel failed on ({error})",
+                             "a STEP file of solids that it can read; export it anew") from None
+        for profile, answer in zip(of_file, answers, strict=False):
+            if "error" in answer:
+                source, field, value, expected, nearest = answer["error"]
+                raise InputError(source, field, value, expected, tuple(nearest))
+            face = cadquery.Shape.importBin(io.BytesIO(base64.b64decode(answer["face"])))
+            found[profile] = DrawnLayer(face, answer["left_out"])
+    return found
+
+
+def step_answers(request: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The answers of the process of :func:`step_sections` for the parts of one file, up to the first mistake."""
+    found = list[dict[str, Any]]()
+    path, scale, content = Path(request["path"]), request["scale"], request["content"]
+    for each in request["parts"]:
+        placement = Placement(tuple(each["axis"]), tuple(each["origin"]), each["sector"])
+        try:
+            drawn = _section(step_part(path, scale, content, each["part"]), each["asymmetry"], placement, str(path),
+                             each["part"])
+        except InputError as error:
+            return [*found, {"error": [error.source, error.field, error.value, error.expected, error.nearest]}]
+        stream = io.BytesIO()
+        drawn.face.exportBin(stream)
+        found.append({"face": base64.b64encode(stream.getvalue()).decode(), "left_out": drawn.left_out})
+    return found
+
+
+def section_measures(drawn: DrawnLayer) -> dict[str, float]:
+    """Measures (m) of the section of a solid: ``bottom``, ``thickness``, ``radius`` and, if there is a hole along the
+    axis, ``cavity_radius``."""
+    box = drawn.face.BoundingBox()
     found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
     found |= {"cavity_radius": box.xmin} if box.xmin > SAME_POINT else {}
     return {name: length / MILLIMETRES for name, length in found.items()}

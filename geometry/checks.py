@@ -16,6 +16,24 @@ from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, further_cavities, largest_shape, port_axis
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
+from workbench.files.names import check_name, check_title
+
+
+def check_names(name: str, layers: Sequence[Layer], states: Sequence[State], file: str) -> None:
+    """Check that names of states can be parts of file names, and that every other name is text on one line.
+
+    Nobody looks up yet whether the materials exist.
+    """
+    titles = {"chip.name": name}
+    for i, layer in enumerate(layers):
+        titles |= {f"layers[{i}].material": layer.material, f"layers[{i}].filling": layer.filling or VACUUM}
+    for state in states:
+        place = f"states.{check_name(state.name, source=file, field='states')}"
+        titles |= {f"{place}.cavity": state.cavity or VACUUM, f"{place}.particle": state.particle or VACUUM}
+        titles |= {f"{place}.materials.{region}": material for region, material in state.materials.items()}
+        titles |= {f"{place}.reported[{i}].label": each.label for i, each in enumerate(state.reported)}
+    for field, title in titles.items():
+        check_title(title, source=file, field=field)
 
 
 def check_dimensions(

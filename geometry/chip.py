@@ -64,6 +64,7 @@ class Chip:
     is_open: bool = False
 
     def __post_init__(self) -> None:
+        checks.check_names(self.name, self.layers, self.states, self.file)
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file, self.measure)
         checks.check_cavity(self.layers, self.file, self.measure, is_open=self.is_open)
@@ -235,17 +236,22 @@ def _resized(old: Dimension, value: float) -> Dimension:
     return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
-def read_chip(path: Path | str) -> Chip:
+def read_chip(path: Path | str, *, scripts: bool = True) -> Chip:
     """Read the chip described by a TOML file.
 
+    A layer may be drawn by a Python script beside the file, which runs when the chip is built. A warning names it;
+    ``scripts=False`` or the environment variable ``WORKBENCH_NO_SCRIPTS=1`` refuses it.
+
     Raises:
-        InputError: the file is missing, is not TOML, or does not describe a chip.
+        InputError: the file is missing, is not TOML, does not describe a chip, or names a script that is refused.
     """
-    return parse_chip(read_toml(Path(path)), source=str(path))
+    return parse_chip(read_toml(Path(path)), source=str(path), scripts=scripts)
 
 
-def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
+def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True) -> Chip:
     """The chip described by the content of a chip file; `source` is the name that mistakes are reported under.
+
+    `scripts` is that of :func:`read_chip`.
 
     Raises:
         InputError: the content does not describe a chip.
@@ -254,7 +260,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
     head = root.table("chip").only(
         ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
     measure = read_measure(head)
-    layers, electrodes = read_layers(root, measure)
+    layers, electrodes = read_layers(root, measure, scripts=scripts)
     cavity = root.table("cavity").only(("ports", "open", "fill"))
     unusual = head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual")
     layers, is_open = read_well(cavity, layers, measure, unusual)

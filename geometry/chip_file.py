@@ -11,8 +11,10 @@ from geometry.dimension import SHAPES, Dimension
 from geometry.measure import Straight
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
-from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Script, Size, StepPart
+from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Size, StepPart
+from geometry.scripts import Script, lies_below, script_bytes
 from geometry.straight import head_keys
+from workbench.files.errors import InputError
 from workbench.files.quantities import format_quantity
 from workbench.files.toml import TomlEntry, toml_heading, toml_table
 from workbench.files.writing import write_atomic
@@ -21,10 +23,16 @@ from workbench.files.writing import write_atomic
 def write_chip(chip: Chip, path: Path | str) -> Path:
     """Write `chip` to `path` as a chip file, whole or not at all. Comments of an earlier file are not kept.
 
+    A script that lies elsewhere is copied beside the file, under a name with its digest.
+
     Raises:
+        InputError: a script has changed since the chip was read, or another file is in the way of its copy.
         OSError: the file cannot be written.
     """
     path = Path(path)
+    for layer in chip.layers:
+        if layer.profile is not None and isinstance(layer.profile.source, Script):
+            _copy(layer.profile.source, path.parent)
     write_atomic(path, chip_text(chip, path.parent))
     return path
 
@@ -105,8 +113,8 @@ def _profile(profile: Profile, folder: Path) -> TomlEntry:
     match profile.source:
         case Outline(corners):
             found["points"] = [_corner(corner) for corner in corners]
-        case Script(path, function):
-            found |= {"script": _beside(path, folder), "function": function}
+        case Script() as script:
+            found |= {"script": _script(script, folder), "function": script.function}
         case StepPart(path, part, scale):
             found |= {"step": _beside(path, folder), "part": part}
             found |= {"scale": _length(scale)} if scale != 1e-3 else {}
@@ -128,6 +136,26 @@ def placement_keys(placement: Placement) -> dict[str, TomlEntry]:
     if placement.sector != 2.0 * math.pi:
         found["sector"] = _angle(placement.sector)
     return found
+
+
+def _script(script: Script, folder: Path) -> str:
+    """A script as a chip file in `folder` names it: where it lies, or as a copy beside the file."""
+    if lies_below(script.path, folder):
+        return _beside(script.path, folder)
+    digest = f"-{script.content[:12]}"
+    return f"{script.path.stem.removesuffix(digest)}{digest}{script.path.suffix}"
+
+
+def _copy(script: Script, folder: Path) -> None:
+    """Put a script where :func:`_script` says that it lies."""
+    there = folder / _script(script, folder)
+    if lies_below(script.path, folder):
+        return
+    data = script_bytes(script)
+    if there.exists() and there.read_bytes() != data:
+        raise InputError(str(there), "script", there.name, "a copy of the script, or no file; move it away")
+    if not there.exists():
+        write_atomic(there, data)
 
 
 def _beside(path: Path, folder: Path) -> str:

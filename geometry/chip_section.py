@@ -12,7 +12,7 @@ from geometry.kernel import MILLIMETRES
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import OUTSIDE, TRANSDUCER
 from geometry.parts import Electrodes, Layer
-from geometry.profile import names_of_layer
+from geometry.profile import names_of_layer, step_profiles
 from geometry.section import Section, cut_section, section_of_layers
 from geometry.shapes import outlines
 
@@ -71,7 +71,7 @@ def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_
     """
     from geometry import cad
 
-    drawn = {}
+    drawn, steps = {}, step_profiles(layer.profile for layer in layers)
     for number, layer in enumerate(layers):
         if layer.profile is None:
             lengths = (layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
@@ -83,7 +83,7 @@ def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_
             sizes[hole] = layer.inner_radius
         drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
                                                field=f"layers[{number}].profile", measure=measure,
-                                               is_transducer=layer.role == TRANSDUCER)
+                                               is_transducer=layer.role == TRANSDUCER, steps=steps)
     if measure.is_whole:
         return {layer.region: cad.mirrored(drawn[layer.region], layer.offset) for layer in layers}
     return drawn

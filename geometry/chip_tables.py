@@ -12,7 +12,7 @@ from geometry.measure import Measure, Straight
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.plausible import FILL_KEY, check_length
-from geometry.profile import AXES, Profile, StepPart, read_profile
+from geometry.profile import AXES, Profile, StepPart, read_profile, step_profiles
 from geometry.straight import MOST_CHANNELS, refuse_round_keys
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
@@ -59,9 +59,9 @@ def read_band(head: FileTable) -> tuple[float, float]:
     return low, high
 
 
-def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], Electrodes]:
+def read_layers(root: FileTable, measure: Measure, *, scripts: bool = True) -> tuple[tuple[Layer, ...], Electrodes]:
     """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes, with the
-    keys of a chip of that `measure`."""
+    keys of a chip of that `measure`; `scripts` allows layers that a script draws."""
     across, doubled = measure.across, measure.doubled
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
@@ -69,9 +69,8 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
         raise root.error("layers", expected)
     roles = [choose(table.required("role", "a role"), ROLES, source=table.source, field=table.at("role"))
              for table in tables]
-    layers: list[Layer] = []
-    electrodes = Electrodes()
-    for table, region, role in zip(tables, region_names(roles), roles, strict=True):
+    profiles = []
+    for table, role in zip(tables, roles, strict=True):
         if isinstance(measure, Straight):
             refuse_round_keys(table)
             table.only([*_STRAIGHT_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _STRAIGHT_LAYER_KEYS)
@@ -81,13 +80,13 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
         for key in ("channels", "pitch"):
             if key in table and not {f"cavity_{across}", f"cavity_{doubled}"} & {*table}:
                 raise table.error(key, f"none without the cavity_{doubled} of the channels")
+        profiles.append(read_profile(table.table("profile"), measure, scripts=scripts) if "profile" in table else None)
+    sections = _measured(step_profiles(profiles))
+    layers: list[Layer] = []
+    electrodes = Electrodes()
+    for table, region, role, profile in zip(tables, region_names(roles), roles, profiles, strict=True):
         bottom = table.optional_quantity("bottom", "length")
-        profile = read_profile(table.table("profile"), measure) if "profile" in table else None
-        measured: dict[str, float] = {}
-        if profile is not None and isinstance(profile.source, StepPart):
-            from geometry.cad import measured_part  # CadQuery takes seconds to import
-
-            measured = measured_part(profile.source, profile.asymmetry, profile.placement)
+        measured = sections.get(profile, {}) if profile is not None else {}
         layer = Layer(
             region=region,
             role=role,
@@ -121,6 +120,15 @@ def read_layers(root: FileTable, measure: Measure) -> tuple[tuple[Layer, ...], E
                              + (f'"{_other_way(profile)}"' if profile else ""))
         layers.append(layer)
     return tuple(layers), electrodes
+
+
+def _measured(profiles: tuple[Profile, ...]) -> dict[Profile, dict[str, float]]:
+    """Measures (m) of parts of STEP files, by profile."""
+    if not profiles:
+        return {}
+    from geometry.cad import section_measures, step_sections  # CadQuery takes seconds to import
+
+    return {profile: section_measures(drawn) for profile, drawn in step_sections(profiles).items()}
 
 
 def _further_live(table: FileTable) -> Literal["top", "bottom"] | None:

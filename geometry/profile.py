@@ -11,17 +11,15 @@ middle of the layer, whose other half is the mirror image, and ``half_width`` st
 from __future__ import annotations
 
 import hashlib
-import inspect
 import math
-import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from geometry.dimension import SHAPES, Dimension, read_dimension
 from geometry.measure import ABOUT_AXIS, Measure, Straight
-from workbench.files.errors import InputError, choose, nearest_files, nearest_names
+from geometry.scripts import Script, check_script, warn_of
+from workbench.files.errors import InputError, choose, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 
@@ -62,16 +60,6 @@ class Outline:
     """A closed outline: the last corner is joined to the first."""
 
     corners: tuple[Corner, ...]
-
-
-@dataclass(frozen=True)
-class Script:
-    """A function of a Python file that draws the layer with CadQuery; ``content`` distinguishes versions of the file.
-    """
-
-    path: Path
-    function: str
-    content: str
 
 
 @dataclass(frozen=True)
@@ -127,12 +115,12 @@ def names_of_layer(measure: Measure) -> tuple[str, ...]:
     return "thickness", measure.across, f"cavity_{measure.across}"
 
 
-def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS) -> Profile:
-    """The profile of a layer of a chip of that `measure`, from its table ``profile``.
+def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS, *, scripts: bool = True) -> Profile:
+    """The profile of a layer of a chip of that `measure`, from its table ``profile``; `scripts` allows a script.
 
     Raises:
-        InputError: an invalid key, name or unit, a file that does not exist, a script without the function, or a solid
-            in a straight chip.
+        InputError: an invalid key, name or unit, a file that does not exist, a script that is refused or lies
+            elsewhere, or a solid in a straight chip.
     """
     if isinstance(measure, Straight):
         for key in _OF_SOLIDS:
@@ -157,7 +145,7 @@ def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS) -> Profile:
     if sources == ["points"]:
         source = _outline(table, {*of_layer, *(name for name, _ in parameters)}, angles)
     elif sources == ["script"]:
-        source = _script(table)
+        source = _script(table, scripts=scripts)
     else:
         path, content = _file(table, "step")
         source = StepPart(path, table.text("part", expected="the name of a solid in the file"),
@@ -252,8 +240,10 @@ def _outline(table: FileTable, names: set[str], angles: frozenset[str]) -> Outli
 def _file(table: FileTable, key: str) -> tuple[Path, str]:
     """A file named by `key`, beside the chip file, and the digest that distinguishes its versions."""
     name = table.text(key, expected="the name of a file")
-    path = Path(table.source).parent / name
+    path = _path(table, name)
     try:
+        if path.exists() and not path.is_file():
+            raise OSError("it is no regular file")  # a pipe has no end
         return path, hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         near = nearest_files(path, lambda each: each.suffix == path.suffix)
@@ -261,52 +251,19 @@ def _file(table: FileTable, key: str) -> tuple[Path, str]:
                          near) from None
 
 
-def _script(table: FileTable) -> Script:
+def _path(table: FileTable, name: str) -> Path:
+    return Path(table.source).parent / name
+
+
+def _script(table: FileTable, *, scripts: bool) -> Script:
+    name = table.text("script", expected="the name of a file")
+    check_script(name, _path(table, name), source=table.source, field=table.at("script"), scripts=scripts)
     path, content = _file(table, "script")
-    return Script(path, table.text("function", expected="the name of a function of the script"), content)
+    found = Script(path, table.text("function", expected="the name of a function of the script"), content)
+    warn_of(found, table.source)
+    return found
 
 
-def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str], stated: Sequence[str]) -> Any:
-    """The result of a script's function for some sizes (m, rad), which it gets in millimetres and degrees.
-
-    Raises:
-        InputError: the script does not run, has no such function, or the function asks for an unknown size, or not for
-            one of those that its profile has `stated`.
-    """
-    scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
-    try:
-        exec(compile(script.path.read_text(encoding="utf-8"), str(script.path), "exec"), scope)
-    except (Exception, SystemExit) as error:
-        raise InputError(str(script.path), _line(error, script.path, "script"), _said(error),
-                         "a script that runs") from error
-    functions = {name: each for name, each in scope.items() if inspect.isfunction(each)}
-    function: Callable[..., Any] = functions[choose(script.function, functions, source=str(script.path),
-                                                    field="function")]
-    wanted = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if name in sizes:
-            wanted[name] = math.degrees(sizes[name]) if name in angles else 1e3 * sizes[name]
-        elif parameter.default is inspect.Parameter.empty:
-            choose(name, sizes, source=str(script.path), field=f"parameter of {script.function}")
-    unused = sorted(set(stated) - set(wanted))
-    if unused:
-        raise InputError(str(script.path), f"parameters of {script.function}", ", ".join(wanted) or None,
-                         f"one called {unused[0]!r}, which the chip file states", nearest_names(unused[0], wanted))
-    try:
-        return function(**wanted)
-    except (Exception, SystemExit) as error:
-        shown = ", ".join(f"{name} = {value:.6g}" for name, value in wanted.items())
-        raise InputError(str(script.path), _line(error, script.path, f"{script.function}({shown})"), _said(error),
-                         "a solid") from error
-
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
-
-
-def _line(error: BaseException, path: Path, what: str) -> str:
-    """The line of the script that failed, with `what` was run: the last line of that file in the traceback."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    if isinstance(error, SyntaxError) and error.filename == str(path):
-        lines.append(error.lineno)
-    return f"line {lines[-1]}, {what}" if lines and lines[-1] is not None else what
+def step_profiles(profiles: Iterable[Profile | None]) -> tuple[Profile, ...]:
+    """Those of the profiles that are parts of STEP files."""
+    return tuple(each for each in profiles if each is not None and isinstance(each.source, StepPart))

@@ -18,7 +18,7 @@ from materials.history import load_quietly
 from materials.registry import PACKAGE_DATA, Registry, bibliography_keys
 from materials.versions import (
     Withdrawal,
-    check_name,
+    check_saved_name,
     entry_file,
     put,
     read_withdrawal,
@@ -27,7 +27,7 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
-from workbench.files.tables import FileTable, parse_toml
+from workbench.files.tables import FileTable, parse_json, parse_toml
 from workbench.files.writing import write_atomic
 
 #: First line of the file, which identifies its format.
@@ -53,7 +53,7 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
     """Write the entries that `names` mean to the file `path`, and return their full names.
 
     Raises:
-        InputError: an unknown name, an entry of the package, or a spoiled one.
+        InputError: an unknown name, an entry of the package, or a spoiled one; another file is at `path`.
     """
     found = [registry.find(name) for name in names]
     entries = []
@@ -61,7 +61,7 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
         if PACKAGE_DATA in file.parents:
             raise InputError("materials", "name", name, "an entry of one's own: this one is in the package everywhere")
         split = split_version(name)
-        check_name(name if split is None else split[0])
+        check_saved_name(name if split is None else split[0])
         load_quietly(registry, name)  # An unreadable entry is not handed on.
         # Written as bytes: text mode would change line ends.
         content, withdrawal = file.read_bytes().decode("utf-8"), read_withdrawal(file)
@@ -69,6 +69,12 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
         if withdrawal is not None:
             entry["withdrawal"] = {"date": withdrawal.date, "reason": withdrawal.reason}
         entries.append(entry)
+    if path.is_file():
+        try:
+            _read(path)
+        except InputError as error:
+            raise InputError("materials", "output", str(path), "a new name, or a file of exported materials, which is "
+                             f"replaced; this is another file ({error})") from None
     write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
     return tuple(dict(found))
 
@@ -127,13 +133,12 @@ def _digest(content: str) -> str:
 def _read(path: Path) -> list[_Entry]:
     source = str(path)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(source, "file", path.name, "an existing file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(source, "file", path.name, f"a readable text file ({error})") from None
-    except json.JSONDecodeError as error:
-        raise InputError(source, "JSON syntax", str(error), "a file of exported materials, whole") from None
+    data = parse_json(text, source=source, expected="a file of exported materials, whole")
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, Mapping) else type(data).__name__
         raise InputError(source, "format", found, FORMAT)
@@ -147,8 +152,8 @@ def _read_entry(entry: object, field: str, *, source: str) -> _Entry:
     table = FileTable.of(entry, source=source, field=field, expected="a name, a content and its sha256")
     name, content, digest = (table.text(key) for key in ("name", "content", "sha256"))
     split = split_version(name)
-    # A name is a path below the folder: nothing but letters, digits, _ and - on both sides of one slash.
-    check_name(name if split is None else split[0], source=source)
+    # A name is a path below the folder.
+    check_saved_name(name if split is None else split[0], source=source)
     if _digest(content) != digest:
         raise InputError(source, f"{field}.sha256", digest, f"{_digest(content)}, of the content as it is: {name} was "
                          "changed")

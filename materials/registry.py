@@ -31,6 +31,7 @@ from materials.versions import (
     withdrawal_file,
 )
 from workbench.files.errors import InputError, nearest_names
+from workbench.files.names import MARKS, check_name
 from workbench.files.tables import read_toml
 
 PACKAGE_DATA = Path(__file__).parent / "data"
@@ -127,8 +128,10 @@ class Registry:
         for folder in self._folders():
             if not folder.is_dir():
                 raise InputError("materials", "folder", str(folder), "an existing folder of materials")
-            for path in sorted(folder.glob("*/*.toml")):
-                name = entry_name(path)
+            # File managers and editors begin the names of their own files with a dot.
+            for path in sorted(folder.glob("[!.]*/[!.]*.toml")):
+                name = check_name(entry_name(path), source=str(path), field="name", form="material/source",
+                                  marks=f"{MARKS}@")
                 if name in files:
                     raise InputError(str(path), "name", name, f"a name of its own: {files[name]} has this one")
                 files[name] = path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,15 @@ from materials.fit import Fit
 from materials.kinds import Fluid, Material
 from materials.registry import PACKAGE_DATA, bibliography_keys
 from materials.value import RECORDING, UNITS, Value
-from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
+from materials.versions import (
+    check_saved_name,
+    entry_file,
+    entry_name,
+    put,
+    split_version,
+    versions_of,
+    withdrawal_file,
+)
 from workbench.files.errors import InputError
 from workbench.files.tables import parse_toml
 from workbench.files.toml import TomlEntry, toml_lines, toml_table
@@ -68,7 +76,8 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
 def save_fit(material: Material, name: str, *, folder: Path) -> str:
     """Save a fitted material as the next version of `name`, and return its full name, such as ``pzt4/disc_7@2``.
 
-    No existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
+    If the newest version has the same content, all but the date, nothing is saved, and its name is returned. No
+    existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
     (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in place.
 
     Args:
@@ -85,7 +94,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
     Warns:
         materials.PassivityWarning: active by no more than its own uncertainty.
     """
-    check_name(name)
+    check_saved_name(name)
     for place in (PACKAGE_DATA, folder):
         if entry_file(place, name).exists():
             raise InputError("materials", "name", name, f"another name: {entry_file(place, name)} has no versions")
@@ -101,10 +110,40 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
         mine, theirs = getattr(material, field.name), getattr(read, field.name)
         if mine != theirs:
             raise InputError(label, field.name, mine, f"what can be read back; this becomes {theirs!r}")
-    there = versions_of(name, map(entry_name, entry_file(folder, name).parent.glob("*.toml")))
+    there = saved_versions(name, folder)
+    if there and _is_same(entry_file(folder, there[-1]), content):
+        return there[-1]
     last = split_version(there[-1]) if there else None
-    numbers = itertools.count(1 if last is None else last[1] + 1)
-    return entry_name(put(encoded, (entry_file(folder, f"{name}@{number}") for number in numbers)))
+    path = entry_file(folder, name)
+
+    def free() -> Iterator[Path]:
+        nonlocal path
+        for number in itertools.count(1 if last is None else last[1] + 1):
+            path = entry_file(folder, f"{name}@{number}")
+            yield path
+            if _is_same(path, content):
+                return  # Another run saved the same meanwhile.
+
+    try:
+        return entry_name(put(encoded, free()))
+    except FileExistsError:
+        if not _is_same(path, content):
+            raise
+        return entry_name(path)
+
+
+def saved_versions(name: str, folder: Path) -> list[str]:
+    """The versions of `name` in a folder of materials, the oldest first."""
+    return versions_of(name, map(entry_name, entry_file(folder, name).parent.glob("*.toml")))
+
+
+def _is_same(path: Path, content: str) -> bool:
+    """Whether the entry in a file is this one apart from its date, which is the last line, and not withdrawn."""
+    if withdrawal_file(path).exists() or not path.is_file():
+        return False
+    mine, theirs = (text.rstrip("\n").rpartition("\n")[0]
+                    for text in (content, path.read_bytes().decode("utf-8", "replace")))
+    return mine == theirs
 
 
 def entry_text(material: Material) -> str:

@@ -20,12 +20,11 @@ from pathlib import Path
 
 from materials.lines import with_line_number
 from materials.value import date_text
-from workbench.files.errors import InputError
+from workbench.files.names import NUMBER_MARKS, check_name
 from workbench.files.tables import FileTable
 from workbench.files.toml import toml_lines
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
-_VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
+_VERSION = re.compile(r"([^/@]+/[^/@]+)@([1-9][0-9]{0,8})")
 
 
 class WithdrawnWarning(UserWarning):
@@ -52,16 +51,14 @@ def versions_of(name: str, names: Iterable[str]) -> list[str]:
     return sorted(found, key=lambda known: found[known][1])
 
 
-def check_name(name: str, *, source: str = "materials") -> str:
-    """The `name` itself if a fit can be saved under it; `source` is the place it was written, for messages.
+def check_saved_name(name: str, *, source: str = "materials", field: str = "name") -> str:
+    """The `name` itself if a fit can be saved under it; `source` and `field` are its place, for messages.
 
     Raises:
-        InputError: anything but ``material/name`` in letters, digits, ``_`` and ``-``.
+        InputError: anything but ``material/name`` in letters, digits, ``_`` and ``-``, such as a version, which is
+            counted.
     """
-    if _NAME.fullmatch(name) is None:
-        raise InputError(source, "name", name,
-                         "material/name in letters, digits, _ and -, such as pzt4/disc_7; the version is counted")
-    return name
+    return check_name(name, source=source, field=field, form="material/name", marks=NUMBER_MARKS)
 
 
 def entry_file(folder: Path, name: str) -> Path:

@@ -51,6 +51,34 @@ def shared() -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def files_are_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every run in a test writes only files that its command declares: a user's are refused before it begins."""
+    from workbench.files.output import OutputFolder
+    from workbench.files.ownership import matches
+
+    real = OutputFolder.finish
+
+    def finish(self: OutputFolder, *, complete: bool) -> None:
+        undeclared = [name for name in self._written() if not matches(name, self.outputs.names)]
+        real(self, complete=complete)
+        assert not undeclared, f"workbench {self.outputs.command} wrote {undeclared}"
+
+    monkeypatch.setattr(OutputFolder, "finish", finish)
+
+
+@pytest.fixture
+def kernel_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """STEP files are read by this process, which need not load the CAD kernel again for each."""
+    from geometry import cad
+
+    def answer_here(function: str, request: object, *, seconds: int) -> object:
+        assert (function, seconds) == ("geometry.cad:step_answers", cad.STEP_SECONDS)
+        return json.loads(json.dumps(cad.step_answers(json.loads(json.dumps(request)))))
+
+    monkeypatch.setattr(cad, "answer_apart", answer_here)
+
+
 @pytest.fixture
 def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The titles of the tables printed, each of which is checked to fit 80 columns without the loss of a word."""

@@ -104,6 +104,11 @@ def standard_json(path: Path) -> Any:
     return json.loads(path.read_text(), parse_constant=refuse)
 
 
+def visible(folder: Path) -> list[str]:
+    """Names of the entries of a folder, hidden ones apart."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
 def check_report(path: Path) -> str:
     """The text of a report that needs nothing but itself."""
     text = path.read_text()

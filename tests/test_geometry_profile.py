@@ -20,6 +20,8 @@ from workbench.model.problem import LeftOutWarning, build, fill
 
 pytest.importorskip("cadquery")
 
+pytestmark = pytest.mark.usefixtures("kernel_here")
+
 CHIP = """
 [chip]
 name = "ring of any shape"

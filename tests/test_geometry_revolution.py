@@ -16,6 +16,8 @@ from workbench.files.errors import InputError
 
 cadquery = pytest.importorskip("cadquery")
 
+pytestmark = pytest.mark.usefixtures("kernel_here")
+
 LAYERS = (("transducer", "pzt4/acevedo_2026_fitted", "disc"), ("substrate", "pla", "plate"))
 
 #: Volumes (m^3): a disc of 10 x 2 mm, and on it a plate of 10 x 1.5 mm.

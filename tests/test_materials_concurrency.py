@@ -66,7 +66,7 @@ def test_a_save_killed_at_any_moment_leaves_a_readable_registry(tmp_path: Path) 
     # One process makes children that save as fast as they can, and kills each after a random time. It is no thread's
     # and no library's business but its own, so it may fork.
     script = SAVER + """
-import os, random, signal, time
+import itertools, os, random, signal, time
 random.seed(20261121)
 store(0)
 for round_ in range(count):
@@ -74,8 +74,8 @@ for round_ in range(count):
     child = os.fork()
     if child == 0:
         os.write(writer, b"x")
-        while True:
-            store(1)
+        for k in itertools.count(1000 * (1 + round_)):
+            store(k)
     os.read(reader, 1)
     time.sleep(random.uniform(0.0, 0.04))
     os.kill(child, signal.SIGKILL)
@@ -86,7 +86,7 @@ for round_ in range(count):
     for name in [name for name in registry.names() if "disc_7" in name][-3:]:
         registry.load(name)
     registry.load("pzt4/disc_7")
-    store(2)
+    store(1 + round_)
 """
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path), "0", "60"], cwd=ROOT, capture_output=True,
                           text=True, check=False)
@@ -120,7 +120,7 @@ while status and kills < 200:
     if child == 0:
         sys.settrace(dying(kills))
         try:
-            store(1)
+            store(1 + kills)
         finally:
             os._exit(0)
     status = os.waitpid(child, 0)[1]

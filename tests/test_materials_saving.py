@@ -211,6 +211,24 @@ def test_saving_changes_nothing_that_is_there(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "pzt4").iterdir()} == {"disc_7@1.toml", "disc_7@2.toml"}
 
 
+def test_the_same_content_is_not_saved_again(tmp_path: Path) -> None:
+    def saved(k: int, day: str = "21") -> str:
+        fit = replace(FIT, mape_percent=float(k), date=f"2026-11-{day}")
+        return save_fit(_found(fit=fit), "pzt4/disc_7", folder=tmp_path)
+
+    assert [saved(1), saved(1, "22"), saved(2), saved(2), saved(1)] == [
+        f"pzt4/disc_7@{number}" for number in (1, 1, 2, 2, 3)]
+    assert {path.name for path in (tmp_path / "pzt4").iterdir()} == {f"disc_7@{k}.toml" for k in (1, 2, 3)}
+    # A version that was withdrawn is not there any more.
+    withdraw(Registry((tmp_path,)), "pzt4/disc_7@3", reason="wet", date=DATE)
+    assert saved(1) == "pzt4/disc_7@4"
+    # Another run saves the same between the look and the save.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("materials.saving.saved_versions", lambda *_: ["pzt4/disc_7@3"])
+        assert saved(1) == "pzt4/disc_7@4"
+        assert saved(5) == "pzt4/disc_7@5"
+
+
 def test_saving_does_not_change_what_a_chip_file_means(tmp_path: Path) -> None:
     # "pla" has one entry, so a second one that is no saved fit would make the name ambiguous.
     save_fit(_found(Registry().load("pla")), "pla/print_3", folder=tmp_path)
@@ -220,7 +238,7 @@ def test_saving_does_not_change_what_a_chip_file_means(tmp_path: Path) -> None:
 def test_a_material_known_from_fits_alone(tmp_path: Path) -> None:
     pla = _found(Registry().load("pla"))
     save_fit(pla, "resin/print_3", folder=tmp_path)
-    save_fit(pla, "resin/print_3", folder=tmp_path)
+    save_fit(_found(Registry().load("pla"), fit=replace(FIT, mape_percent=3.0)), "resin/print_3", folder=tmp_path)
     assert Registry((tmp_path,)).load("resin").name == "resin/print_3@2"
     save_fit(pla, "resin/print_4", folder=tmp_path)
     with pytest.raises(InputError, match=r"one of resin/print_3, resin/print_4 \(none is declared"):
@@ -257,8 +275,8 @@ DATE = "2026-11-22T09:00:00+00:00"
 
 def test_a_withdrawn_version_is_read_by_its_full_name_alone(tmp_path: Path) -> None:
     registry = Registry((tmp_path,))
-    for _ in range(2):
-        save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
+    for k in range(2):
+        save_fit(_found(fit=replace(FIT, mape_percent=float(k))), "pzt4/disc_7", folder=tmp_path)
     withdraw(registry, "pzt4/disc_7@2", reason='the "wrong" disc', date=DATE)
     assert registry.load("pzt4/disc_7").name == "pzt4/disc_7@1"
     with pytest.warns(WithdrawnWarning, match=f'disc_7@2 was withdrawn on {DATE[:10]}.*the "wrong" disc') as said:
@@ -282,8 +300,8 @@ def test_a_withdrawn_version_is_read_by_its_full_name_alone(tmp_path: Path) -> N
 ])  # fmt: skip
 def test_mistakes_in_withdrawing(name: str, reason: str, date: str, message: str, tmp_path: Path) -> None:
     registry = Registry((tmp_path,))
-    for _ in range(2):
-        save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
+    for k in range(2):
+        save_fit(_found(fit=replace(FIT, mape_percent=float(k))), "pzt4/disc_7", folder=tmp_path)
     withdraw(registry, "pzt4/disc_7@1", reason="first", date=DATE)
     with pytest.raises(InputError, match=message):
         withdraw(registry, name, reason=reason, date=date)

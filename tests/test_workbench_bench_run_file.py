@@ -180,3 +180,67 @@ def test_files_that_are_no_runs_are_refused(tmp_path: Path) -> None:
     journal_path(journal.path).rename(journal_path(path))
     with pytest.raises(InputError, match="the run of"):
         read_run(path)
+
+
+def test_every_changed_byte_of_a_run_file_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    run = started(path, points=1).fold(complete=True)
+    whole = path.read_bytes()
+    for place in [*range(0, len(whole), 101), *range(len(whole) - 75, len(whole))]:
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1:])
+        with pytest.raises(InputError, match=r"run\.h5: (content|file): received"):
+            read_run(path)
+    for length in range(0, len(whole), 997):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"run\.h5: (content|file): received"):
+            read_run(path)
+    path.write_bytes(whole)
+    same(read_run(path).points[0], run.points[0])
+
+
+def test_other_programs_read_a_run_file_and_its_checksums(tmp_path: Path) -> None:
+    import h5py
+
+    path = tmp_path / "run.h5"
+    started(path, points=2).fold(complete=True)
+    whole = path.read_bytes()
+    with h5py.File(path, "r") as file:
+        for name in ("points/frequency", "points/impedance", "captures/000001/raw"):
+            assert file[name].fletcher32, name
+        place = file["points/frequency"].id.get_chunk_info(0).byte_offset
+    path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1:])
+    with h5py.File(path, "r") as file, pytest.raises(OSError, match="filter returned failure"):
+        file["points/frequency"][()]
+    # A program that writes into the file removes the digest.
+    path.write_bytes(whole)
+    with h5py.File(path, "r+") as file:
+        file.attrs["complete"] = False
+    with pytest.raises(InputError, match=r"run\.h5: content: received"):
+        read_run(path)
+
+
+def test_a_run_file_of_an_earlier_version_is_read_and_its_damages_are_named(tmp_path: Path) -> None:
+    import h5py
+
+    path = tmp_path / "run.h5"
+    run = started(path, points=1).fold(complete=True)
+    with h5py.File(path, "r+") as file:
+        # As it was before files had a digest: without the attribute, and without the line at the end.
+        del file.attrs["sealed"]
+    data = path.read_bytes()
+    end = data.rfind(b"\nsha256 ")
+    path.write_bytes(data[:end] if end > 0 else data)
+    same(read_run(path).points[0], run.points[0])
+    for name, content in (("instruments", "{"), ("instruments", "3"), ("created", "never"),
+                          ("format", "workbench run 9")):
+        with h5py.File(path, "r+") as file:
+            kept = file.attrs[name]
+            file.attrs[name] = content
+        with pytest.raises(InputError, match=r"run\.h5: (file|format): received"):
+            read_run(path)
+        with h5py.File(path, "r+") as file:
+            file.attrs[name] = kept
+    with h5py.File(path, "r+") as file:
+        file.move("captures/000000/raw", "captures/000000/rare")
+    with pytest.raises(InputError, match=r"run\.h5: file: received 'run\.h5'; expected a run file .* restore a copy"):
+        read_run(path)

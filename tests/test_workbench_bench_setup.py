@@ -74,6 +74,13 @@ def test_everything_is_read_in_si(tmp_path: Path) -> None:
     assert setup.text == TEXT
 
 
+def test_a_note_about_the_device_has_no_control_characters(tmp_path: Path) -> None:
+    """It becomes a line of every recording."""
+    path = written(tmp_path, TEXT.replace("chip 3", r"chip\u001b[2J3"))
+    with pytest.raises(InputError, match=r"device.name: received 'chip\\x1b\[2J3'; expected a text on one line"):
+        read_bench(path)
+
+
 def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to() -> None:
     grid = SweepPlan(0.88e6, 1.12e6, step=500.0).grid()
     assert len(grid) == 481

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import CAVITY_LAYERS, DISC
+from support import CAVITY_LAYERS, DISC, visible
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
@@ -18,6 +18,8 @@ from workbench.cli import main
 from workbench.design import optimisation
 from workbench.design.evaluation import Evaluation
 from workbench.design.modelling import ChipSolver
+from workbench.files.output import begin
+from workbench.files.ownership import Outputs
 from workbench.results.spectrum import Spectrum
 from workbench.simulation.run import snapshot
 
@@ -70,7 +72,7 @@ def written(folder: Path, text: str = GOAL) -> str:
 def test_a_goal_leaves_chip_report_and_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["design", written(tmp_path), "-o", str(out), "--jobs", "1", "--no-cad"]) == 0
-    assert {path.name for path in out.iterdir()} == {"best.toml", "design.json", "report.html", "impedance.png",
+    assert set(visible(out)) == {"best.toml", "design.json", "report.html", "impedance.png",
                                                      "convergence.png"}
     best = read_chip(out / "best.toml")
     # The nearer step to 0.83 mm of the two that keep f0 above 1 MHz.
@@ -103,7 +105,8 @@ def test_what_is_not_confirmed_leaves_no_chip(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    write_chip(read_chip(CHIPS / "reference_chip.toml"), out / "best.toml")
+    with begin(out, Outputs("design", ("best.toml",)), source="x", field="y"):
+        write_chip(read_chip(CHIPS / "reference_chip.toml"), out / "best.toml")
 
     def off(_solver: ChipSolver, chip: Chip) -> Evaluation:
         found = Parabola()({name: chip.dimensions()[name].value for name in Parabola.names})

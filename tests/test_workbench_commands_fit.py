@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from support import DISC, STACK, check_report, standard_json
 
 from geometry.chip import read_chip
-from materials import Registry
+from materials import Registry, user_registry
 from workbench.cli import main
 from workbench.commands import fit_job
 from workbench.fem.operators import assemble
@@ -82,6 +83,24 @@ def test_a_transducer_is_fitted_reported_and_saved(
     assert "saved as pzt4/pea@1" in said.out
     assert re.search(r"c33 +│ 115.41 +│ 121\.\d+", said.out)
     assert "same optimum" in said.err
+
+
+def test_a_fit_interrupted_after_saving_says_so_and_is_not_saved_again(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_arguments: object, **_named: object) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    job = ("disc", "--free", "c33", "--save", "pzt_mine/pea")
+    with monkeypatch.context() as patch:
+        patch.setattr(fit_job, "write_fit_report", interrupted)
+        assert fit(folder, *job, out=tmp_path / "out") == 143
+    assert re.search(r"interrupted: .* holds disc_fitted\.csv.*; pzt_mine/pea@1 is saved$",
+                     " ".join(capsys.readouterr().err.split()))
+    assert fit(folder, *job, out=tmp_path / "out") == 0
+    assert "pzt_mine/pea@1 has the same content already: not saved again" in capsys.readouterr().out
+    assert standard_json(tmp_path / "out" / "fit.json")["saved_as"] == "pzt_mine/pea@1"
+    assert [name for name in user_registry([]).names() if "pea" in name] == ["pzt_mine/pea@1"]
 
 
 def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(

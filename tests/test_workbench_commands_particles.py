@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import CELL, check_report, standard_json
+from support import CELL, check_report, standard_json, visible
 
 import workbench as wb
 from workbench.acoustics.trajectories import Fate
@@ -51,7 +51,7 @@ def test_the_command_writes_trajectories_pictures_and_a_report(
     command = ["particles", str(cell), "--at", "1 MHz", "--drive", "10 Vpp", "--minutes", "2", "--count", "30",
                "--accuracy", "0.5 %", "-o", str(out)]
     assert main(command) == 0
-    assert {path.name for path in out.iterdir()} == {
+    assert set(visible(out)) == {
         "above_start.png", "above_end.png", "overlay_end.png", "side.png", "light_curve.png", "light_curve.csv",
         "particles.gif", "particles.json", "trajectories.npz", "report.html", "streaming.png"}
     with np.load(out / "trajectories.npz") as kept:

@@ -15,7 +15,7 @@ from workbench.acoustics.traps import focus_time
 from workbench.design.bases import OF_PRESSURE, NotConfirmed
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import FIGURES
-from workbench.design.model import DesignModel, design_model, full_evaluation, of_range_model
+from workbench.design.model import DesignModel, design_model, full_evaluation, load_design_model, of_range_model
 from workbench.files.errors import InputError
 from workbench.model.drive import GeneratorDrive, PowerDrive
 from workbench.model.numbers import real_part
@@ -171,6 +171,27 @@ def test_a_model_goes_to_another_process(model: DesignModel) -> None:
     with pytest.raises(ValueError, match="sent to another process"):
         there.spectrum()
     assert model.spectrum().frequency.size == 81
+
+
+def test_a_model_is_kept_and_read_for_its_own_chip_only(chip: Chip, model: DesignModel, tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    model.save(path)
+    asked = {"figures": model.figures, "operation": model.operation, "registry": Registry(), "accuracy": COARSE}
+    again = load_design_model(path, chip, "filled", model.ranges, **asked)
+    ends = {name: high for name, (_, high) in model.ranges.items()}
+    for point in ({}, ends):
+        kept, made = again(point, gradient=True), model(point, gradient=True)
+        assert kept.figures == made.figures
+        assert (kept.missing, kept.frequency, kept.error) == (made.missing, made.frequency, made.error)
+        assert all(np.array_equal(kept.gradient[name], made.gradient[name], equal_nan=True) for name in made.figures)
+    assert (again.names, again.error) == (model.names, model.error)
+    with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
+        load_design_model(path, chip.with_dimensions({"substrate.radius": 12.9e-3}), "filled", model.ranges, **asked)
+    with pytest.raises(ValueError, match="cannot be saved"):
+        again.save(path)
+    path.write_bytes(pickle.dumps(again))
+    with pytest.raises(InputError, match=r"model\.npz: content: received 'no digest at its end'"):
+        load_design_model(path, chip, "filled", model.ranges, **asked)
 
 
 def test_what_is_missing_says_why(chip: Chip, model: DesignModel) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import random
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import sys
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -204,10 +206,60 @@ def test_a_study_of_an_older_version_is_refused_as_one(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL)
     run(plan, tmp_path / "out")
     begun = tmp_path / "out" / "begun.json"
-    begun.write_text(begun.read_text().replace("study.relative_error", "study.tolerance"))
+    # Before it had a digest.
+    stored = {key: text for key, text in json.loads(begun.read_text()).items() if key != "digest"}
+    begun.write_text(json.dumps(stored).replace("study.relative_error", "study.tolerance"))
     with pytest.raises(InputError, match=r"begun by an older version.*--overwrite"):
         run(plan, tmp_path / "out")
     run(plan, tmp_path / "out", overwrite=True)
+
+
+def test_points_that_are_damaged_are_named_and_computed_again(tmp_path: Path) -> None:
+    plan = read(tmp_path, SOBOL)
+    first, points = run(plan, tmp_path / "out"), tmp_path / "out" / "points"
+    one, other, full = (sorted(points.glob(pattern))[k] for pattern, k in (("0*", 1), ("0*", 3), ("full*", 2)))
+    content = one.read_bytes()
+    one.write_bytes(content[:200] + bytes([content[200] ^ 4]) + content[201:])
+    other.write_bytes(other.read_bytes()[:-300])
+    full.write_bytes(b"")
+    with pytest.warns(UserWarning, match="its points are computed again") as caught:
+        assert same(first, run(plan, tmp_path / "out"))
+    named = [str(each.message) for each in caught]
+    assert len(named) == 3
+    assert all(any(str(path) in text for text in named) for path in (one, other, full))
+    # Nothing is left of them.
+    assert same(first, run(plan, tmp_path / "out"))
+
+
+def test_files_that_are_nobodys_stay_where_they_are(tmp_path: Path) -> None:
+    plan = read(tmp_path, SOBOL)
+    first = run(plan, tmp_path / "out")
+    strangers = [tmp_path / "out" / folder / name for folder in ("models", "points")
+                 for name in (".DS_Store", "notes.txt")]
+    for path in strangers:
+        path.write_bytes(b"mine")
+    half = tmp_path / "out" / "points" / ".00000000.npz.unfinished-abc"
+    half.mkdir()
+    assert same(first, run(plan, tmp_path / "out"))
+    assert all(path.read_bytes() == b"mine" for path in strangers)
+    assert not half.exists()
+
+
+def test_a_damaged_record_of_a_study_is_named(tmp_path: Path) -> None:
+    plan = read(tmp_path, SOBOL)
+    run(plan, tmp_path / "out")
+    begun = tmp_path / "out" / "begun.json"
+    whole = begun.read_bytes()
+    changed = [whole[:k] + bytes([whole[k] ^ 2]) + whole[k + 1:] for k in range(0, len(whole), 29)]
+    for content in (*(whole[:k] for k in range(0, len(whole) - 2, 211)), *changed, b"[" * 5000, b"\xff\xfe"):
+        begun.write_bytes(content)
+        if content.split() == whole.split():
+            continue  # a space turned into another
+        with pytest.raises(InputError, match="--overwrite") as caught:
+            run(plan, tmp_path / "out")
+        assert str(begun) in str(caught.value) or caught.value.value == "nothing", content
+    begun.write_bytes(whole)
+    run(plan, tmp_path / "out")
 
 
 def test_a_material_that_has_changed_is_another_study(tmp_path: Path) -> None:
@@ -231,7 +283,7 @@ def test_two_studies_at_once_in_one_folder_are_refused(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL)
 
     def second(text: str, share: float) -> None:
-        with pytest.raises(InputError, match="no other study is at work"):
+        with pytest.raises(InputError, match="no other run is at work; process"):
             run(plan, tmp_path / "out")
 
     run(plan, tmp_path / "out", progress=second)
@@ -387,4 +439,28 @@ confirm = 1
     assert main(asked) == 0
     # The model comes from the disk, and says the same to the last bit.
     assert (tmp_path / "out" / "study.parquet").read_bytes() == first
-    assert "f0" in capsys.readouterr().out
+    output = capsys.readouterr()
+    assert "f0" in output.out
+    assert "warning" not in output.err
+    # A model that is damaged, or somebody's pickle, is named and made again; nothing runs.
+    poison = pickle.dumps(Poison(tmp_path / "EXECUTED"))
+    for name in ("0.npz", "0.pickle", "0.spectra.npz"):
+        (tmp_path / "out" / "models" / name).write_bytes(poison)
+    for path in (tmp_path / "out" / "points").iterdir():
+        path.unlink()
+    assert main(asked) == 0
+    output = capsys.readouterr().err.replace("\n", "")
+    assert output.count("it is made again") == 2
+    assert "models/0.npz" in output
+    assert "models/0.spectra.npz" in output
+    assert not (tmp_path / "EXECUTED").exists()
+
+
+@dataclass(frozen=True)
+class Poison:
+    """Leaves a file where it is unpickled."""
+
+    mark: Path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.mark,))

@@ -6,7 +6,6 @@ import errno
 import os
 import re
 import stat
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -16,7 +15,7 @@ import pytest
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.files.writing import MARK, remedy, replacing, settle_folder, writable_folder, write_atomic
+from workbench.files.writing import remedy, replacing, write_atomic
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -182,56 +181,6 @@ def test_what_a_library_wraps_is_known_by_its_number(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No space left") as caught:
         failing()
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "run.h5"))
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(("number", "words"), [
-    (errno.EROFS, "the disk can only be read: choose a folder on another one"),
-    (errno.EACCES, "you may not write there"), (errno.ENOSPC, "the disk is full"),
-])
-def test_a_folder_that_cannot_be_written_to_is_refused_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
-) -> None:
-    def refusing(*_arguments: object, **_named: object) -> None:
-        raise OSError(number, os.strerror(number), "x")
-
-    monkeypatch.setattr(tempfile, "TemporaryDirectory", refusing)
-    with pytest.raises(InputError, match=words):
-        writable_folder(tmp_path / "out", source="command line", field="--output")
-
-
-def test_a_file_in_the_way_and_a_disk_without_room_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match="a file is in the way"):
-            writable_folder(path, source="command line", field="--output")
-    with pytest.raises(InputError, match=r"a folder on a disk with 1e\+12 MB of room .* make room"):
-        writable_folder(tmp_path / "out", source="command line", field="--output", room=1e18)
-
-
-def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> None:
-    folder = writable_folder(tmp_path / "out", source="x", field="y")
-    assert "not complete" in (folder / MARK).read_text()
-    settle_folder(folder, complete=False)
-    assert not list(folder.iterdir())  # nothing was written: nothing to warn of
-    writable_folder(folder, source="x", field="y")
-    write_atomic(folder / "spectrum.csv", "x")
-    settle_folder(folder, complete=False)
-    assert sorted(path.name for path in folder.iterdir()) == [MARK, "spectrum.csv"]
-    settle_folder(folder, complete=True)
-    assert [path.name for path in folder.iterdir()] == ["spectrum.csv"]
-
-
-def test_a_refused_run_leaves_the_mark_of_an_interrupted_one(tmp_path: Path) -> None:
-    interrupted = f"{2**22 + 1} is the process that writes the results in this folder.\nThey are not complete.\n"
-    (tmp_path / MARK).write_text(interrupted)
-    for _ in range(2):
-        writable_folder(tmp_path, source="x", field="y")
-        assert (tmp_path / MARK).read_text().startswith(f"{os.getpid()} is")
-        settle_folder(tmp_path, complete=False)
-        assert (tmp_path / MARK).read_text() == interrupted
-    writable_folder(tmp_path, source="x", field="y")
-    settle_folder(tmp_path, complete=True)
     assert not list(tmp_path.iterdir())
 
 

@@ -10,10 +10,12 @@ import time
 from pathlib import Path
 
 import pytest
+from support import visible
 
 from workbench.cli import main
 from workbench.commands import export as export_command
-from workbench.files.writing import MARK, UNFINISHED, write_atomic
+from workbench.files.output import MARK
+from workbench.files.writing import write_atomic
 from workbench.jobs.interruption import Interruption, heeded, on_disk, shielded
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -48,11 +50,12 @@ def test_at_work_it_says_what_is_on_disk(swallowed: bool, tmp_path: Path) -> Non
             "from workbench.cli import main\n"
             "from workbench.commands import export\n"
             "from workbench.commands.parsed_options import output_folder\n"
+            "from workbench.files.ownership import Outputs\n"
             "from workbench.files.writing import write_atomic\n"
             "class Gone:\n"
             "    def __del__(self): os.killpg(0, signal.SIGINT); time.sleep(0.2)\n"
             "def run(options, console):\n"
-            "    write_atomic(output_folder(options.output) / 'chip.step', 'x')\n"
+            "    write_atomic(output_folder(options, Outputs('export')) / 'chip.step', 'x')\n"
             + ("    Gone()\n" if swallowed else "    os.killpg(0, signal.SIGINT)\n") +
             "    time.sleep(30.0)\n"
             "export.run_export = run\n"
@@ -64,6 +67,62 @@ def test_at_work_it_says_what_is_on_disk(swallowed: bool, tmp_path: Path) -> Non
     assert (process.returncode, said) == (
         130, f"interrupted: {tmp_path / 'out'} holds chip.step; {MARK} says that this is not all\n")
     assert time.perf_counter() - began < 25.0
+
+
+@pytest.mark.parametrize(("end", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)])
+def test_a_request_to_end_is_heeded_as_ctrl_c_and_ends_the_workers(end: signal.Signals, status: int, tmp_path: Path
+                                                                   ) -> None:
+    code = ("import os, sys, time\n"
+            "from functools import partial\n"
+            "from workbench.cli import main\n"
+            "from workbench.commands import export\n"
+            "from workbench.commands.parsed_options import output_folder\n"
+            "from workbench.files.writing import write_atomic\n"
+            "from workbench.jobs.workers import begin_workers\n"
+            "def run(options, console):\n"
+            "    folder = output_folder(options.output)\n"
+            "    with begin_workers(2) as workers:\n"
+            "        write_atomic(folder / 'pid', str(workers.map([os.getpid])[0]))\n"
+            "        workers.map([partial(time.sleep, 60.0)])\n"
+            "export.run_export = run\n"
+            f"sys.argv[1:] = ['export', {CHIP!r}, '-o', {str(tmp_path / 'out')!r}]\n"
+            "sys.exit(main())\n")
+    process = command("-c", code)
+    pid = tmp_path / "out" / "pid"
+    deadline = time.monotonic() + 60.0
+    while not pid.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(end)  # to the command alone
+    said, _ = process.communicate(timeout=60.0)
+    assert (process.returncode, said) == (
+        status, f"interrupted: {tmp_path / 'out'} holds pid; {MARK} says that this is not all\n")
+    while Path(f"/proc/{pid.read_text()}").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_hangup_that_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    try:
+        with heeded(stays=False) as found:
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) == found.handle
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_process_begun_shielded_can_be_terminated() -> None:
+    code = ("import time; from workbench.jobs.interruption import unshielded; print('there', flush=True); "
+            "time.sleep(0.5); unshielded(); time.sleep(60.0)")
+    with shielded():
+        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "there\n"
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=30.0) == -signal.SIGTERM
+    process.stdout.close()
 
 
 def test_what_a_library_makes_of_it_is_an_interruption_all_the_same(
@@ -94,7 +153,7 @@ def test_what_an_interrupted_simulation_had_computed_is_written(
     out = tmp_path / "out"
     assert main(["simulate", CHIP, "--accuracy", "0.5 %", "--points", "11", "--no-cad", "-o", str(out)]) == 130
     assert f"{out} holds spectrum_default.csv; {MARK}" in " ".join(capsys.readouterr().err.split())
-    assert sorted(path.name for path in out.iterdir()) == [MARK, "spectrum_default.csv"]
+    assert visible(out) == [MARK, "spectrum_default.csv"]
 
 
 class _Here:
@@ -114,10 +173,7 @@ def test_the_sentence_names_new_files_and_counts_old_ones(tmp_path: Path) -> Non
     os.utime(tmp_path / "old.csv", (now - 100.0, now - 100.0))
     assert on_disk(tmp_path, now) == f"interrupted: {tmp_path} holds 1 file from before"
     write_atomic(tmp_path / "models" / "0.npz", "x")
-    (tmp_path / f".a.csv{UNFINISHED}x").mkdir()
-    (tmp_path / f".a.csv{UNFINISHED}x" / "a.csv").write_text("half")
     assert on_disk(tmp_path, now) == f"interrupted: {tmp_path} holds models/0.npz and 1 file from before"
-    assert not list(tmp_path.glob(".*"))
     for number in range(20):
         write_atomic(tmp_path / f"{number:02d}.csv", "x")
     assert "10.csv, 11.csv and 9 more files and 1 file from before" in on_disk(tmp_path, now)

@@ -14,9 +14,10 @@ from geometry.chip import Chip, read_chip
 from workbench.cli import main
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
+from workbench.jobs.memory import Room, free_memory
 from workbench.model import job_size
 from workbench.model.discretisation import ROWS, discretisation
-from workbench.model.job_size import check_points, check_size, free_memory, memory_to_use, of_unknowns
+from workbench.model.job_size import check_points, check_size, memory_to_use, of_unknowns
 from workbench.model.problem import build, fill
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -92,7 +93,7 @@ def test_every_command_refuses(
 ) -> None:
     monkeypatch.setenv(job_size.MEMORY_VARIABLE, "20 MB")
     assert main([*command, str(tmp_path / "out")]) == 2
-    assert "20 MB, the memory that is free here" in " ".join(capsys.readouterr().err.split())
+    assert "20 MB, the memory that WORKBENCH_MEMORY states" in " ".join(capsys.readouterr().err.split())
     assert not list((tmp_path / "out").rglob("*.csv"))
 
 
@@ -105,9 +106,9 @@ def test_points_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_memory_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     free = free_memory()
-    assert free is None or 1e6 < free < 1e15
+    assert free is None or 1e6 < free.size < 1e15
     monkeypatch.setenv(job_size.MEMORY_VARIABLE, "12 GB")
-    assert memory_to_use() == 12e9
+    assert memory_to_use() == Room(12e9, "the memory that WORKBENCH_MEMORY states")
     for wrong in ("12", "-1 GB", "much"):
         monkeypatch.setenv(job_size.MEMORY_VARIABLE, wrong)
         with pytest.raises(InputError, match=job_size.MEMORY_VARIABLE):

@@ -140,7 +140,7 @@ def test_a_model_is_kept_and_read_for_its_own_chip_only(made: RangeModel, chip: 
     with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
         load_range_model(path, chip.with_dimensions({"sample.radius": 3.6e-3}), registry=Registry(), accuracy=COARSE)
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(InputError, match="a range model that was saved before"):
+    with pytest.raises(InputError, match=r"model\.npz: content: received 'no digest at its end'"):
         load_range_model(path, chip, registry=Registry(), accuracy=COARSE)
 
 

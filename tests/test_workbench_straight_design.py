@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -287,7 +286,7 @@ seed = 1
 def test_a_study_of_a_straight_chip_is_confirmed(tmp_path: Path) -> None:
     plan = with_fields(read_study(in_folder(tmp_path, chip=CHIP, study=STUDY) / "study.toml"), accuracy=quadratic(2.0))
     (part,), models = parts_of(plan), ReducedModels()
-    made = pickle.loads(models.model(plan, part, tmp_path / "0.pickle", no_progress))
+    made = models.model(plan, part, tmp_path / "0.npz", no_progress)
     points = [made(numbers_by_name(plan, point)).figures for point in part.points]
     assert len(points) == 16
     assert np.isfinite([list(each.values()) for each in points]).all()

@@ -1,8 +1,9 @@
 """The ``workbench`` command.
 
 Exit status: 0 done, 1 the computation failed or a check found something, 2 a mistake in the command or in a file,
-3 not finished in the time it was given (`diagnose --minutes`), 130 interrupted (it says what is on disk). A defect of
-the program itself ends in Python's traceback, status 1.
+3 not finished in the time it was given (`diagnose --minutes`). An interrupted command says what is on disk: 130 after
+Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. Too little memory is one line and status 1. A defect of the program itself
+ends in Python's traceback, status 1.
 """
 
 from __future__ import annotations
@@ -28,14 +29,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: as argparse does, status 2 for a faulty command and 0 after ``--help``.
     """
-    from workbench.jobs import interruption
+    from workbench.jobs import interruption, memory
 
     own = arguments is None
+    if own and memory.address_limit() is not None and (status := memory.supervised()) is not None:
+        return status
     with interruption.heeded(stays=own) as interrupted:
         try:
             status = _main(arguments, interrupted)
         except KeyboardInterrupt:
-            status = interruption.STATUS  # between two steps, where everything is written
+            status = interrupted.status  # between two steps, where everything is written
     return interruption.finish(status) if own and interrupted.requested else status
 
 
@@ -46,30 +49,70 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 
     options = command_parser().parse_args(arguments)
     interrupted.output = str(getattr(options, "output", None) or "")
-    from rich.console import Console
+    if not getattr(options, "no_scripts", False):
+        return _checked(options, interrupted)
+    from geometry.scripts import no_scripts
 
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
-    from workbench.commands.early_checks import check_early
-    from workbench.files.errors import InputError
+    with no_scripts():
+        return _checked(options, interrupted)
 
-    try:
-        check_early(options)
-    except InputError as error:
-        _complain(console, "error", error)
-        return 2
+
+def _checked(options: argparse.Namespace, interrupted: Interruption) -> int:
+    """Run the command that the options name, unless what they name has mistakes."""
+    from workbench.commands.console import error_console
+
+    console = error_console()
     import importlib
 
-    command = importlib.import_module(f"workbench.commands.{options.command}")
-    return _run(command, options, console, interrupted)
+    from workbench.commands.early_checks import check_early
+    from workbench.files.errors import InputError
+    from workbench.jobs import interruption, memory
+
+    try:
+        memory.reserve_buffers()
+        check_early(options)
+        command = importlib.import_module(f"workbench.commands.{options.command}")
+        return _run(command, options, console, interrupted)
+    except InputError as error:
+        _complain(console, "error", str(error))
+        return 2
+    except Exception as error:
+        if not (memory.is_shortage(error) or memory.is_exhausted()):
+            raise
+        # The frames of the error hold arrays; nothing is printed by libraries that memory may be missing for.
+        text = memory.shortage_text(error.with_traceback(None), _estimated(options))
+        interruption.say("; ".join([text, *interruption.saved(error)]))
+        return 1
+
+
+def _estimated(options: argparse.Namespace) -> str:
+    """The memory that the states of the chip that the options name take, as estimated; nothing for other commands."""
+    from contextlib import suppress
+
+    # Libraries that are not there yet are not loaded without memory.
+    if hasattr(options, "full") and hasattr(options, "chip") and "workbench.commands.states" in sys.modules:
+        with suppress(Exception):  # as memory may be short again
+            from geometry.chip import read_chip
+            from workbench.commands.parsed_options import model_options
+            from workbench.commands.states import state_sizes
+            from workbench.jobs.memory import shown_memory
+
+            chip = read_chip(options.chip)
+            sizes = state_sizes(chip, [state.name for state in chip.states], model_options(options, chip))
+            return f"; the model of a state takes about {shown_memory(max(sizes))} beside the program (estimated)"
+    return ""
 
 
 def _run(command: ModuleType, options: argparse.Namespace, console: Console, interrupted: Interruption) -> int:
     import time
     import warnings
-    from pathlib import Path
+    from contextlib import suppress
 
     from workbench.files.errors import InputError
-    from workbench.files.writing import remedy, settle_folder
+    from workbench.files.writing import remedy
+    from workbench.jobs import interruption
+    from workbench.jobs.interruption import saved
+    from workbench.jobs.memory import is_shortage
     from workbench.physics.term import ModelError
 
     started = time.perf_counter()
@@ -82,46 +125,59 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
             complete = not interrupted.requested
+            held = getattr(options, "held", None)
+            leftovers = str(held.tidy()) if held is not None and complete else ""
         except BaseException as error:
             interrupted.stage = "closing"
             if interrupted.requested or isinstance(error, KeyboardInterrupt):
                 # Some libraries make other exceptions of it.
-                return _interrupted(output, console, interrupted)
+                return _interrupted(output, console, interrupted, error)
+            kept = "".join(f"; {words}" for words in saved(error))
             match error:
+                case Exception() if is_shortage(error):
+                    raise
                 case InputError():
-                    _complain(console, "error", error)
+                    _complain(console, "error", f"{error}{kept}")
                     return 2
                 case OSError():
-                    _complain(console, "error", remedy(error, output))
+                    _complain(console, "error", remedy(error, output) + kept)
                     return 1
                 case RuntimeError() | ModelError():
                     # Through no defect of the program: our own errors are RuntimeErrors apart from this one.
-                    _complain(console, type(error).__name__, error)
+                    _complain(console, type(error).__name__, f"{error}{kept}")
                     return 1
             raise
         finally:
-            if isinstance(output, Path) and output.is_dir():
-                settle_folder(output, complete=complete)
+            held = getattr(options, "held", None)
+            # Threads in native code that were interrupted may still write: the folder is held until the program ends.
+            if held is not None and (complete or interruption.wait()):
+                with suppress(OSError):
+                    held.finish(complete=complete)
     if interrupted.requested and output is not None:
         # The command made its report of what it knew by then.
         return _interrupted(output, console, interrupted)
+    if leftovers:
+        console.print(leftovers, markup=False)
     if status == 0 and output is not None:
         console.print(f"done in {time.perf_counter() - started:.1f} s; see {output}", markup=False)
     return status
 
 
-def _interrupted(output: Path | None, console: Console, interrupted: Interruption) -> int:
-    """Say what is on disk, once nothing is written any more; the exit status."""
+def _interrupted(
+    output: Path | None, console: Console, interrupted: Interruption, error: BaseException | None = None
+) -> int:
+    """Say what is on disk and in the registry, once nothing is written any more; the exit status."""
     from workbench.jobs import interruption
 
     interruption.wait()
-    console.print(interruption.on_disk(output, interrupted.since), style="yellow", markup=False)
-    return interruption.STATUS
+    words = [interruption.on_disk(output, interrupted.since), *interruption.saved(error)]
+    console.print("; ".join(words), style="yellow", markup=False)
+    return interrupted.status
 
 
-def _complain(console: Console, label: str, error: Exception | str) -> None:
+def _complain(console: Console, label: str, text: str) -> None:
     console.print(f"{label}:", style="bold red", end=" ")
-    console.print(str(error), markup=False)
+    console.print(text, markup=False)
 
 
 def _show_warnings(console: Console) -> None:

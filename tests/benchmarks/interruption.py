@@ -1,7 +1,12 @@
-"""Ctrl-C at many moments of a command: no traceback, status 130, and the sentence names what is on disk.
+"""Ctrl-C and kills at many moments of a command.
 
     python tests/benchmarks/interruption.py                          # 20 moments of four commands (some 15 minutes)
     python tests/benchmarks/interruption.py --command study --moments 6
+    python tests/benchmarks/interruption.py --kills 200 --beside 50  # kills over all commands (some 40 minutes)
+
+After Ctrl-C there is no traceback, the status is 130, and the sentence names the files on disk. After a kill every file
+is whole and in the manifest, the mark is there unless the run had ended, files of the user are as they were, finished
+points stay, and the same command completes the folder. A second command beside the first one is refused.
 
 Every command runs in a session of its own and is interrupted as a terminal does it: the whole group of processes at
 once. The moments lie between 0.25 s, in the middle of the loading of libraries, and the whole time that the command
@@ -13,13 +18,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +38,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
+
+from workbench.files.output import MARK  # noqa: E402
+from workbench.files.ownership import NEW, RUN, STATE, Manifest  # noqa: E402
 
 DISC, CAMPAIGN = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "examples/small_campaign"
 
@@ -105,17 +117,235 @@ def moments(command: list[str], count: int) -> list[float]:
     return [float(each) for each in np.geomspace(0.25, 0.95 * whole, count)]
 
 
+# --------------------------------------------------------------------------------------------------------------------
+# Kills.
+
+#: All commands that write into a folder, at settings that take seconds; {inputs} holds chips and recordings.
+KILLED = {
+    "simulate": "simulate {inputs}/chip.toml --accuracy 2% --points 41",
+    "simulate --full": "simulate {inputs}/disc.toml --accuracy 2% --points 41 --full --no-cad --no-pictures",
+    "compare": "compare {inputs}/empty.csv {inputs}/chip.toml --state empty --accuracy 2% --points 41",
+    "render": "render {inputs}/chip.toml --at 1.02MHz --accuracy 2%",
+    "mesh": "mesh {inputs}/disc.toml --converge --accuracy 2%",
+    "export": "export {inputs}/chip.toml",
+    "particles": "particles {inputs}/chip.toml --drive 1Vpp --minutes 1 --count 20 --accuracy 2% --points 41 "
+                 "--no-animation",
+    "sensitivity": "sensitivity {inputs}/disc.toml --accuracy 2% --points 21 --scalings 3",
+    "tolerance": "tolerance {inputs}/disc.toml --figure f0 --accuracy 2% --samples 64",
+    "fit": "fit polymer {inputs}/empty.csv --chip {inputs}/chip.toml --state empty --region substrate --free "
+           "shear_modulus --accuracy 2% --tries 0 --force --save mine/k --materials {folder}-registry",
+    "fit batch": "fit batch {inputs}/batch.toml --accuracy 2% --tries 0 --force --jobs 2",
+    "diagnose": "diagnose {inputs}/empty.csv --chip {inputs}/chip.toml --state empty --accuracy 2% --minutes 0.2",
+    "study": "study {inputs}/study.toml --jobs 2",
+    "design": "design {inputs}/goal.toml --accuracy 2% --no-cad --jobs 1",
+}
+
+#: Files of the user that lie in every folder; no command writes their names.
+MINE = {"notes.txt": b"mine", "models of mine/chip.step": b"ISO-10303-21; mine", ".hidden": b"mine"}
+
+BATCH = """
+[[recordings]]
+name = "one"
+kind = "polymer"
+file = "empty.csv"
+chip = "chip.toml"
+state = "empty"
+region = "substrate"
+free = ["shear_modulus"]
+[[recordings]]
+name = "two"
+kind = "polymer"
+file = "empty.csv"
+chip = "chip.toml"
+state = "empty"
+region = "substrate"
+free = ["bulk_modulus"]
+"""
+
+GOAL = """
+[goal]
+chip = "disc.toml"
+maximise = "q"
+[variables]
+transducer.thickness = { from = "1.95 mm", to = "2.05 mm", step = "0.01 mm" }
+"""
+
+
+def inputs_in(folder: Path) -> None:
+    """The files that the commands are given."""
+    folder.mkdir()
+    for name in ("chip.toml", "empty.csv"):
+        shutil.copy(CAMPAIGN / name, folder / name)
+    shutil.copy(DISC, folder / "disc.toml")
+    study = (ROOT / "examples/small_study/study.toml").read_text().replace("points = 64", "points = 200")
+    (folder / "study.toml").write_text(study.replace('"chip.toml"', '"study_chip.toml"'))
+    shutil.copy(ROOT / "examples/small_study/chip.toml", folder / "study_chip.toml")
+    (folder / "batch.toml").write_text(BATCH)
+    (folder / "goal.toml").write_text(GOAL)
+
+
+def begun(name: str, inputs: Path, folder: Path) -> subprocess.Popen[str]:
+    """A command that writes into a folder, in a session of its own."""
+    words = [word.format(inputs=inputs, folder=folder) for word in KILLED[name].split()]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "1000", "TERM": "dumb", "OMP_NUM_THREADS": "1",
+                                "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, "-m", "workbench", *words, "-o", str(folder)], stdout=subprocess.PIPE,
+                            stderr=subprocess.STDOUT, text=True, env=environment, start_new_session=True)
+
+
+def not_whole(path: Path) -> str:
+    """The error of reading a result of any kind; nothing if it is whole."""
+    try:
+        match path.suffix:
+            case ".json":
+                json.loads(path.read_text())
+            case ".toml":
+                tomllib.loads(path.read_text())
+            case ".png" | ".gif":
+                from PIL import Image
+
+                with Image.open(path) as image:
+                    image.load()
+            case ".npz":
+                with zipfile.ZipFile(path) as archive:
+                    if archive.testzip():
+                        return "CRC"
+            case ".parquet":
+                from pyarrow import parquet
+
+                parquet.read_table(path)
+            case ".nc":
+                import h5py
+
+                with h5py.File(path) as file:
+                    file.visit(lambda _name: None)
+            case ".html":
+                return "" if path.read_text().rstrip().endswith("</html>") else "no end"
+            case ".step":
+                return "" if path.read_text().rstrip().endswith("END-ISO-10303-21;") else "no end"
+            case ".csv":
+                return "" if path.read_bytes().endswith(b"\n") else "no line end"
+    except Exception as error:
+        return repr(error)
+    return ""
+
+
+def visible_files(folder: Path) -> dict[str, bytes]:
+    """Contents of the results in a folder, those of the user and the mark apart."""
+    return {name: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
+            and not (name := path.relative_to(folder).as_posix()).startswith(".")
+            and name not in MINE and name != MARK}
+
+
+def faults_in(folder: Path, *, ended: bool) -> list[str]:
+    """Faults of a folder after a kill, or after a run that ended."""
+    found = [f"{name} is not as it was" for name, content in MINE.items() if (folder / name).read_bytes() != content]
+    manifest = Manifest(folder)
+    results = visible_files(folder)
+    found += [f"{name}: {fault}" for name in results if (fault := not_whole(folder / name))]
+    found += [f"{name} is not in the manifest" for name in results if not manifest.owns(name)]
+    if ended and (folder / MARK).exists():
+        found.append("a mark on complete results")
+    if not ended and results and not (folder / MARK).exists():
+        found.append("no mark on incomplete results")
+    return found
+
+
+def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
+    """Kill commands at random moments; complete every fourth folder by the same command."""
+    random = np.random.default_rng(arguments.seed)
+    names = arguments.command or list(KILLED)
+    if arguments.command:
+        names = [name for name in KILLED if name.split()[0] in arguments.command]
+    faults, refused, late, completed = [], 0, 0, 0
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        inputs_in(root / "inputs")
+        seconds: dict[str, float] = {}
+        for name in names:
+            began = time.perf_counter()
+            process = begun(name, root / "inputs", root / f"whole {name}")
+            said = process.communicate()[0]
+            seconds[name] = time.perf_counter() - began
+            print(f"{name:16} {seconds[name]:6.1f} s, status {process.returncode}", flush=True)
+            if process.returncode not in (0, 1, 3) or "Traceback" in said:
+                faults.append(f"{name}, not killed: status {process.returncode}: {said[-300:]}")
+        for number in range(arguments.kills):
+            name = names[number % len(names)]
+            folder = root / f"killed {number}"
+            for mine, content in MINE.items():
+                (folder / mine).parent.mkdir(parents=True, exist_ok=True)
+                (folder / mine).write_bytes(content)
+            process = begun(name, root / "inputs", folder)
+            moment = float(random.uniform(0.3, 1.05 * seconds[name]))
+            beside = number * arguments.beside // arguments.kills < (number + 1) * arguments.beside // arguments.kills
+            until = time.perf_counter() + moment
+            if beside:
+                time.sleep(0.5 * moment)
+                at_work = (folder / STATE / RUN).exists() and process.poll() is None
+                other = begun(names[int(random.integers(len(names)))], root / "inputs", folder)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    other.wait(timeout=max(0.1, until - time.perf_counter()))
+                ended_by_itself = other.poll() is not None
+                if not ended_by_itself:
+                    os.killpg(other.pid, signal.SIGKILL)
+                said = other.communicate()[0]
+                refused += "holds it" in said
+                if at_work and ended_by_itself and process.poll() is None and "holds it" not in said:
+                    faults.append(f"{number} {name}: the second command was not refused: {said[-300:]}")
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=max(0.0, until - time.perf_counter()))
+            ended = process.poll() is not None
+            if not ended:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            late += ended
+            found = faults_in(folder, ended=ended and process.returncode in (0, 1, 3))
+            points = {file: content for file, content in visible_files(folder).items() if file.startswith("points/")}
+            if number % 4 == 0 and not found:
+                again = begun(name, root / "inputs", folder)
+                said = again.communicate()[0]
+                completed += 1
+                if again.returncode not in (0, 1, 3) or "Traceback" in said:
+                    found.append(f"not completed: status {again.returncode}: {said[-300:]}")
+                found += faults_in(folder, ended=True)
+                here = visible_files(folder)
+                found += [f"{file} was finished and is lost" for file, content in points.items()
+                          if here.get(file) != content]
+                whole = visible_files(root / f"whole {name}")
+                found += [f"{file} is not that of an undisturbed run" for file in ("study.parquet", "chip.step")
+                          if file == "study.parquet" and here.get(file) != whole.get(file)]
+                if list((folder / STATE).glob(f"{NEW}*")):
+                    found.append("begun files were not cleared")
+            faults += [f"{number} {name} at {moment:.2f} s: {fault}" for fault in found]
+            shutil.rmtree(folder)
+            if number % 20 == 19:
+                print(f"{number + 1} kills, {late} after the end, {refused} second commands refused, {completed} "
+                      f"completed, {len(faults)} faults", flush=True)
+    print(f"{arguments.kills} kills, {late} after the end, {refused} second commands refused, {completed} completed, "
+          f"{len(faults)} faults")
+    for fault in faults:
+        print(f"    {fault}")
+    kept.add(f"faults of {arguments.kills} kills", len(faults), "1")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--command", choices=COMMANDS, action="append", help="only this one (default: all)")
     parser.add_argument("--moments", type=int, default=20)
+    parser.add_argument("--kills", type=int, default=0, metavar="N", help="kill N times instead (default: Ctrl-C)")
+    parser.add_argument("--beside", type=int, default=0, metavar="N", help="of these, N with a second command beside")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments of kills (default 0)")
     with_json(parser)
     arguments = parser.parse_args()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         # What a shell in the background ignores, commands would inherit.
         signal.signal(signal.SIGINT, signal.default_int_handler)
     with measurements(arguments.json) as kept:
-        measure(arguments, kept)
+        if arguments.kills:
+            kills(arguments, kept)
+        else:
+            measure(arguments, kept)
 
 
 def measure(arguments: argparse.Namespace, kept: Measurements) -> None:

@@ -31,11 +31,12 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).resolve().par
 from measurements import Measurements, measurements, with_json  # noqa: E402
 from support import with_fields  # noqa: E402
 
-from workbench.design.parts import numbers_by_name, parts_of  # noqa: E402
+from workbench.design.parts import ReducedModels, numbers_by_name, parts_of  # noqa: E402
 from workbench.design.plan import Study, read_study  # noqa: E402
 from workbench.design.study import study  # noqa: E402
 from workbench.files.quantities import parse_quantity  # noqa: E402
 from workbench.jobs.cluster import dask_cluster  # noqa: E402
+from workbench.jobs.progress import no_progress  # noqa: E402
 
 STUDY = """
 [study]
@@ -90,7 +91,7 @@ def timed(plan: Study, folder: Path, jobs: int, kept: Measurements) -> bytes:
 def overhead(plan: Study, folder: Path, jobs: int, kept: Measurements) -> None:
     """Processor time of all points again, the model being on the disk, against that of points alone."""
     (part,) = parts_of(plan)
-    model = pickle.loads((folder / "models" / "0.pickle").read_bytes())
+    model = ReducedModels().model(plan, part, folder / "models" / "0.npz", no_progress)
     few = part.points[:200]
     begun = time.process_time()
     for point in few:
@@ -105,7 +106,7 @@ def overhead(plan: Study, folder: Path, jobs: int, kept: Measurements) -> None:
     share = 1.0 - plan.size * alone / spent
     kept.add("a point alone, processor time", alone, "s")
     kept.add("share of processor time that is not spent on points", share, "1")
-    size = len((folder / "models" / "0.pickle").read_bytes()) / 1e6
+    size = len(pickle.dumps(model)) / 1e6
     same = (folder / "study.parquet").read_bytes() == first
     print(f"a point alone {1e3 * alone:.1f} ms, model {size:.0f} MB; {100.0 * share:.1f} % of the processor time is "
           f"not spent on points, the start of {jobs} processes and the files included; the table is "

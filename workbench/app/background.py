@@ -18,7 +18,7 @@ Stopped = Callable[[], bool]
 Work = Callable[[Say, Stopped], str]
 
 #: Exceptions that may end a computation without a defect of the program, as on the command line.
-FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError)
+FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError, MemoryError)
 
 
 class Background:

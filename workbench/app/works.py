@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.campaign.campaign import NAMED
 from workbench.files.errors import InputError
+from workbench.files.output import begin
+from workbench.files.ownership import Outputs
 from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
@@ -27,6 +30,9 @@ KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full so
 
 #: Diagnoses a campaign into a folder, as ``workbench diagnose`` does, and sends the exit status.
 Diagnosing = Callable[..., None]
+
+#: Files that a diagnosis of the one recording is made of.
+INPUT = ("chip.toml", "recording.csv", "campaign.toml")
 
 #: Path of the report of a diagnosis on the page.
 REPORT = "diagnosis/report.html"
@@ -126,14 +132,14 @@ class Works:
     def diagnose(self, say: Say, stopped: Stopped) -> str:
         """Run ``workbench diagnose`` in a process, on the campaign or on the one recording."""
         folder = self.report.parent
-        folder.mkdir(parents=True, exist_ok=True)
-        campaign = self.one_recording(folder) if self.campaign is None else self.campaign
+        campaign = self.one_recording(folder / "input") if self.campaign is None else self.campaign
         say(f"of {campaign}; takes minutes, and goes on beside")
-        log = folder / "log.txt"
-        log.unlink(missing_ok=True)
-        for status in stream(partial(self._diagnosing, campaign=campaign, folder=folder), stopped=stopped, words=log):
-            last = next(last_lines(log), "no words")
-            return f"done, see {self.report}" if status == 0 else f"failed: {last}"
+        diagnosing = partial(self._diagnosing, campaign=campaign, folder=folder)
+        with TemporaryDirectory() as temporary:
+            log = Path(temporary) / "log.txt"
+            for status in stream(diagnosing, stopped=stopped, words=log):
+                last = next(last_lines(log), "no words")
+                return f"done, see {self.report}" if status == 0 else f"failed: {last}"
         return "stopped"
 
     def one_recording(self, folder: Path) -> Path:
@@ -145,8 +151,6 @@ class Works:
         session = self._session
         if session.recording is None:
             raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
-        chip = write_chip(session.present_chip(), folder / "chip.toml")
-        write_spectrum(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.
@@ -156,11 +160,15 @@ class Works:
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
                 known[parameter.name] = f"{parameter.prior!r} {parameter.unit}"
-        path = folder / "campaign.toml"
-        write_atomic(path, "\n".join([
-            toml_table("[campaign]", {"known": NAMED}),
-            toml_table("[states.recorded]", {"chip": chip.name, "state": session.state, "recording": "recording.csv"}),
-            toml_table("[known]", known)]))
+        chip, recording, path = (folder / name for name in INPUT)
+        with begin(folder, Outputs("app", INPUT), source="live view", field="diagnose"):
+            write_chip(session.present_chip(), chip)
+            write_spectrum(session.recording, recording)
+            write_atomic(path, "\n".join([
+                toml_table("[campaign]", {"known": NAMED}),
+                toml_table("[states.recorded]", {"chip": chip.name, "state": session.state,
+                                                 "recording": recording.name}),
+                toml_table("[known]", known)]))
         return path
 
 

@@ -4,8 +4,9 @@ HDF5 keeps its tables in memory and rewrites them in place: a process killed at 
 cannot be opened, with all that was in it (its single-writer mode protects readers, not the data). So every point goes
 to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next one is
 measured. When the run ends, is interrupted in an orderly way, or is resumed, the journal is folded into RUN.h5, which
-is written anew beside the old one and takes its place in one step. A record cut short by a kill or a power cut is
-recognised and dropped: it is the point that was being written, which is measured again.
+is written anew beside the old one and takes its place in one step. RUN.h5 ends in a digest of its content, which is
+checked before HDF5 reads the file: on damaged files the library may end the process. A record cut short by a kill or a
+power cut is recognised and dropped: it is the point that was being written, which is measured again.
 """
 
 from __future__ import annotations
@@ -26,10 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
+from workbench.files.sealed import is_sealed, seal
 from workbench.files.writing import replacing, sync_folder
 from workbench.results.brief import Brief
 
 FORMAT = "workbench run 1"
+
+#: Attribute of a file that ends in a digest; files of earlier versions have neither.
+_SEALED = "sealed"
 
 _RECORD = struct.Struct("<4sII")
 _MAGIC = b"WBR1"
@@ -252,52 +257,71 @@ def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArra
     Layout: the attributes of ``/`` are the run's; ``/points`` holds one dataset for each number of a point (n,), e.g.
     ``frequency``, ``impedance``, ``uncertainty``; ``/captures/000000`` and so on hold the arrays of one point, ``raw``
     compressed; ``/events`` time and text; ``/results`` derived results for other programs, which are not read back.
+    Tables and ``raw`` have checksums (fletcher32) for other programs; a line with the digest of the whole file follows
+    the HDF5 content.
     """
     import h5py
 
-    with replacing(path) as whole, h5py.File(whole, "w") as file:
-        file.attrs.update({"format": FORMAT, "run_id": run.run_id, "created": run.created,
-                           "setup": run.setup_text, "instruments": json.dumps(dict(run.instruments)),
-                           "complete": run.complete})
-        table = file.create_group("points")
-        for name in _NUMBERS:
-            table[name] = np.array([getattr(point, name) for point in run.points])
-        table["impedance"] = np.array([point.impedance for point in run.points], dtype=np.complex128)
-        table["flags"] = np.array([json.dumps(point.flags) for point in run.points], dtype=h5py.string_dtype())
-        captures = file.create_group("captures")
-        for point in run.points:
-            group = captures.create_group(f"{point.sequence:06d}")
-            for name in _ARRAYS:
-                packed = {"compression": "gzip", "shuffle": True} if name == "raw" else {}
-                group.create_dataset(name, data=getattr(point, name), **packed)
-        events = file.create_group("events")
-        events["time"] = np.array([event.time for event in run.events])
-        events["text"] = np.array([event.text for event in run.events], dtype=h5py.string_dtype())
-        for group_name, arrays in (results or {}).items():
-            for name, values in arrays.items():
-                file[f"results/{group_name}/{name}"] = values
+    def add(name: str, values: NDArray[Any], **packed: Any) -> None:
+        # HDF5 has no checksums of empty datasets and of texts. Those of a few numbers for each capture would double the
+        # file.
+        checked = values.size > 0 and values.dtype.kind != "O" and (packed or not name.startswith("captures/"))
+        file.create_dataset(name, data=values, **packed, **({"fletcher32": True} if checked else {}))
+
+    with replacing(path) as whole:
+        with h5py.File(whole, "w") as file:
+            file.attrs.update({"format": FORMAT, "run_id": run.run_id, "created": run.created,
+                               "setup": run.setup_text, "instruments": json.dumps(dict(run.instruments)),
+                               "complete": run.complete, _SEALED: True})
+            for name in _NUMBERS:
+                add(f"points/{name}", np.array([getattr(point, name) for point in run.points]))
+            add("points/impedance", np.array([point.impedance for point in run.points], dtype=np.complex128))
+            add("points/flags", np.array([json.dumps(each.flags) for each in run.points], dtype=h5py.string_dtype()))
+            file.require_group("captures")
+            for point in run.points:
+                for name in _ARRAYS:
+                    packed = {"compression": "gzip", "shuffle": True} if name == "raw" else {}
+                    add(f"captures/{point.sequence:06d}/{name}", getattr(point, name), **packed)
+            add("events/time", np.array([event.time for event in run.events]))
+            add("events/text", np.array([event.text for event in run.events], dtype=h5py.string_dtype()))
+            for group_name, arrays in (results or {}).items():
+                for name, values in arrays.items():
+                    add(f"results/{group_name}/{name}", np.asarray(values))
+        seal(whole)
 
 
 def _read_hdf5(path: Path) -> Run:
     import h5py
 
+    sealed = is_sealed(path)
     try:
         with h5py.File(path, "r") as file:
             if file.attrs.get("format") != FORMAT:
                 raise InputError(str(path), "format", file.attrs.get("format"), f"{FORMAT!r}")
-            table = file["points"]
-            numbers = {name: table[name][()] for name in (*_NUMBERS, "impedance")}
-            flags = [tuple(json.loads(text)) for text in table["flags"].asstr()[()]]
-            points = []
-            for index, kept in enumerate(flags):
-                group = file["captures"][f"{int(numbers['sequence'][index]):06d}"]
-                points.append(RunPoint(impedance=complex(numbers["impedance"][index]), flags=kept,
-                                       **{name: numbers[name][index].item() for name in _NUMBERS},
-                                       **{name: group[name][()] for name in _ARRAYS}))
-            events = [Event(float(time), text) for time, text in
-                      zip(file["events/time"][()], file["events/text"].asstr()[()], strict=True)]
-            return Run(str(file.attrs["run_id"]), float(file.attrs["created"]), str(file.attrs["setup"]),
-                       json.loads(file.attrs["instruments"]), tuple(points), tuple(events),
-                       bool(file.attrs["complete"]))
-    except (OSError, KeyError) as error:
-        raise InputError(str(path), "file", path.name, f"a run file of the workbench ({error})") from None
+            if _SEALED in file.attrs and not sealed:
+                raise InputError(str(path), "content", "no digest at its end", "the run file as it was written: "
+                                 "another program changed it, or its end is cut off; restore a copy")
+            return _run_of(file)
+    except InputError:
+        raise
+    # A file without a digest, of an earlier version, may be damaged anywhere.
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, RuntimeError) as error:
+        raise InputError(str(path), "file", path.name, "a run file of the workbench: restore a copy of it if it is "
+                         f"damaged ({error})") from None
+
+
+def _run_of(file: Any) -> Run:
+    """The run in an open HDF5 file."""
+    table = file["points"]
+    numbers = {name: table[name][()] for name in (*_NUMBERS, "impedance")}
+    flags = [tuple(json.loads(text)) for text in table["flags"].asstr()[()]]
+    points = []
+    for index, kept in enumerate(flags):
+        group = file["captures"][f"{int(numbers['sequence'][index]):06d}"]
+        points.append(RunPoint(impedance=complex(numbers["impedance"][index]), flags=kept,
+                               **{name: numbers[name][index].item() for name in _NUMBERS},
+                               **{name: group[name][()] for name in _ARRAYS}))
+    events = [Event(float(time), text) for time, text in
+              zip(file["events/time"][()], file["events/text"].asstr()[()], strict=True)]
+    return Run(str(file.attrs["run_id"]), float(file.attrs["created"]), str(file.attrs["setup"]),
+               dict(json.loads(file.attrs["instruments"])), tuple(points), tuple(events), bool(file.attrs["complete"]))

@@ -43,6 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
+from workbench.files.names import check_title
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
@@ -199,9 +200,7 @@ def _seconds(table: FileTable, key: str, default: float) -> float:
 
 def _line(table: FileTable, key: str, default: str | None = None) -> str:
     text = table.text(key, default, expected="one line of text").strip()
-    if not text or len(text.splitlines()) > 1:
-        raise table.error(key, "one line of text")
-    return text
+    return check_title(text, source=table.source, field=table.at(key))
 
 
 def _path(table: FileTable, key: str, folder: Path) -> Path | None:

@@ -61,6 +61,7 @@ from workbench.campaign.knowledge import read_knowledge
 from workbench.campaign.state import DeviceState as DeviceState
 from workbench.campaign.state import read_state
 from workbench.files.errors import InputError, nearest_names
+from workbench.files.names import check_name, check_title
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
 from workbench.model.numbers import Number, ParameterName
@@ -113,6 +114,7 @@ class Campaign(Brief):
         Raises:
             InputError: the values do not describe a campaign.
         """
+        check_title(name, source=source, field="campaign.name")
         table = FileTable.made(source, {
             "states": states, "known": known, "between": between, "fixed": {"names": fixed},
             "model": {"inhomogeneity": inhomogeneity}})
@@ -186,7 +188,7 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
         table.content.get("states", {}), known=table.content.get("known"), between=table.content.get("between"),
         fixed=fixed.content.get("names", ()), inhomogeneity=model.content.get("inhomogeneity"),
         from_files=head.choice("known", (STATED, NAMED), STATED) == STATED,
-        name=str(head.content.get("name", path.stem)),
+        name=head.content.get("name", path.stem),
         registry=user_registry([*materials, *_own_materials(head, path.parent)]), source=table.source)
 
 
@@ -206,6 +208,7 @@ def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[Devi
     found = {name: listed.table(name, expected=f"a table [states.{name}]") for name in listed}
     whole = [name for name, each in found.items() if set(each) - {"known"}]
     for name, each in found.items():
+        check_name(name, source=table.source, field=listed.field)
         if name not in whole and each.content:
             raise InputError(table.source, listed.at(name), name, "one of the states that have a chip and a recording: "
                              + ", ".join(whole), nearest_names(name, whole))

@@ -21,6 +21,7 @@ from workbench.app.session import Session
 from workbench.commands.parsed_options import model_options, reading_option
 from workbench.commands.terminal import print_line
 from workbench.files.errors import InputError
+from workbench.jobs.interruption import ENDS
 from workbench.jobs.process import Send
 
 if TYPE_CHECKING:
@@ -74,16 +75,17 @@ def diagnose_as_command(send: Send, *, campaign: Path, folder: Path) -> None:
 @contextlib.contextmanager
 def _cancelling() -> Iterator[None]:
     """Ctrl-C cancels what `asyncio.run` runs, which then ends in order, and raises nothing within it: asyncio sees to
-    that where the handler is the interpreter's own."""
+    that where the handler is the interpreter's own. The other signals that interrupt a command do the same."""
     ours = threading.current_thread() is threading.main_thread()
-    before = signal.getsignal(signal.SIGINT)
-    if ours:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = {end: handler for end in ENDS if ours and (handler := signal.getsignal(end)) is not signal.SIG_IGN}
+    for end in before:
+        signal.signal(end, signal.default_int_handler if end == signal.SIGINT else
+                      lambda _number, _frame: signal.raise_signal(signal.SIGINT))
     try:
         yield
     finally:
-        if ours:
-            signal.signal(signal.SIGINT, before)
+        for end, handler in before.items():
+            signal.signal(end, handler)
 
 
 def _section(found: SectionFields) -> Iterator[LivePicture]:

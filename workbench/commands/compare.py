@@ -14,6 +14,7 @@ from workbench.commands.parsed_options import model_options, output_folder, read
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
 from workbench.files.writing import write_json
 from workbench.report.comparison import (
     compared_figures_table,
@@ -33,6 +34,9 @@ from workbench.results.spectrum import write_spectrum
 if TYPE_CHECKING:
     from rich.console import Console
 
+#: Files of `compare`.
+OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv", "impedance.png", "residual.png"))
+
 
 def run_compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
@@ -42,7 +46,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     model = model_options(options, chip)
     model = replace(model, band=_common_band(options, model.band, measured.frequency),
                     points=max(model.points, 2 * len(measured.frequency) - 1))
-    folder = output_folder(options.output)
+    folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         run = run_state(chip, options.state, model, show)
         show(run.state, "done", 1.0)

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
+from workbench.commands.export import solid_names
 from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder
+from workbench.commands.states import field_files
 from workbench.commands.terminal import by_rows, print_line, print_table, progress_bars, say_finding
 from workbench.design.goal import read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
+from workbench.files.ownership import Outputs, discard
 from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.report.design import (
@@ -29,8 +32,8 @@ from workbench.report.design import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: The chip on the model, while the search goes on; ``best.toml`` takes its place.
-SO_FAR = "best_so_far.toml"
+#: The chip on the model, while the search goes on, and the one that takes its place.
+SO_FAR, BEST = "best_so_far.toml", "best.toml"
 
 
 def run_design(options: argparse.Namespace, console: Console) -> int:
@@ -41,18 +44,19 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
     goal = read_goal(options.goal, registry=registry)
     for text in fill(goal.chip, goal.state, registry).findings:
         say_finding(text, console)
-    folder = output_folder(options.output)
-    so_far, best_file = folder / SO_FAR, folder / "best.toml"
-    # Or the chip of an earlier run would pass for this one's.
-    best_file.unlink(missing_ok=True)
+    folder = output_folder(options, Outputs("design", names=(
+        SO_FAR, BEST, "front/*.toml", "design.json", "report.html", "impedance.png", "convergence.png", "front.png",
+        "cad.png", *solid_names(goal.chip), *(f"{folder}*-{12 * '?'}.py" for folder in ("", "front/")),
+        *(f"{label}/{name}" for label in ("before", "after") for name in field_files(goal.state)))))
+    so_far = folder / SO_FAR
     with progress_bars(console) as show:
         found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, progress=by_rows(show),
                          keep=lambda chip, _point: write_chip(chip, so_far))
         if found.best is not None:
-            write_chip(found.best.chip, best_file)
+            write_chip(found.best.chip, folder / BEST)
         for index, member in enumerate(found.front):
             write_chip(member.chip, folder / "front" / f"{index + 1:02d}.toml")
-        so_far.unlink(missing_ok=True)
+        discard(so_far)
         write_json(folder / "design.json", design_record(found))
         show("report", "pictures", 0.0)
         pictures = draw_design(found, ChipSolver(goal, registry, accuracy), folder, with_cad=not options.no_cad)

@@ -23,6 +23,7 @@ from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.known_physics import contributions
 from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import ProgramSource
 from workbench.files.writing import write_json
 from workbench.readers import READ_AS
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
 #: Exit statuses of a diagnosis that was cut short: by Ctrl-C, and by the end of its minutes.
 INTERRUPTED, NOT_FINISHED = 130, 3
 
+#: Files of `diagnose`.
+OUTPUTS = Outputs("diagnose", names=("report.html", "diagnosis.json", "states.png", "shares.png", "where.png"))
+
 
 def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be.
@@ -49,7 +53,7 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     """
     accuracy, (jobs, minutes) = accuracy_option(options), _effort_options(options)
     campaign = (_of_file if options.chip is None else _of_one_recording)(options, console)
-    folder = output_folder(options.output)
+    folder = output_folder(options, OUTPUTS)
     started = time.perf_counter()
     try:
         with progress_bars(console) as show:

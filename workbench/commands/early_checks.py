@@ -65,9 +65,14 @@ def check_early(options: argparse.Namespace) -> None:
     if options.command == "particles":
         check_motion(options)
     if isinstance(chip, Path):
+        import warnings
+
         from geometry.chip import read_chip
 
-        read_chip(chip)
+        with warnings.catch_warnings():
+            # The command reads the file again, and its warnings are shown.
+            warnings.simplefilter("ignore")
+            read_chip(chip)
 
 
 def check_motion(options: argparse.Namespace) -> None:

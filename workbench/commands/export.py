@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip, read_chip
 from workbench.commands.parsed_options import output_folder
 from workbench.commands.terminal import print_line
+from workbench.files.ownership import Outputs
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,10 +17,16 @@ if TYPE_CHECKING:
 
 def run_export(options: argparse.Namespace, _console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
-    assembly, parts = export_solids(read_chip(options.chip), output_folder(options.output))
+    chip = read_chip(options.chip)
+    assembly, parts = export_solids(chip, output_folder(options, Outputs("export", solid_names(chip))))
     for path in (assembly, *parts.values()):
         print_line(str(path))
     return 0
+
+
+def solid_names(chip: Chip) -> tuple[str, ...]:
+    """The names of the files of a chip's solids."""
+    return ("chip.step", *(f"{region}.stl" for region in chip.regions))
 
 
 def export_solids(chip: Chip, folder: Path) -> tuple[Path, dict[str, Path]]:

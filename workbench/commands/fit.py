@@ -9,11 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from workbench.commands.fit_job import Done, known, run_job
+from workbench.commands.fit_job import Done, fit_files, known, run_job
 from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder, saving_folder, say_read_as
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
+from workbench.files.ownership import Outputs, discard
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.fitting.batch import (
@@ -45,7 +46,7 @@ def run_fit(options: argparse.Namespace, console: Console) -> int:
         return _batch(options, console, settings)
     settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))
     job = Job(options.recording.stem, (_member(options),), save=options.save)
-    folder = output_folder(options.output)
+    folder = output_folder(options, Outputs("fit", fit_files(job)))
     if job.save is not None:
         saving_folder(settings.materials)  # before it is read from
     with progress_bars(console) as show:
@@ -97,7 +98,9 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
     refused = refusals(done.result)
     for text in refused:
         console.print(f"not accepted: {text}", style="bold red", markup=False)
-    if done.record["saved_as"]:
+    if done.saved_before:
+        print_line(f"{done.record['saved_as']} has the same content already: not saved again")
+    elif done.record["saved_as"]:
         print_line(f"saved as {done.record['saved_as']}")
     elif wanted is not None:
         console.print(f"not saved as {wanted}; --force saves it all the same", style="bold red", markup=False)
@@ -111,7 +114,10 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
     """``workbench fit batch``: finished fits are on disk at once, and a further run does only the rest."""
     batch = read_batch(options.file)
-    folder = output_folder(options.output)
+    # Fits of devices that are not in the file any more are results of their own.
+    folder = output_folder(options, Outputs("fit batch", kept=("*/*",), names=(
+        "summary.json", "report.html", "batch.png", *(f"{job.name}/{name}" for job in batch.jobs
+                                                      for name in fit_files(job)))))
     if any(job.save is not None for job in batch.jobs):
         saving_folder(settings.materials)
     # Every file is looked at before the first fit, so that a mistake in the last one does not cost an hour.
@@ -126,7 +132,7 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
             console.print(f"{name}: finished before, --again would do it once more", markup=False)
     for job in waiting:
         # Or a fit that fails now would pass for the one that succeeded before.
-        (folder / job.name / "fit.json").unlink(missing_ok=True)
+        discard(folder / job.name / "fit.json")
     with progress_bars(console) as show, begin_workers(min(jobs_option(options), len(waiting) or 1)) as workers:
         failed = fit_all(waiting, settings, folder, workers, show)
     for job in waiting:

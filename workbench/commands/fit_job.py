@@ -11,7 +11,8 @@ from typing import Any
 from geometry.chip import read_chip
 from materials import Registry, save_fit, user_registry
 from materials.kinds import Material
-from materials.versions import check_name
+from materials.saving import saved_versions
+from materials.versions import check_saved_name
 from workbench.commands.parsed_options import saving_folder
 from workbench.files.errors import InputError
 from workbench.files.writing import write_json
@@ -26,6 +27,7 @@ from workbench.fitting.record import (
     registry_entry,
     source,
 )
+from workbench.jobs.interruption import SAVED
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
@@ -36,12 +38,16 @@ from workbench.results.spectrum import write_spectrum
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A finished fit: its result, the content of its ``fit.json``, and what was written for it."""
+    """A finished fit: its result, the content of its ``fit.json``, and what was written for it.
+
+    ``saved_before`` says that the registry had its content already, under the name ``saved_as`` of the record.
+    """
 
     result: FitResult
     prepared: Prepared
     record: Mapping[str, Any]
     gel: tuple[GelCase, ...]
+    saved_before: bool = False
 
 
 def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = no_progress) -> Done:
@@ -56,7 +62,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     prepared, sources = _prepared(job, settings, registry)
     # Mistakes are reported before the search, not after.
     if job.save is not None:
-        check_name(job.save)
+        check_saved_name(job.save)
     for thickness in settings.gel_thicknesses:
         with_gel(prepared.chip, thickness)
     starts = material_starts(prepared, registry, settings.starts)
@@ -69,28 +75,43 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     progress("writing", 0.95)
     date = datetime.now(UTC)
     refused = bool(refusals(result))
-    saved_as = None
-    if job.save is not None and (settings.force or not refused):
-        # The entry's `start` names the registry's material, which a chip's density may have changed.
-        entry = registry_entry(result, prepared, sources, date=date, forced=refused,
-                               temperature=prepared.chip.state(prepared.state).temperature)
-        saved_as = save_fit(entry, job.save, folder=saving_folder(settings.materials))
     gel: tuple[GelCase, ...] = ()
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
                         thicknesses=settings.gel_thicknesses,
                         accuracy=settings.accuracy)
-    record = {"key": job_key(job, settings), "name": job.name,
-              **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
-    if gel:
-        record["gel_study"] = gel_record(gel)
     for match in result.recordings:
         write_spectrum(match.fitted, folder / f"{match.name}_fitted.csv")
         write_spectrum(match.start, folder / f"{match.name}_start.csv")
-    write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
-    # Last: where it is, everything is.
-    write_json(folder / "fit.json", record)
-    return Done(result, prepared, record, gel)
+    saved_as, saved_before = None, False
+    if job.save is not None and (settings.force or not refused):
+        # The entry's `start` names the registry's material, which a chip's density may have changed.
+        entry = registry_entry(result, prepared, sources, date=date, forced=refused,
+                               temperature=prepared.chip.state(prepared.state).temperature)
+        kept = saving_folder(settings.materials)
+        before = saved_versions(job.save, kept)
+        saved_as = save_fit(entry, job.save, folder=kept)
+        saved_before = saved_as in before
+    try:
+        record = {"key": job_key(job, settings), "name": job.name,
+                  **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
+        if gel:
+            record["gel_study"] = gel_record(gel)
+        write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
+        # Last: where it is, everything is.
+        write_json(folder / "fit.json", record)
+    except BaseException as error:
+        if saved_as is not None:
+            error.add_note(f"{saved_as}{SAVED}")
+        raise
+    return Done(result, prepared, record, gel, saved_before)
+
+
+def fit_files(job: Job) -> tuple[str, ...]:
+    """Names of the files of a fit."""
+    return ("fit.json", "report.html", "intervals.png", "correlation.png", "gel.png",
+            *(name for member in job.members
+              for name in (f"{member.name}_fitted.csv", f"{member.name}_start.csv", f"fit_{member.name}.png")))
 
 
 def job_key(job: Job, settings: Settings) -> str:

@@ -13,6 +13,7 @@ from workbench.bench.waveforms import pair_files, read_channels, read_waveform
 from workbench.commands.parsed_options import output_folder
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.instruments.instrument import Waveform
 from workbench.report.measurement import pairs_table
@@ -20,6 +21,9 @@ from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+#: Files of `import`.
+OUTPUTS = Outputs("import", names=("ratios.csv", "spectrum.csv"))
 
 
 def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
@@ -41,7 +45,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
         console.print(reason, markup=False)
     if not found:
         raise InputError("command line", "FILE", len(pairs), "at least one pair that can be read")
-    folder = output_folder(options.output)
+    folder = output_folder(options, OUTPUTS)
     found.sort(key=lambda pair: pair.fit.frequency)
     write_ratios(found, folder / "ratios.csv")
     values = None

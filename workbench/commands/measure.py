@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,12 +12,15 @@ from numpy.typing import NDArray
 from workbench.bench.compensation import Compensation
 from workbench.bench.pairs import degrees
 from workbench.bench.plan import expected_points
-from workbench.bench.run_file import Run, exists, read_run, write_run
+from workbench.bench.rig import marker_path
+from workbench.bench.run_file import Run, exists, journal_path, read_run, write_run
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.spectra import level_spectra, read_compensation, results
 from workbench.bench.sweep import measure
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
+from workbench.files.output import begin
+from workbench.files.ownership import Outputs
 from workbench.report.measurement import measured_figures_table, write_measurement
 from workbench.results.spectrum import write_spectrum
 
@@ -38,10 +37,12 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
     # Before the sweep, so that a recording that is missing is not found out after it.
     compensation = read_compensation(setup.standards)
     path: Path = options.output
-    path.parent.mkdir(parents=True, exist_ok=True)
+    options.held = begin(path.parent, Outputs(
+        "measure", (f"{path.stem}.csv", f"{path.stem}_*Vpp.csv", f"{path.stem}.html"), kept=("*",), marked=False,
+        named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output")
     before = exists(path)
     try:
-        with _ended_in_order(), _live(console, expected_points(setup)) as show:
+        with _live(console, expected_points(setup)) as show:
             measure(setup, path, resume=options.resume, on_point=show)
     except InputError:
         raise  # a mistake in the command or in BENCH.toml: what is at the path is another run
@@ -51,21 +52,6 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
         raise
     _write_results(setup, read_run(path), compensation, path, console)
     return 0
-
-
-@contextmanager
-def _ended_in_order() -> Iterator[None]:
-    """Let a request to terminate, or a terminal that is closed, do what Ctrl-C does: drive off, points kept."""
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    ends = (signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(end, interrupt) for end in ends]
-    try:
-        yield
-    finally:
-        for end, handler in zip(ends, before, strict=True):
-            signal.signal(end, handler)
 
 
 class _live:

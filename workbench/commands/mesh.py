@@ -12,6 +12,7 @@ from workbench.commands.parsed_options import ModelOptions, accuracy_option, mod
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
 from workbench.files.writing import write_json
 from workbench.model.discretisation import ROWS, Discretisation, discretisation
 from workbench.model.problem import build, fill
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 #: The mesh that those of the table are compared with has elements smaller than the finest of them by this factor.
 FINER = 1.5
+
+#: Files of `mesh --converge`.
+OUTPUTS = Outputs("mesh", names=("report.html", "convergence.json", "convergence.png"))
 
 
 def run_mesh(options: argparse.Namespace, console: Console) -> int:
@@ -48,6 +52,7 @@ def run_mesh(options: argparse.Namespace, console: Console) -> int:
 def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, model: ModelOptions) -> int:
     """The meshes of every accuracy against one finer than all; whether the one asked for is as accurate as that."""
     wanted = accuracy_option(options)
+    folder = None if options.output is None else output_folder(options, OUTPUTS)
     accuracies = sorted({*ROWS, wanted}, reverse=True)
     made: dict[float | None, Discretisation] = {accuracy: discretisation(accuracy) for accuracy in accuracies}
     made[None] = ROWS[min(ROWS)].refined(FINER)
@@ -67,8 +72,7 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
     error = next(row.error for row in rows if row.accuracy == wanted)
     print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: Z is {100.0 * error:.2g} % rms off the finer "
                f"mesh, {100.0 * wanted:g} % asked")
-    if options.output is not None:
-        folder = output_folder(options.output)
+    if folder is not None:
         write_json(folder / "convergence.json", convergence_record(rows))
         write_convergence_report(title, rows, folder)
     return 0 if error <= wanted else 1

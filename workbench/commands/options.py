@@ -27,7 +27,8 @@ def command_parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(
         prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
-        epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
+        epilog="exit status: 0 done, 1 computation failed (or memory was not enough), 2 mistake in the command or a "
+               "file,\n130 interrupted, 143 terminated (SIGTERM), 129 terminal closed (SIGHUP)",
     )
     whole.add_argument("--version", action="version", version=f"workbench {__version__}")
     subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -42,8 +43,16 @@ def _with_materials(sub: argparse.ArgumentParser) -> None:
                           "be repeated; default none)")
 
 
+def _with_scripts(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--no-scripts", action="store_true",
+                     help="refuse chip files with a script, which is a program with all your rights (default: it is "
+                          "named, and runs)")
+
+
 def _with_filling(sub: argparse.ArgumentParser) -> None:
+    """The options of every command that fills a chip with materials."""
     _with_materials(sub)
+    _with_scripts(sub)
     sub.add_argument("--inviscid", action="store_true",
                      help="leave out the boundary layers of what the cavity holds (default: part of the model)")
 
@@ -152,6 +161,7 @@ def _mesh(sub: argparse.ArgumentParser) -> None:
 
 def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_scripts(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -218,7 +228,8 @@ def _materials(sub: argparse.ArgumentParser) -> None:
     withdraw.add_argument("--reason", required=True, metavar="TEXT", help="for those who used it")
     export = action("export", "materials of your own in one file")
     export.add_argument("names", nargs="+", metavar="NAME")
-    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, overwritten")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
+                        help="the file; replaced if materials were exported to it")
     importing = action("import", "put exported materials into the last folder of --materials, or else your own")
     importing.add_argument("file", type=Path, metavar="FILE")
 
@@ -357,6 +368,7 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
     _with_band(sub)
     _with_accuracy(sub)
     _with_materials(sub)
+    _with_scripts(sub)
     _with_jobs(sub, "pieces of the search")
     sub.add_argument("--minutes", type=float, metavar="M",
                      help="begin nothing new after so many minutes, and report what is known by then")

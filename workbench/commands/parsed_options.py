@@ -13,8 +13,9 @@ from geometry.chip import Chip
 from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.files.errors import InputError
+from workbench.files.output import begin
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
-from workbench.files.writing import writable_folder
 from workbench.model.discretisation import Discretisation, discretisation
 from workbench.model.drive import Drive, parse_drive
 
@@ -133,10 +134,11 @@ def saving_folder(folders: Sequence[Path]) -> Path:
     return folders[-1]
 
 
-def output_folder(path: Path, *, room: float = ROOM) -> Path:
-    """The output folder, made if need be, with `room` (bytes) on its disk.
+def output_folder(options: argparse.Namespace, outputs: Outputs, *, room: float = ROOM) -> Path:
+    """The output folder that the options name, held for this run (``options.held``) until the command ends.
 
     Raises:
-        InputError: see `workbench.files.writing.writable_folder`.
+        InputError: see `workbench.files.output.begin`.
     """
-    return writable_folder(path, source="command line", field="--output", room=room)
+    options.held = begin(options.output, outputs, source="command line", field="--output", room=room)
+    return options.held.path

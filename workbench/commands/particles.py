@@ -17,6 +17,7 @@ from workbench.commands.parsed_options import ModelOptions, model_options, outpu
 from workbench.commands.states import run_state, simulated
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import choose
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.report.page import Picture
@@ -41,6 +42,11 @@ if TYPE_CHECKING:
 #: particles is in it; doubled, all are.
 WINDOW = 0.5
 
+#: Files of `particles`.
+OUTPUTS = Outputs("particles", names=(
+    "report.html", "particles.json", "trajectories.npz", "light_curve.csv", "light_curve.png", "above_start.png",
+    "above_end.png", "side.png", "streaming.png", "overlay_end.png", "particles.gif"))
+
 
 def run_particles(options: argparse.Namespace, console: Console) -> int:
     """``workbench particles``: the trajectories of the particles of a state, their pictures, and the report."""
@@ -52,7 +58,7 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
     convection = _quantity(options.convection, "heat transfer coefficient", "--convection") or STILL_AIR
     if options.holder is not None:
         choose(options.holder, outer_boundaries(chip), source="command line", field="--holder")
-    window, name, folder = Window(outer=outer), device.state.name, output_folder(options.output)
+    window, name, folder = Window(outer=outer), device.state.name, output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         shot = _field(chip, name, model, show)
         moving = liquid_motion(shot, by=options.flow, registry=model.registry, convection=convection,

@@ -13,6 +13,7 @@ from geometry.names import TRANSDUCER
 from workbench.commands.parsed_options import model_options, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.model.numbers import ParameterName
@@ -27,6 +28,10 @@ from workbench.reproduction.sensitivity import (
 
 if TYPE_CHECKING:
     from rich.console import Console
+#: Files of `sensitivity`.
+OUTPUTS = Outputs("sensitivity", names=("report.html", "sensitivity.json", "ranking.png", "costs_real.png",
+                                        "costs_imaginary.png"))
+
 
 def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     """``workbench sensitivity``: Algorithm 1 of the paper for the transducer of a chip, beside its Table 2."""
@@ -40,7 +45,7 @@ def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     problem = build(fill(chip, state, model.registry), band=model.band,
                     accuracy=model.accuracy)
     baseline = _baseline(problem, options.loss)
-    folder = output_folder(options.output)
+    folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         found = sensitivity(
             problem, np.linspace(*model.band, options.points), baseline=baseline, scalings=options.scalings,

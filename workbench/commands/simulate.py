@@ -13,15 +13,15 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.export import export_solids
+from workbench.commands.export import export_solids, solid_names
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
-from workbench.commands.states import SIMULATED, run_state, write_fields
+from workbench.commands.states import SIMULATED, field_files, run_state, state_sizes, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
+from workbench.files.ownership import Outputs, discard
 from workbench.files.writing import write_json
 from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
-from workbench.model.discretisation import discretisation
-from workbench.model.job_size import job_size, memory_to_use
+from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
 from workbench.report.page import Picture
 from workbench.report.resonances import resonances_table
@@ -49,7 +49,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     states = list(dict.fromkeys(chip.state(name).name for name in chosen))
     for name in states:
         fill(chip, name, model.registry)
-    folder = output_folder(options.output)
+    folder = output_folder(options, outputs_of(chip, states))
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
@@ -82,7 +82,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     write_simulation_report(chip, runs, answers, pictures, solid_view, folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
-        path.unlink(missing_ok=True)
+        discard(path)
     print_table(chip.name, simulated_figures_table(chip, runs))
     print_table("", resonances_table({run.state: run.resonances for run in runs}))
     for answer in reversed(answers):
@@ -92,6 +92,14 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     for text in without_resonance(runs):
         console.print(text, style="yellow", markup=False)
     return 0
+
+
+def outputs_of(chip: Chip, states: Sequence[str]) -> Outputs:
+    """The files of `simulate` for some states of a chip."""
+    return Outputs("simulate", working=("unfinished_*.csv",), names=(
+        "report.html", "merit.json", "spectrum.csv", "impedance.png", "cad.png", *solid_names(chip),
+        *(name for state in states for name in (f"spectrum_{state}.csv", f"unfinished_{state}.csv",
+                                                *field_files(state)))))
 
 
 def _simulated(
@@ -127,10 +135,8 @@ def _simulated(
 
 def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     """Two states at a time where there is memory for them, else one."""
-    made, room = discretisation(model.accuracy), memory_to_use()
-    devices = [fill(chip, name, model.registry) for name in states]
-    sizes = sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
-    return 2 if room is None or sum(sizes[-2:]) <= room else 1
+    room = memory_to_use()
+    return 2 if room is None or sum(state_sizes(chip, states, model)[-2:]) <= room.size else 1
 
 
 @contextmanager

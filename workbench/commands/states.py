@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from workbench.commands.parsed_options import ModelOptions
 from workbench.commands.terminal import Show
 from workbench.files.writing import write_atomic
 from workbench.model.discretisation import discretisation
+from workbench.model.job_size import job_size
 from workbench.model.problem import fill
 from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import Simulation, Snapshot
@@ -38,6 +40,13 @@ def run_state(
     )
 
 
+def state_sizes(chip: Chip, states: Sequence[str], model: ModelOptions) -> list[float]:
+    """Estimated memory (bytes) of the models of states, the largest last."""
+    made = discretisation(model.accuracy)
+    devices = [fill(chip, name, model.registry) for name in states]
+    return sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
+
+
 def simulated(show: Show, state: str, activity: str, fraction: float) -> None:
     """Show the progress of a simulation as its part of the bar."""
     show(state, activity, SIMULATED * fraction)
@@ -60,16 +69,22 @@ class _UnfinishedSpectrum:
         for row in rows if first == key else []:
             frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))
             self.known[frequency] = complex(real, imaginary)
-        write_atomic(path, "".join(f"{line}\n" for line in (key, *(_hexadecimal(f, z) for f, z in self.known.items()))))
+        self._lines = [key, *(_hexadecimal(f, z) for f, z in self.known.items())]
 
     def add(self, frequency: float, impedance: complex) -> None:
-        """Append one point; it is on disk when this returns."""
-        with self.path.open("a", encoding="ascii") as stream:
-            stream.write(_hexadecimal(frequency, impedance) + "\n")
+        """Add one point; it is on disk when this returns."""
+        self._lines.append(_hexadecimal(frequency, impedance))
+        write_atomic(self.path, "".join(f"{line}\n" for line in self._lines))
 
 
 def _hexadecimal(frequency: float, impedance: complex) -> str:
     return ",".join(number.hex() for number in (frequency, impedance.real, impedance.imag))
+
+
+def field_files(state: str) -> tuple[str, ...]:
+    """Names of the files of the fields of a state: pictures (`workbench.render.gallery`), and those for ParaView."""
+    pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh")
+    return (f"fields_{state}.vtu", *(f"{name}_{state}.png" for name in pictures))
 
 
 def write_fields(run: Snapshot, folder: Path) -> Path:

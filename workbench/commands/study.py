@@ -12,6 +12,7 @@ from workbench.commands.parsed_options import jobs_option, output_folder
 from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
+from workbench.design.study_folder import outputs_of
 from workbench.model.problem import fill
 from workbench.report.study import confirmed_table, draw_study, statistics_table, write_study_report
 
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
 def run_study(options: argparse.Namespace, console: Console) -> int:
     """``workbench study``: every point of a study, its table, its pictures, and the report."""
     plan = read_study(options.study, materials=options.materials, inviscid=options.inviscid)
-    folder = output_folder(options.output)
+    folder = output_folder(options, outputs_of(plan))
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with _executor(options) as (executor, jobs), progress_bars(console) as show:
-        found = study(plan, folder, jobs=jobs, executor=executor, overwrite=options.overwrite,
+        found = study(plan, options.held, jobs=jobs, executor=executor, overwrite=options.overwrite,
                       progress=by_rows(show))
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)

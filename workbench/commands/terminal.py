@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from workbench.commands.console import KEPT
+from workbench.files.names import visible
 from workbench.jobs.progress import Progress
 from workbench.report.page import TextTable
 
@@ -26,14 +28,15 @@ def progress_bars(console: Console) -> Iterator[Show]:
     from rich import progress
 
     bars = progress.Progress(
-        progress.TextColumn("{task.fields[state]:>12}"), progress.TextColumn("{task.description:<14}"),
+        progress.TextColumn("{task.fields[state]:>12}", markup=False),
+        progress.TextColumn("{task.description:<14}", markup=False),
         progress.BarColumn(), progress.TimeElapsedColumn(), console=console)
     tasks: dict[str, progress.TaskID] = {}
     with bars:
         def show(state: str, activity: str, fraction: float) -> None:
             if state not in tasks:
-                tasks[state] = bars.add_task(activity, total=1.0, state=state)
-            bars.update(tasks[state], description=activity, completed=fraction)
+                tasks[state] = bars.add_task("", total=1.0, state=visible(state))
+            bars.update(tasks[state], description=visible(activity), completed=fraction)
 
         yield show
 
@@ -54,7 +57,7 @@ def say_finding(text: str, console: Console) -> None:
 
 def print_line(text: str) -> None:
     """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(visible(text, keep=KEPT) + "\n")
 
 
 def print_paragraph(text: str) -> None:
@@ -68,7 +71,9 @@ def print_table(title: str, table: TextTable) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
-    console.print(*table_parts(title, table, width=console.width), sep="\n")
+    heads, *rows = (tuple(visible(cell, keep=KEPT) for cell in row) for row in (table.columns, *table.rows))
+    shown = TextTable(heads, tuple(rows))
+    console.print(*table_parts(visible(title, keep=KEPT), shown, width=console.width), sep="\n")
 
 
 def table_parts(title: str, table: TextTable, *, width: int) -> list[RenderableType]:

@@ -15,6 +15,7 @@ from workbench.design.input_uncertainty import Statement, parse_statement, read_
 from workbench.design.requirement import parse_requirements
 from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
 from workbench.files.errors import InputError, choose
+from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.model.problem import fill
@@ -34,6 +35,10 @@ from workbench.report.tolerance import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+#: Files of `tolerance`.
+OUTPUTS = Outputs("tolerance", names=("report.html", "tolerance.json", "tolerance.parquet", "tornado.png", "yield.png",
+                                      "samples.png"))
+
 
 def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
@@ -50,7 +55,7 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
         posteriors=options.posterior)
     resistance = _thermal_resistance(options.thermal_resistance, chip)
     check_tolerance_request(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
-    folder = output_folder(options.output)
+    folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         found = tolerance(
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=model.drive,

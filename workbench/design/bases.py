@@ -10,7 +10,7 @@ Further full solves check it; where they find it wanting they join it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -21,17 +21,20 @@ from scipy.stats import qmc
 
 from geometry.plausible import as_text
 from workbench.design.cavity import Cavity
+from workbench.fem.coefficients import Coefficients
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
+from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.numbers import ParameterName, placed
+from workbench.model.problem import Problem
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
-from workbench.reduced.compact import compacted
+from workbench.reduced.compact import compacted, gathered
 from workbench.reduced.model import ReducedModel, sketched_error
-from workbench.reduced.ranges import RangeModel, range_keys
+from workbench.reduced.ranges import RangeModel, Ranges, range_keys
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -86,6 +89,12 @@ class Bases:
     error: float
     pressure_error: float
 
+    def arrays(self) -> dict[str, Real]:
+        """The arrays that full solves gave; :func:`stored_bases` makes the rest again from the problem."""
+        found = {"operating": self.operating.matrices, "sketch": self.sketch, "sweeping": self.sweeping.matrices,
+                 "frequency": self.frequency, "errors": np.array([self.error, self.pressure_error])}
+        return found if self.rows is None else {**found, "rows": self.rows}
+
     def pressure(self, states: Complex) -> Complex:
         """At the cavity's nodes (n, m, k), of reduced states (r, k)."""
         assert self.rows is not None
@@ -94,6 +103,23 @@ class Bases:
     def estimate(self, solution: Solution) -> float:
         """Estimated relative error of Z of a state at one frequency."""
         return float(sketched_error(self.operating, self.sketch, solution)[0])
+
+
+def stored_bases(
+    arrays: Mapping[str, Real], problem: Problem, operators: FullOperators, ranges: Ranges, *, by_place: bool,
+) -> Bases:
+    """The bases with these :meth:`Bases.arrays`, on the full `operators` of the problem they were made for.
+
+    Raises:
+        KeyError: an array is missing.
+    """
+    def reduced(name: str, by_place: bool) -> ReducedOperators:
+        integrals, _ = gathered(operators.integrals, range_keys(ranges), problem.values, by_place=by_place)
+        return ReducedOperators(integrals, Coefficients.of(integrals), arrays[name], np.arange(len(integrals)))
+
+    error, pressure_error = map(float, arrays["errors"])
+    return Bases(reduced("operating", by_place), arrays["sketch"], arrays.get("rows"), reduced("sweeping", False),
+                 arrays["frequency"], error, pressure_error)
 
 
 @dataclass(frozen=True, eq=False)

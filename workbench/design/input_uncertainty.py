@@ -13,7 +13,6 @@ of the number itself, ``exact`` leaves it certain, and ``assumed`` gives a lengt
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from materials.registry import Registry
 from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import FileTable
+from workbench.files.tables import FileTable, parse_json
 from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers, full_names
 from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits
 from workbench.model.problem import FilledChip, fill
@@ -269,9 +268,10 @@ def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], foun
 
 def _read_fit(path: Path) -> FileTable:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(str(path), "file", str(error), "a fit.json of workbench fit") from None
+    content = parse_json(text, source=str(path), expected="a fit.json of workbench fit")
     return FileTable.of(content, source=str(path), field="", expected="a fit.json of workbench fit")
 
 

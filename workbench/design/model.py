@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +23,7 @@ from geometry.names import CAVITY
 from geometry.stretch import canonical_names, moving_together
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.design.bases import Bases, bases_of
+from workbench.design.bases import Bases, bases_of, stored_bases
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.evaluation import OF_FIELD, Evaluation, FigureValues, Operation, Question, answer, needs_resonance
 from workbench.design.figures import LOSS_SHARE, check_figures, with_parts
@@ -30,6 +31,7 @@ from workbench.fem.linearised import FullSystem, ReducedSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, nearest_names
+from workbench.files.sealed import read_arrays, write_arrays
 from workbench.fitting.parameter import about
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import parametrised, parametrised_within
@@ -37,7 +39,15 @@ from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.at_point import reduced
-from workbench.reduced.ranges import LIMIT, RangeModel, Ranges, numbers_in_ranges, range_model
+from workbench.reduced.ranges import (
+    LIMIT,
+    RangeModel,
+    Ranges,
+    fingerprint,
+    numbers_in_ranges,
+    range_model,
+    with_ranges,
+)
 from workbench.results.brief import Brief
 from workbench.results.spectrum import Spectrum
 
@@ -48,6 +58,8 @@ Complex = NDArray[np.complex128]
 SWEEP = 0.01
 #: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
 TOLERANCE = 1e-5
+#: Number of the layout of a stored model; raise it where the layout changes.
+FORMAT = 1
 
 
 class Evaluator(Protocol):
@@ -75,7 +87,8 @@ class DesignModel(Brief):
     """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
 
     ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the
-    pressure, None where there is none, and ``reason`` says why. ``range_model`` stays with the process that made it.
+    pressure, None where there is none, and ``reason`` says why. ``range_model`` stays with the process that made it,
+    and is None in a model that was read from a file.
     """
 
     chip: Chip
@@ -113,6 +126,16 @@ class DesignModel(Brief):
                 charge = ReducedSystem(bases.sweeping, there).sweep(bases.frequency).charge
             return answer(question, system, bases.frequency, charge).evaluation(numbers, bases.estimate)
 
+    def save(self, path: Path) -> None:
+        """Keep the model in a file, to be read by :func:`load_design_model` with the chip it is of.
+
+        Raises:
+            ValueError: this is a copy in another process, without the range model.
+        """
+        if self.range_model is None:
+            raise ValueError("a design model that was sent to another process cannot be saved")
+        write_arrays(path, self.bases.arrays(), {"format": FORMAT, "problem": fingerprint(self.range_model.problem)})
+
     def spectrum(self, values: Mapping[str, float] | None = None) -> Spectrum:
         """The impedance at these numbers over the band, of the range model.
 
@@ -120,7 +143,8 @@ class DesignModel(Brief):
             ValueError: this is a copy in another process, without the range model.
         """
         if self.range_model is None:
-            raise ValueError("a design model that was sent to another process has no spectrum over the band")
+            raise ValueError("a design model that was sent to another process, or read from a file, has no spectrum "
+                             "over the band")
         return self.range_model(values).spectrum
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -183,11 +207,45 @@ def of_range_model(
     operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted)
-    by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in with_parts(wanted))
     bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=relative_error,
-                     by_place=by_place, seed=seed, progress=progress)
+                     by_place=_by_place(wanted), seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)
+
+
+def load_design_model(
+    path: Path, chip: Chip, state: str | None, ranges: Ranges, *, figures: Sequence[str],
+    operation: Operation | None = None, registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+) -> DesignModel:
+    """A model that :meth:`DesignModel.save` has kept, with the chip, ranges and figures that it was made for.
+
+    Raises:
+        InputError: the file is no such model, or one of another chip, state, material or mesh.
+    """
+    wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
+    content, arrays = read_arrays(path)
+    if content.get("format") != FORMAT or "frequency" not in arrays:
+        raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
+    band = float(arrays["frequency"][0]), float(arrays["frequency"][-1])
+    device = fill(chip, state, registry)
+    problem, ranges = with_ranges(build(device, band=band, accuracy=accuracy), chip, ranges)
+    if fingerprint(problem) != content.get("problem"):
+        raise InputError(str(path), "chip", f"{chip.name}, {device.state.name}", "the chip, state, materials and mesh "
+                         "that the model was made for")
+    operators = assemble(problem.mesh, problem.terms)
+    cavity, reason = _cavity(device, operators, tuple(ranges), band[1], wanted)
+    try:
+        bases = stored_bases(arrays, problem, operators, ranges, by_place=_by_place(wanted))
+    except (KeyError, ValueError) as error:
+        raise InputError(str(path), "file", repr(error), "the arrays of a design model") from error
+    return DesignModel(chip, device.state.name, wanted, operation or Operation(), ranges, problem.values, bases, cavity,
+                       reason, None)
+
+
+def _by_place(figures: Sequence[str]) -> bool:
+    """Whether a figure needs to know where losses are."""
+    return any(name == "heating" or name.startswith(LOSS_SHARE) for name in with_parts(figures))
 
 
 def full_evaluation(

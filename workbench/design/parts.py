@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +14,23 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from workbench.design.axes import centred_in_ranges, with_materials
 from workbench.design.evaluation import Evaluation
-from workbench.design.model import SWEEP, full_evaluation, of_range_model
+from workbench.design.model import SWEEP, Evaluator, full_evaluation, load_design_model, of_range_model
 from workbench.design.plan import Study
-from workbench.files.writing import write_atomic
+from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress
 from workbench.model.numbers import real_part as part_of
 from workbench.model.problem import fill
-from workbench.reduced.ranges import Ranges, load_range_model, range_model
+from workbench.reduced.ranges import RangeModel, Ranges, load_range_model, range_model
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
+M = TypeVar("M")
 
 #: Frequencies of the band in which resonances are first looked for.
 FREQUENCIES = 161
+
+#: Suffix of the range model beside the file of a model.
+SPECTRA = ".spectra.npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +54,9 @@ class StudyPart:
 class Models(Protocol):
     """The source of the models of a study. :meth:`confirmed` may be called in another process."""
 
-    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
-        """The model of a part, an `Evaluator` pickled: what the file `path` holds if there is one, and does once this
-        returns. Files beside it, called alike, may keep what is known on the way."""
+    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> Evaluator:
+        """The model of a part, which can be pickled: the one in the file `path`, which is made first if need be. Files
+        beside it, called alike, may keep what is known on the way."""
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
         """The figures at one point (numbers of the study,) of a part, by full solves."""
@@ -94,32 +98,58 @@ class ReducedModels:
     last bits.
     """
 
-    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
+    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> Evaluator:
         """The model of a part.
 
         Raises:
             NotCovered: more full solves are needed for the spectra than the study allows.
             NotConfirmed: full solves found figures that are further off than the study's tolerance.
         """
-        if not path.exists():
-            rough = path.with_suffix(".npz")
-            if not rough.exists():
+        found = _kept(path, _read_model, study, part)
+        if found is None:
+            rough = path.with_suffix(SPECTRA)
+            spectra = _kept(rough, _read_spectra, study, part)
+            if spectra is None:
                 range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
                             points=FREQUENCIES, relative_error=SWEEP, limit=study.limit, accuracy=study.accuracy,
                             progress=lambda text, share: progress(text, 0.5 * share)).save(rough)
-            kept = load_range_model(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
-            made = of_range_model(
-                kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
-                relative_error=study.relative_error, progress=lambda text, share: progress(text, 0.5 + 0.5 * share))
-            write_atomic(path, pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL))
+                spectra = _read_spectra(rough, study, part)
+            of_range_model(
+                spectra, part.chip, part.state, figures=study.figures, operation=study.operation,
+                registry=study.registry, relative_error=study.relative_error,
+                progress=lambda text, share: progress(text, 0.5 + 0.5 * share)).save(path)
+            found = _read_model(path, study, part)
         progress("model", 1.0)
-        return path.read_bytes()
+        return found
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
         """The figures at one point of a part, by full solves."""
         return full_evaluation(
             part.chip, part.state, numbers_by_name(study, point), figures=study.figures, operation=study.operation,
             registry=study.registry, band=study.band, accuracy=study.accuracy)
+
+
+def _read_model(path: Path, study: Study, part: StudyPart) -> Evaluator:
+    return load_design_model(
+        path, part.chip, part.state, ranges_of(study, part), figures=study.figures, operation=study.operation,
+        registry=study.registry, accuracy=study.accuracy)
+
+
+def _read_spectra(path: Path, study: Study, part: StudyPart) -> RangeModel:
+    return load_range_model(path, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
+
+
+def _kept(path: Path, read: Callable[[Path, Study, StudyPart], M], study: Study, part: StudyPart) -> M | None:
+    """The model in a file; None, with a warning, if the file is damaged, and None if there is no file."""
+    if not path.exists():
+        return None
+    try:
+        return read(path, study, part)
+    except InputError as error:
+        if error.source != str(path):
+            raise
+        warnings.warn(f"{path} cannot be used ({error.field}: {error.value}): it is made again", stacklevel=2)
+        return None
 
 
 def numbers_by_name(study: Study, point: Sequence[float] | Real) -> dict[str, float]:

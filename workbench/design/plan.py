@@ -45,6 +45,7 @@ from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose, expect
+from workbench.files.names import check_title
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
 from workbench.model.discretisation import ACCURACY, discretisation
@@ -118,6 +119,7 @@ class Study:
             InputError: the values do not describe a study.
         """
         expect(chip, Chip, reader="read_chip", source=source, field="chip")
+        check_title(chip.name if name is None else name, source=source, field="study.name")
         table = FileTable.made(source, {
             "study": {"state": state, "states": states, "figures": figures, "drive": drive, "frequency": frequency,
                       "band": band, "relative_error": relative_error, "accuracy": accuracy, "limit": limit,
@@ -185,8 +187,8 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = (), invisc
     said = {key: value for key, value in head.content.items() if key not in ("chip", "name")}
     tables: dict[str, Any] = {key: table.content.get(key) for key in ("thermal", "sample")}
     registry = replace(user_registry(materials, inviscid=inviscid), assumed_losses=True)
-    return Study(chip, table.content["vary"], name=head.text("name", path.stem), **said, **tables, registry=registry,
-                 source=table.source)
+    return Study(chip, table.content["vary"], name=head.content.get("name", path.stem), **said, **tables,
+                 registry=registry, source=table.source)
 
 
 def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:

@@ -30,6 +30,8 @@ from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
 from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
+from workbench.files.output import OutputFolder
+from workbench.jobs.memory import is_shortage
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
 from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
@@ -47,7 +49,7 @@ AHEAD = 2
 
 def study(
     plan: Study,
-    folder: Path | str,
+    folder: Path | str | OutputFolder,
     *,
     jobs: int | None = None,
     executor: Executor | None = None,
@@ -76,7 +78,9 @@ def study(
     check_jobs(jobs, source="study")
     models, show = models or ReducedModels(), by_part(progress)
     parts = parts_of(plan)
-    with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:
+    place = folder if isinstance(folder, OutputFolder) else Path(folder)
+    with opened(place, plan, parts, overwrite=overwrite) as kept:
+        kept.clear_damaged()
         try:
             with begin_workers(jobs, executor) as workers:
                 run = _Run(plan, kept, workers, show)
@@ -88,7 +92,7 @@ def study(
             raise RuntimeError(f"{error}; what was finished is on the disk, {left} of {plan.size} points remain: the "
                                "same study in the same folder goes on from there") from error
         found = StudyResult(plan, kept.rows(), kept.full_rows())
-        found.write(Path(folder))
+        found.write(kept.path)
     return found
 
 
@@ -112,7 +116,8 @@ class _Run:
             self.show(part.label, "model", 0.0)
             model = models.model(self.plan, part, self.kept.model(part),
                                  lambda _text, share: self.show(part.label, "model", share))
-            self.workers.share(pickle.loads, model)
+            # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
+            self.workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
             self._work(self._point_tasks(part, left))
         self.show(part.label, "points", 1.0)
 
@@ -163,6 +168,8 @@ def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, poi
                 # By place: of radii that coincide the model has another name than the study.
                 found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
             except Exception as error:
+                if is_shortage(error):
+                    raise  # through no fault of this point
                 where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
                 raise RuntimeError(f"point {row} of the study ({where}): {error!r}") from error
     return FinishedPoints.of(rows, found, figures)

@@ -1,26 +1,27 @@
 """The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
 
-    begun.json          what was asked; a study that asks something else is refused
-    models/0.npz                the range model of a part, see `workbench.reduced.ranges.RangeModel.save`
-    models/0.pickle             the model made from it (only a folder that one trusts is to be gone on with)
+    begun.json                  what was asked; a study that asks something else is refused
+    models/0.spectra.npz        the range model of a part, see `workbench.reduced.ranges.RangeModel.save`
+    models/0.npz                the model made from it, see `workbench.design.model.DesignModel.save`
     points/00000000.npz         finished points, called after the first of them
     points/full.00000042.npz    the full solve of a point
 
 A run that is killed at any moment goes on from here: nothing is ever half there, and what is not there is done again.
+Every file ends in, or holds, a digest of its content; models and points that are damaged are done again. Nothing in the
+folder is executed.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib.metadata
-import io
 import json
-import shutil
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +31,24 @@ from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
 from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
-from workbench.files.writing import write_atomic, write_json
+from workbench.files.output import OutputFolder, held
+from workbench.files.ownership import Manifest, Outputs, discard
+from workbench.files.sealed import read_arrays, write_arrays
+from workbench.files.writing import write_json
 from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
 
 #: Number of the layout at the head of begun.json; raise it where the layout changes.
-FORMAT = 1
+FORMAT = 2
 
-_BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full.", ".lock"
+_BEGUN, _MODELS, _POINTS, _FULL = "begun.json", "models", "points", "full."
+
+#: Patterns of the names of files of finished points, and of points solved in full.
+_ROWS, _FULL_ROWS = "[0-9]*.npz", f"{_FULL}*.npz"
+
+#: Key of begun.json: the digest of the others.
+_SELF = "digest"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,64 +103,96 @@ class StudyFolder:
 
     def model(self, part: StudyPart) -> Path:
         """The file of the model of a part."""
-        return self.path / _MODELS / f"{part.number}.pickle"
+        return self.path / _MODELS / f"{part.number}.npz"
 
     def keep(self, rows: FinishedPoints) -> None:
         """Put finished points on the disk; they are there when this returns."""
-        write_atomic(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
+        write_arrays(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
 
     def keep_full(self, rows: FinishedPoints) -> None:
         """Put the full solve of one point on the disk."""
-        write_atomic(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
+        write_arrays(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
 
     def rows(self) -> FinishedPoints:
         """All finished points."""
-        return self._read("[0-9]*.npz")
+        return self._read(_ROWS)
 
     def full_rows(self) -> FinishedPoints:
         """All points solved in full."""
-        return self._read(f"{_FULL}*.npz")
+        return self._read(_FULL_ROWS)
+
+    def clear_damaged(self) -> None:
+        """Remove files of points that are damaged, each with a warning that names it."""
+        for path in (*self._files(_ROWS), *self._files(_FULL_ROWS)):
+            try:
+                _unpacked(path, len(self.figures))
+            except InputError as error:
+                if isinstance(error.__cause__, OSError):
+                    raise  # the disk or a permission, no damage
+                warnings.warn(f"{path} is damaged ({error.field}: {error.value}): its points are computed again",
+                              stacklevel=2)
+                path.unlink()
+
+    def _files(self, pattern: str) -> list[Path]:
+        return sorted((self.path / _POINTS).glob(pattern))
 
     def _read(self, pattern: str) -> FinishedPoints:
-        return FinishedPoints.joined([_unpacked(path) for path in sorted((self.path / _POINTS).glob(pattern))],
+        return FinishedPoints.joined([_unpacked(path, len(self.figures)) for path in self._files(pattern)],
                                      self.figures)
 
 
+def outputs_of(study: Study) -> Outputs:
+    """The files of a study; a run goes on with those of its models and points."""
+    working = (_BEGUN, f"{_MODELS}/*", f"{_POINTS}/*")
+    return Outputs("study", working=working, names=(
+        *working, "study.parquet", "study.nc", "study.json", "report.html",
+        *(f"{name}_{state}{end}" for state in study.states
+          for name, end in (("parallel", ".png"), ("slices", "_*.png"), ("maps", "_*.png")))))
+
+
 @contextmanager
-def opened(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False) -> Iterator[StudyFolder]:
-    """The folder for a study, made if need be, for this process alone; `overwrite` begins anew.
+def opened(
+    path: Path | OutputFolder, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False
+) -> Iterator[StudyFolder]:
+    """The folder for a study, made if need be, for this run alone; `overwrite` begins anew.
 
     Raises:
-        InputError: the folder holds another study, another process is at work in it, or it is a file.
+        InputError: the folder holds another study, or see `workbench.files.output.begin`.
     """
-    path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise InputError(study.file, "folder", str(path), "a folder; a file is in the way")
-    path.mkdir(parents=True, exist_ok=True)
-    with (path / _LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(study.file, "folder", str(path), "a folder in which no other study is at work") from None
-        _begin(path, study, parts, overwrite=overwrite)
-        yield StudyFolder(path, study.figures)
+    with held(path, outputs_of(study), source=study.file) as folder:
+        _begin(folder.path, study, parts, overwrite=overwrite)
+        yield StudyFolder(folder.path, study.figures)
 
 
 def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool) -> None:
     begun, asked = path / _BEGUN, study_description(study, parts)
     if begun.exists() and overwrite:
-        # First: points without it are nobody's, and are cleared away below.
-        begun.unlink()
+        # Removed first: without it, points are orphans, which are removed below.
+        discard(begun)
     if begun.exists():
-        _check_same(json.loads(begun.read_text(encoding="utf-8")), asked, path, study)
-        # Files that a kill left half written.
-        for stray in (*(path / _MODELS).glob(".*"), *(path / _POINTS).glob(".*")):
-            shutil.rmtree(stray)
+        _check_same(_read_begun(begun), asked, path, study)
         return
-    for folder in (_MODELS, _POINTS):
-        shutil.rmtree(path / folder, ignore_errors=True)
-        (path / folder).mkdir()
-    write_json(begun, asked)
+    for name in Manifest(path).commands:
+        if name.startswith((f"{_MODELS}/", f"{_POINTS}/")):
+            discard(path / name)
+    write_json(begun, {**asked, _SELF: _digest(repr(sorted(asked.items())))})
+
+
+def _read_begun(begun: Path) -> dict[str, str]:
+    """The settings that a study was begun with.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        stored = dict(json.loads(begun.read_text(encoding="utf-8")))
+        # An older version has no digest, and is refused by its other keys.
+        if stored.pop(_SELF, None) in (None, _digest(repr(sorted(stored.items())))):
+            return stored
+    except (OSError, ValueError, TypeError, RecursionError):
+        pass
+    raise InputError(str(begun), "file", begun.name, "the settings that the study in this folder was begun with; the "
+                     "file is damaged: choose another folder, or begin anew (--overwrite)")
 
 
 def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
@@ -203,12 +245,20 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _packed(rows: FinishedPoints) -> bytes:
-    stream = io.BytesIO()
-    np.savez(stream, **{column.name: getattr(rows, column.name) for column in fields(rows)})
-    return stream.getvalue()
+def _packed(rows: FinishedPoints) -> dict[str, NDArray[Any]]:
+    return {column.name: getattr(rows, column.name) for column in fields(rows)}
 
 
-def _unpacked(path: Path) -> FinishedPoints:
-    with np.load(path, allow_pickle=False) as archive:
-        return FinishedPoints(*(archive[column.name] for column in fields(FinishedPoints)))
+def _unpacked(path: Path, figures: int) -> FinishedPoints:
+    """The points in a file, with so many `figures` each.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    _, arrays = read_arrays(path)
+    names = [column.name for column in fields(FinishedPoints)]
+    count = arrays["index"].size if "index" in arrays else 0
+    if any(arrays[name].shape != ((count, figures) if name == "figures" else (count,)) for name in names
+           if name in arrays) or not arrays.keys() >= set(names):
+        raise InputError(str(path), "file", ", ".join(arrays), f"finished points with {figures} figures each")
+    return FinishedPoints(*(arrays[name] for name in names))

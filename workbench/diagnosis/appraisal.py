@@ -67,7 +67,7 @@ def diagnose(
     if minutes is not None and not minutes > 0.0:
         raise ValueError(f"minutes {minutes}: expected more than no time")
     with ExitStack() as stack:
-        workers = Workers() if jobs == 1 else stack.enter_context(closing(Processes(jobs - 1)))
+        workers = Workers() if jobs == 1 else stack.enter_context(closing(Processes(jobs - 1, beside=1)))
         if jobs > 1:
             workers.share(DiagnosisSearch.of_campaign, campaign, accuracy)
         made = device_model(campaign, accuracy=accuracy)

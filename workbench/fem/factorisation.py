@@ -15,6 +15,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cached_property
 from types import ModuleType
 from typing import Any, Protocol
@@ -24,11 +25,22 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from workbench.jobs.memory import address_limit, confined, require
+
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int32]
 
 #: Environment variable that names the factorisation to use. Without it, the installed packages decide.
 FACTORISATION_VARIABLE = "WORKBENCH_FACTORISATION"
+
+
+#: Bytes of address space for the analysis of a pattern, and for each of its stored entries (12 are used). Doubled, the
+#: threads of `rslab` have larger stacks in a limited address space.
+ANALYSIS, ANALYSIS_OF_ENTRY = 100e6, 100.0
+
+#: Address space for a factorisation, relative to the memory that `rslab` plans. Doubled, a factorisation that would fit
+#: into a limited address space is refused.
+PLANNED = 1.3
 
 
 class Factorisation(Protocol):
@@ -88,9 +100,13 @@ class Ldlt:
         column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
         self._lower = np.flatnonzero(pattern.indices >= column)
         ones = sparse.csc_matrix((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
-        self._analysis = rslab.analyze(ones, path="ldlt", ordering="amd")
+        # Each of its threads maps a stack of 1 or 2 GB if it can.
+        with confined(ANALYSIS + ANALYSIS_OF_ENTRY * pattern.nnz):
+            self._analysis = rslab.analyze(ones, path="ldlt", ordering="amd")
+        self._peak = PLANNED * self._analysis.memory_plan(dtype="complex128", threads=1)["peak_bytes"]
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
+        require(self._peak, "a factorisation")  # It ends the program where an allocation fails.
         factor = self._analysis.factor(np.ascontiguousarray(data[self._lower]), threads=1)
 
         def solve(right: Complex) -> Complex:
@@ -103,17 +119,20 @@ class Ldlt:
 
 
 def _lasting_rslab() -> ModuleType:
-    """Load `rslab` in a thread that lasts as long as the program.
+    """Load `rslab` in a thread that lasts as long as the program, with little memory in advance if that is limited.
 
     Its allocator keeps memory that belongs to the thread that loads it, and every later thread reads that memory. If a
     worker thread loads it and ends, the next new thread to factorise crashes (rslab 1.7).
     """
+    if address_limit() is not None:
+        os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "32768")  # kB of address space, not 1 GB
     if "rslab" not in sys.modules and threading.current_thread() is not threading.main_thread():
         loaded, forever = threading.Event(), threading.Event()
 
         def load() -> None:
             try:
-                importlib.import_module("rslab")
+                with suppress(ImportError):  # raised again below
+                    importlib.import_module("rslab")
             finally:
                 loaded.set()
             forever.wait()

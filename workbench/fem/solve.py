@@ -26,6 +26,7 @@ from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.sparsity import SplitMatrix
+from workbench.jobs.memory import is_shortage, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
 
@@ -154,7 +155,12 @@ class Solution(Brief):
 
 @cache
 def _threads() -> ThreadpoolController:
-    """The BLAS libraries in use. Finding them takes a hundred times as long as limiting them."""
+    """The BLAS libraries in use. Finding them takes a hundred times as long as limiting them.
+
+    Raises:
+        MemoryError: their buffers find no room in a limited address space.
+    """
+    reserve_buffers()
     return ThreadpoolController()
 
 
@@ -344,6 +350,7 @@ def factorise(
 
     Raises:
         NotConverged: the matrix is singular.
+        RuntimeError, MemoryError: memory was not enough.
     """
     diagonal = np.abs(matrix.diagonal())
     if not (diagonal > 0.0).all():
@@ -355,6 +362,8 @@ def factorise(
         with one_thread():
             solve = (SuperLU(matrix) if factorisation is None else factorisation)(data)
     except RuntimeError as error:
+        if is_shortage(error):
+            raise
         raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex)) from error
     return Factor(frequency, scaled, scale, solve)
 

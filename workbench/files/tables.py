@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from types import MappingProxyType
@@ -13,17 +14,52 @@ from typing import Any
 from workbench.files.errors import InputError, choose, nearest_files, nearest_names
 from workbench.files.quantities import parse_quantity
 
+#: Most levels of tables and lists in a file. Files of the workbench have eight at most; Python's own limits for reading
+#: and for showing a value lie near a thousand.
+DEEPEST = 50
+
+#: Whole numbers of TOML have 64 bits.
+LARGEST = 2**63
+
 
 def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[str, Any]:
     """The content of TOML text from a `source`, in its `field`.
 
     Raises:
-        InputError: it is not TOML (the parser's line and column are kept).
+        InputError: it is not TOML (the parser's line and column are kept), or is nested beyond :data:`DEEPEST`.
     """
+    return _parsed(tomllib.loads, text, "valid TOML", source=source, field=field)
+
+
+def parse_json(text: str, *, source: str, expected: str) -> Any:
+    """The content of JSON text from a `source`; `expected` describes the file.
+
+    Raises:
+        InputError: it is not JSON, or is nested beyond :data:`DEEPEST`.
+    """
+    return _parsed(json.loads, text, expected, source=source, field="JSON syntax")
+
+
+def _parsed(parse: Callable[[str], Any], text: str, expected: str, *, source: str, field: str) -> Any:
+    levels = f"{expected}, with at most {DEEPEST} levels of tables and lists"
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(source, field, str(error), "valid TOML") from None
+        content = parse(text)
+    except RecursionError:
+        raise InputError(source, field, "deeper levels than can be read", levels) from None
+    except ValueError as error:
+        # Python refuses thousands of digits with a remedy for programmers behind the semicolon.
+        raise InputError(source, field, str(error).partition(";")[0], expected) from None
+    # Level by level: a recursion would end where that of the parser did.
+    level = [content]
+    for _ in range(DEEPEST + 1):
+        level = [each for table in level if isinstance(table, Mapping | list)
+                 for each in (table.values() if isinstance(table, Mapping) else table)]
+        if any(isinstance(each, int) and not -LARGEST <= each < LARGEST for each in level):
+            raise InputError(source, field, "a whole number of more than 64 bits",
+                             f"{expected}, with a decimal point in numbers above {LARGEST - 1}")
+    if level:
+        raise InputError(source, field, f"more than {DEEPEST} levels", levels)
+    return content
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -37,7 +73,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         near = nearest_files(path, lambda each: each.suffix == ".toml")
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
+        # A path with a zero byte is a ValueError, as is a byte that is no UTF-8.
         raise InputError(str(path), "file", path.name, f"a readable text file ({error})") from None
     return parse_toml(text, source=str(path))
 

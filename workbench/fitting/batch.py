@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +39,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from materials.versions import check_saved_name
 from workbench.files.errors import InputError, choose
+from workbench.files.names import check_name, check_title
 from workbench.files.tables import FileTable
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
@@ -59,7 +60,6 @@ MAD_TO_SIGMA = 1.4826
 #: With fewer devices nobody can say which of them is the odd one.
 ENOUGH = 4
 
-_NAME = re.compile(r"[^\W_][\w .+-]*")
 _RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
                    "correction", "save")
 
@@ -123,7 +123,7 @@ def read_batch(path: Path) -> Batch:
     """
     table = FileTable.read(path).only(("batch", "recordings", "joint"))
     head = table.table("batch", expected="a table [batch]").only(("name",))
-    name = head.text("name") if "name" in head else path.stem
+    name = check_title(head.content.get("name", path.stem), source=table.source, field=head.at("name"))
     members: dict[str, BatchMember] = {}
     saves: dict[str, str | None] = {}
     for row in table.tables("recordings", expected="tables [[recordings]]"):
@@ -131,7 +131,7 @@ def read_batch(path: Path) -> Batch:
         if member.name in members:
             raise row.error("name", "a name of its own")
         members[member.name] = member
-        saves[member.name] = row.optional_text("save")
+        saves[member.name] = _save(row)
     if not members:
         raise InputError(table.source, "recordings", "none", "at least one table [[recordings]]")
     groups: list[Job] = []
@@ -146,7 +146,7 @@ def read_batch(path: Path) -> Batch:
         if len(wanted) < 2:
             raise InputError(row.source, row.at("recordings"), list(wanted), "two recordings or more")
         groups.append(Job(_name(row), tuple(members[one] for one in wanted), row.texts("own", ()),
-                          row.optional_text("save")))
+                          _save(row)))
     jobs = [Job(member.name, (member,), save=saves[member.name]) for member in members.values()
             if member.name not in grouped] + groups
     for job in jobs:
@@ -179,11 +179,13 @@ def _path(row: FileTable, key: str, folder: Path) -> Path:
     return found
 
 
+def _save(row: FileTable) -> str | None:
+    found = row.optional_text("save")
+    return None if found is None else check_saved_name(found, source=row.source, field=row.at("save"))
+
+
 def _name(row: FileTable) -> str:
-    found = row.text("name")
-    if _NAME.fullmatch(found) is None:
-        raise row.error("name", "letters, digits, blanks and . + - _, as it names a folder")
-    return found
+    return check_name(row.required("name", "a name"), source=row.source, field=row.at("name"))
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -214,7 +214,8 @@ class _Line:
         # Bytes as they are, no echo; and our end never waits for a reader.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        if self.path.is_symlink():
+        # A port that a bench left behind; a link to anything else is the user's.
+        if self.path.is_symlink() and os.readlink(self.path).startswith("/dev/"):
             self.path.unlink()
         self.path.symlink_to(os.ttyname(self._theirs))
         self._received = b""

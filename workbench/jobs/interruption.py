@@ -1,5 +1,8 @@
 """Ctrl-C: a command ends promptly, without a traceback, and says what is on disk.
 
+A request to terminate (SIGTERM: `kill`, a batch system, a container that is stopped) and the end of the terminal
+(SIGHUP) are heeded the same way.
+
 Nothing but the interpreter's own modules is needed here, so that a command can be interrupted from its first moment on.
 """
 
@@ -20,8 +23,8 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Any
 
-#: Exit status of an interrupted command.
-STATUS = 130
+#: Signals that interrupt a command; its exit status is then 128 and the number of the signal.
+ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 #: Seconds within which a further Ctrl-C is the same one: a terminal and a program that passes it on both send it.
 #: Later, it ends the program at once. Doubled, an impatient second press is overheard for longer.
@@ -35,20 +38,24 @@ GRACE = 1.0
 NAMED = 12
 
 
+#: End of the note on an error that names an entry that was saved before it; the command repeats such a note.
+SAVED = " is saved"
+
+
 class Stopped(BaseException):
     """The command was interrupted: raised in its other threads, where they say how far they are."""
 
 
 class Interruption:
-    """The state of an interruption by Ctrl-C, and the effect of a further press.
+    """The state of an interruption by one of :data:`ENDS`, and the effect of a further one.
 
     ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
     while the command runs, and "closing" once that is over and the program about to end. ``since`` is when the command
-    began (seconds since the epoch), ``output`` where it is going to write.
+    began (seconds since the epoch), ``output`` where it is going to write, ``number`` the signal.
     """
 
     def __init__(self) -> None:
-        self.stage, self.since, self.output = "loading", time.time(), ""
+        self.stage, self.since, self.output, self.number = "loading", time.time(), "", int(signal.SIGINT)
         self._presses, self._last = 0, 0.0
 
     @property
@@ -56,8 +63,13 @@ class Interruption:
         """Whether it was pressed."""
         return self._presses > 0
 
-    def handle(self, _number: int, _frame: FrameType | None) -> None:
-        """Handle one press of Ctrl-C; a handler of :func:`signal.signal`.
+    @property
+    def status(self) -> int:
+        """Exit status of the interrupted command: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+        return 128 + self.number
+
+    def handle(self, number: int, _frame: FrameType | None) -> None:
+        """Handle one signal; a handler of :func:`signal.signal`.
 
         Raises:
             KeyboardInterrupt: while the command is at work, at the first press and the second.
@@ -65,13 +77,15 @@ class Interruption:
         now = time.monotonic()
         if self.requested and now - self._last < SAME:
             return
+        if not self.requested:
+            self.number = number
         self._presses, self._last = self._presses + 1, now
         if self.stage == "loading":
             # The effect of an exception halfway through the loading of a library depends on the library.
             say("interrupted: nothing was begun" + (f", and nothing written to {self.output}" if self.output else ""))
-            leave(STATUS)
+            leave(self.status)
         if self._presses > 2 or (self.stage == "closing" and self._presses > 1):
-            leave(STATUS)
+            leave(self.status)
         if self.stage == "working":
             raise KeyboardInterrupt
 
@@ -80,16 +94,16 @@ class Interruption:
         self._presses, self._last = 0, 0.0
         ident = threading.main_thread().ident
         if hasattr(signal, "pthread_kill") and ident is not None:
-            signal.pthread_kill(ident, signal.SIGINT)  # wakes it, should it wait for the system
+            signal.pthread_kill(ident, self.number)  # wakes it, should it wait for the system
         else:
-            _thread.interrupt_main()
+            _thread.interrupt_main(signal.Signals(self.number))
 
 
 @contextmanager
 def heeded(*, stays: bool) -> Iterator[Interruption]:
-    """Ctrl-C, heeded while a command runs. If it `stays` so, the interpreter's own end is silent too.
+    """The signals :data:`ENDS`, heeded while a command runs. If they `stay` so, the interpreter's end is silent too.
 
-    Where signals are somebody else's (a thread, or a program that ignores them) they stay theirs.
+    Where signals are somebody else's (a thread, or a program that ignores them, as under `nohup`) they stay theirs.
     """
     found = Interruption()
     ours = threading.current_thread() is threading.main_thread() and (
@@ -106,29 +120,45 @@ def heeded(*, stays: bool) -> Iterator[Interruption]:
         elif found.stage == "working":
             threading.Timer(0.01, found.again).start()
 
-    signal.signal(signal.SIGINT, found.handle)
+    before = {end: signal.getsignal(end) for end in ENDS}
+    taken = [end for end, handler in before.items() if handler in (signal.SIG_DFL, signal.default_int_handler)]
+    for end in taken:
+        signal.signal(end, found.handle)
     sys.unraisablehook = hook
     try:
         yield found
     finally:
         found.stage = "closing"
         if not stays:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            for end in taken:
+                signal.signal(end, before[end])
             sys.unraisablehook = swallowed
 
 
 @contextmanager
 def shielded() -> Iterator[None]:
     """Processes that are begun in this block never see Ctrl-C, not even while they load libraries: the one that begins
-    them does, at the end of the block if it was pressed within, and ends them."""
+    them does, at the end of the block if it was pressed within, and ends them. They see the other :data:`ENDS` once
+    they call :func:`unshielded`."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def unshielded() -> None:
+    """Let a process that was begun :func:`shielded` be terminated."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, set(ENDS) - {signal.SIGINT})
+
+
+def saved(error: BaseException | None) -> list[str]:
+    """The notes on an error that name entries saved before it (:data:`SAVED`)."""
+    return [note for note in getattr(error, "__notes__", ()) if note.endswith(SAVED)]
 
 
 def wait() -> bool:
@@ -167,10 +197,9 @@ def on_disk(output: Path | None, since: float) -> str:
     `since` (s since the epoch) is when it began."""
     if output is None:
         return "interrupted: the command writes no files"
-    from workbench.files.writing import MARK
+    from workbench.files.output import MARK
 
     folder = output if output.is_dir() or not output.suffix else output.parent
-    clear(folder, since)
     if folder == output:
         found = sorted(path for path in output.rglob("*") if path.is_file()) if output.is_dir() else []
     else:
@@ -189,13 +218,3 @@ def on_disk(output: Path | None, since: float) -> str:
     marked = f"; {MARK} says that this is not all" if (folder / MARK).exists() else ""
     return f"interrupted: {folder} holds " + " and ".join(filter(None, (listed, earlier))) + marked
 
-
-def clear(folder: Path, since: float) -> None:
-    """Remove what files that were being written in a folder have left there (`workbench.files.writing.replacing`)."""
-    import shutil
-
-    from workbench.files.writing import UNFINISHED
-
-    for path in folder.rglob(f".*{UNFINISHED}*") if folder.is_dir() else ():
-        if path.is_dir() and path.stat().st_mtime >= since - 2.0:
-            shutil.rmtree(path, ignore_errors=True)

@@ -21,6 +21,7 @@ from threading import Lock
 from typing import Any
 
 from workbench.jobs.interruption import shielded
+from workbench.jobs.memory import PROCESS_VARIABLE
 from workbench.jobs.serving import ERROR, RESULT, STATE, STREAM, TASK, messages, write_message
 
 #: Processes share the machine by their number, not by their threads.
@@ -48,16 +49,24 @@ class WorkerProcess:
     """A process that does one task after the other. It ends with :meth:`end`, or with this process however that ends.
 
     It warns of nothing: what is to be said of a chip, this process says. It stands back for others by `nice`, and what
-    it prints goes to the file `words`, or to the standard error of this process.
+    it prints goes to the file `words`, or to the standard error of this process. `memory` (bytes) is its share of what
+    is free, if others work beside it.
+
+    Raises:
+        MemoryError: the system begins no further process or thread.
     """
 
-    def __init__(self, *, nice: int = 0, words: Path | None = None) -> None:
+    def __init__(self, *, nice: int = 0, words: Path | None = None, memory: float | None = None) -> None:
         code = f"import sys; sys.path[:] = {sys.path!r}; from workbench.jobs.serving import serve; serve({nice})"
         stream = None if words is None else words.open("ab")
-        with stream or nullcontext(), shielded():
-            self._process = subprocess.Popen(
-                [sys.executable, "-W", "ignore", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=stream, env={**os.environ, **ONE_THREAD})
+        share = {} if memory is None else {PROCESS_VARIABLE: str(memory)}
+        try:
+            with stream or nullcontext(), shielded():
+                self._process = subprocess.Popen(
+                    [sys.executable, "-W", "ignore", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    stderr=stream, env={**os.environ, **ONE_THREAD, **share})
+        except BlockingIOError as error:
+            raise MemoryError(f"no further process could be begun ({error.strerror})") from error
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._input, self._answers = self._process.stdin, messages(self._process.stdout, lambda: None)

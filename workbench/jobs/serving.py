@@ -1,6 +1,7 @@
 """The process of a worker: it does the tasks that arrive on its standard input, and answers on its standard output.
 
-Nothing but the interpreter's own modules is needed here; a task brings the modules that it needs.
+Nothing but the interpreter's own modules is needed here, unless the address space is limited; a task brings the modules
+that it needs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import SimpleQueue
 from typing import IO, Any
+
+from workbench.jobs.interruption import unshielded
+from workbench.jobs.memory import reserve_buffers
 
 #: Messages to a worker: a maker of the state that its tasks are given, a task, a task that sends more than one result.
 STATE, TASK, STREAM = "state", "task", "stream"
@@ -42,7 +46,8 @@ def messages(stream: IO[bytes], ended: Callable[[], object]) -> SimpleQueue[byte
     found = SimpleQueue[bytes | None]()
 
     def read() -> None:
-        with stream:
+        # A message that memory is not enough for is the end too.
+        with suppress(MemoryError), stream:
             while len(head := stream.read(_HEAD.size)) == _HEAD.size:
                 (size,) = _HEAD.unpack(head)
                 if len(message := stream.read(size)) < size:
@@ -59,6 +64,7 @@ def serve(nice: int) -> None:
     """Do tasks until the process that gives them ends, `nice` steps behind others (see :func:`os.nice`)."""
     # The process that began this one is interrupted, and ends it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    unshielded()
     with suppress(AttributeError, OSError):
         os.nice(nice)
     # Prints of libraries must not get between the answers.
@@ -72,7 +78,9 @@ def serve(nice: int) -> None:
     state: tuple[Any, ...] = ()
     failed: Exception | None = None
     while (message := requests.get()) is not None:
+        kind = TASK  # Whoever sent what cannot be read may wait for an answer.
         try:
+            reserve_buffers()
             kind, task = pickle.loads(message)
             if kind == STATE:
                 state, failed = (), None

@@ -24,6 +24,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from workbench.files.errors import InputError
+from workbench.jobs.memory import shared_memory
 from workbench.jobs.process import WorkerEnded, WorkerProcess, call_apart
 
 K = TypeVar("K")
@@ -94,13 +95,18 @@ class Processes(Workers):
     """So many processes of this machine (see `workbench.jobs.process`), begun as they are needed, until :meth:`close`.
 
     Where a process ends by itself another takes its place. With `seconds`, every task has a process of its own, which
-    is ended where the task takes longer.
+    is ended where the task takes longer. Each process has the same share of the memory that is free, and so have as
+    many others as work `beside` them.
     """
 
-    def __init__(self, size: int, *, nice: int = 0, words: Path | None = None, seconds: float | None = None) -> None:
+    def __init__(
+        self, size: int, *, nice: int = 0, words: Path | None = None, seconds: float | None = None, beside: int = 0
+    ) -> None:
         super().__init__()
         self.size, self._seconds = size, seconds
-        self._begin: Callable[[], WorkerProcess] = partial(WorkerProcess, nice=nice, words=words)
+        free = shared_memory()
+        self._begin: Callable[[], WorkerProcess] = partial(
+            WorkerProcess, nice=nice, words=words, memory=None if free is None else free / (size + beside))
         self._make: Callable[[], Any] | None = None
         self._processes: list[WorkerProcess | None] = [None] * size
         self._idle = SimpleQueue[int]()

@@ -26,6 +26,7 @@ from materials.kinds import Fluid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.jobs.memory import Room, free_memory, shown_memory
 from workbench.model.discretisation import ROWS, Discretisation
 
 #: Bytes that one unknown takes for each of the (order + 1)^2 couplings of a kind. Doubled, the estimated memory of a
@@ -67,7 +68,7 @@ CURVED_CELLS = 2.0
 #: gmsh, relative to those of a square with as many sides around.
 MOST_DIVIDED, FILLED = 1e6, 0.7
 
-#: Environment variable with the memory that jobs may take, such as "16 GB", in place of the system's free memory.
+#: Environment variable with the memory that a process may take, such as "16 GB", in place of its free memory.
 MEMORY_VARIABLE = "WORKBENCH_MEMORY"
 
 #: Number of halvings in the search of a band that fits; each halves the error of its end.
@@ -135,13 +136,11 @@ def check_size(
         return job_size(section, materials, how, ends, skins=skins, radii=radii)
 
     found, room = sized(made, band), memory_to_use()
-    if room is None or found.memory <= room:
+    if room is None or found.memory <= room.size:
         return found
-    fitting = _what_fits(sized, made, band, room)
+    fitting = _what_fits(sized, made, band, room.size)
     raise InputError(source, "size of the model", f"{band[0] / 1e6:.4g} to {band[1] / 1e6:.4g} MHz: {found}",
-                     f"at most {shown_memory(room)}, the memory that is free here ({MEMORY_VARIABLE} states another): "
-                     f"{fitting}",
-                     _lost_point(band))
+                     f"at most {shown_memory(room.size)}, {room.limit}: {fitting}", _lost_point(band))
 
 
 def check_points(points: int, *, source: str) -> None:
@@ -151,53 +150,28 @@ def check_points(points: int, *, source: str) -> None:
         InputError: too many; the error states the largest number that fits.
     """
     room = memory_to_use()
-    if room is not None and POINT * points > room:
-        raise InputError(source, "points", points, f"at most {_rounded(room / POINT)}: every frequency takes "
-                         f"{POINT / 1e3:.0f} kB, and {shown_memory(room)} of memory are free here")
+    if room is not None and POINT * points > room.size:
+        raise InputError(source, "points", points, f"at most {_rounded(room.size / POINT)}: every frequency takes "
+                         f"{POINT / 1e3:.0f} kB of {shown_memory(room.size)}, {room.limit}")
 
 
-def memory_to_use() -> float | None:
-    """Bytes of memory that a job may take; None if the system does not state its free memory.
+def memory_to_use() -> Room | None:
+    """The memory that a job may take; None if the system does not state its free memory.
 
-    They are the value of :data:`MEMORY_VARIABLE`, or :data:`MEMORY_SHARE` of the free memory.
+    It is the value of :data:`MEMORY_VARIABLE`, or :data:`MEMORY_SHARE` of the free memory.
 
     Raises:
         InputError: the environment states no amount of memory.
     """
     stated = os.environ.get(MEMORY_VARIABLE)
-    if stated is not None:
-        found = parse_quantity(stated, "memory", source="environment", field=MEMORY_VARIABLE)
-        if not found > 0.0:
-            raise InputError("environment", MEMORY_VARIABLE, stated, 'an amount of memory above zero, such as "16 GB"')
-        return found
-    free = free_memory()
-    return None if free is None else MEMORY_SHARE * free
-
-
-def free_memory() -> float | None:
-    """Bytes of physical memory that are free for programs, of the machine or of the container around this process."""
-    found = []
-    try:
-        with open("/proc/meminfo", encoding="ascii") as lines:
-            found += [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-    except OSError:
-        names = os.sysconf_names if hasattr(os, "sysconf_names") else {}
-        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # Without /proc: all memory there is.
-            found.append(float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE")))
-    for most, used in (("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-                       ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes")):
-        limit, taken = _number_in(most), _number_in(used)
-        if limit is not None and taken is not None:
-            found.append(max(limit - taken, 0.0))
-    return min(found, default=None)
-
-
-def shown_memory(size: float) -> str:
-    """Bytes as text for messages."""
-    for unit, factor in (("TB", 1e12), ("GB", 1e9)):
-        if size >= factor:
-            return f"{size / factor:.3g} {unit}"
-    return f"{size / 1e6:.3g} MB"
+    if stated is None:
+        free = free_memory()
+        return None if free is None else Room(
+            MEMORY_SHARE * free.size, f"{free.limit} ({MEMORY_VARIABLE} states another amount)")
+    size = parse_quantity(stated, "memory", source="environment", field=MEMORY_VARIABLE)
+    if not size > 0.0:
+        raise InputError("environment", MEMORY_VARIABLE, stated, 'an amount of memory above zero, such as "16 GB"')
+    return Room(size, f"the memory that {MEMORY_VARIABLE} states")
 
 
 def shown_time(seconds: float) -> str:
@@ -215,14 +189,6 @@ def _rounded(number: float) -> str:
     if number >= 1e6:
         return f"{number / 1e6:.3g} million"
     return f"{float(f'{number:.3g}'):,.0f}".replace(",", " ")
-
-
-def _number_in(path: str) -> float | None:
-    try:
-        with open(path, encoding="ascii") as stream:
-            return float(stream.read())
-    except (OSError, ValueError):
-        return None  # no such file, or no limit: "max"
 
 
 def _components(material: Material) -> int:

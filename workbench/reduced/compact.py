@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,25 +25,37 @@ def compacted(
     Its predictions and error estimates are those of the other; it has no integrals of the full model, and cannot grow.
     With `by_place` each region and boundary keeps integrals of its own.
     """
+    integrals, weights = gathered(model.operators.integrals, moving, values, by_place=by_place)
+    combine = model.operators.by_form(weights.astype(complex)).real
+    matrices = np.tensordot(combine, model.operators.matrices, axes=1)
+    operators = ReducedOperators(integrals, Coefficients.of(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
+
+
+def gathered(
+    integrals: Sequence[Integral], moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
+) -> tuple[tuple[Integral, ...], Real]:
+    """Integrals that depend alike on the parameters named `moving` as one, and the weights of the others in each.
+
+    Returns:
+        k integrals, and weights (k, len(integrals)).
+    """
     groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
-    for q, integral in enumerate(model.operators.integrals):
+    for q, integral in enumerate(integrals):
         coefficient, constant = _separated(integral.coefficient, moving, values)
         if constant != 0.0:
             place = parent_place(integral.place) if by_place else ""
             groups.setdefault((coefficient, place), {})[q] = constant
-    integrals: list[Integral] = []
+    found: list[Integral] = []
     weights: list[Real] = []
     for (coefficient, place), members in groups.items():
-        constants = np.zeros(len(model.operators.integrals), dtype=complex)
+        constants = np.zeros(len(integrals), dtype=complex)
         constants[list(members)] = list(members.values())
         for turn, each in ((1.0, constants.real), (1j, constants.imag)):
             if each.any():
-                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
+                found.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
                 weights.append(each)
-    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
-    matrices = np.tensordot(combine, model.operators.matrices, axes=1)
-    operators = ReducedOperators(tuple(integrals), Coefficients.of(integrals), matrices, np.arange(len(integrals)))
-    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
+    return tuple(found), np.reshape(weights, (len(found), len(integrals)))
 
 
 def _separated(

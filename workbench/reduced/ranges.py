@@ -14,11 +14,8 @@ small.
 from __future__ import annotations
 
 import hashlib
-import io
-import json
 import os
 import time
-import zipfile
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -39,7 +36,7 @@ from workbench.fem.operators import assemble
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import System, one_thread
 from workbench.files.errors import InputError, choose
-from workbench.files.writing import replacing
+from workbench.files.sealed import read_arrays, write_arrays
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -81,7 +78,7 @@ INDEPENDENT = 1e-6
 LIMIT = 400
 
 #: Number of the layout at the head of a stored model; raise it where the layout changes.
-FORMAT = 2
+FORMAT = 3
 
 
 class OutOfRange(ValueError):
@@ -208,10 +205,10 @@ class RangeModel(Brief):
                    "error": self.error, "seconds": self.seconds, "solves": self.reduced.solves,
                    "residual": self.reduced.residual,
                    "problem": fingerprint(self.problem)}
-        with replacing(Path(path)) as written:
-            np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),
-                     frequency=self.frequency, basis=self.reduced.basis, sizes=self.reduced.sizes,
-                     test=self.reduced.test, matrices=self.reduced.operators.matrices, sketch=self.reduced.sketch)
+        write_arrays(Path(path), {
+            "frequency": self.frequency, "basis": self.reduced.basis, "sizes": self.reduced.sizes,
+            "test": self.reduced.test, "matrices": self.reduced.operators.matrices, "sketch": self.reduced.sketch,
+        }, content)
 
 
 def range_model(
@@ -445,16 +442,14 @@ def load_range_model(
         InputError: the file is no such model, or one of another chip, state, material or mesh.
     """
     path = Path(path)
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            stored = {name: archive[name] for name in archive.files}
-        content = json.loads(stored["content"].tobytes())
-        ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
-        frequency = stored["frequency"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
+    content, stored = read_arrays(path)
     if content.get("format") != FORMAT:
         raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
+    try:
+        ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
+        frequency = stored["frequency"]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
     name = chip.state(state).name
     band = float(frequency[0]), float(frequency[-1])
     device = fill(chip, state, registry)

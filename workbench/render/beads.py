@@ -80,7 +80,7 @@ def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> P
         axes.set_xlabel(f"{found.velocity.mesh.measure.symbol} (mm)", fontsize=9)
     unit = _potential(found)[1]
     bar = figure.colorbar(shown, ax=list(panels.ravel()[:len(at)]), location="bottom", shrink=0.4, aspect=40, pad=0.02)
-    bar.set_label(f"Gor'kov potential $U$ ({unit})", fontsize=9)
+    bar.set_label(f"Gor'kov potential U ({unit})", fontsize=9)
     title = f"{found.report.forces.particle.name}, {2e6 * found.report.forces.particle.radius:.3g} µm"
     if tall > 1.0:
         title += f"; heights are drawn {tall:.0f} times as large as widths"

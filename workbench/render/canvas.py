@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.writing import replacing
+from workbench.render.figure import text_figure
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -209,16 +210,15 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def typeset(excitation: Excitation) -> str:
-    """The line that describes the field of a force, with its symbols set for matplotlib."""
-    return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
+    """The line that describes the field of a force, with its symbols as letters."""
+    return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "p₀ =")
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty matplotlib figure of that size in inches, outside pyplot's global state."""
+    """An empty matplotlib figure of that size in inches, outside pyplot's global state; its texts are no formulas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height))
+    figure = text_figure(width, height)
     FigureCanvasAgg(figure)
     return figure
 

@@ -52,7 +52,7 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     left.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
     right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
     for axes in (left, right):
-        axes.set_ylabel(f"Gor'kov potential $U$ ({unit})")
+        axes.set_ylabel(f"Gor'kov potential U ({unit})")
         tidy(axes)
     particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"
     figure.suptitle(f"{particle}\n{typeset(forces.excitation)}", fontsize=9)

@@ -79,7 +79,7 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
     """Draw u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
-        fields.mesh, values, path, unit="m", label="axial displacement $u_z$",
+        fields.mesh, values, path, unit="m", label="axial displacement u_z",
         window=_window(fields.mesh.points, fields.mesh.measure), title=phase_title(fields, phase),
     )
 
@@ -94,7 +94,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
         pressure[nodes] = fields.pressure[nodes]
     values, phase = at_largest(pressure)
     return _draw_signed(
-        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(shown, fields.mesh.measure),
+        fields.mesh, values, path, unit="Pa", label="acoustic pressure p", window=_window(shown, fields.mesh.measure),
         title=phase_title(fields, phase),
     )
 
@@ -118,7 +118,7 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
         axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=7,
                   markeredgewidth=1.5, clip_on=False, zorder=5)
     _outline(axes, forces.mesh)
-    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential $U$ ({unit})")
+    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential U ({unit})")
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 

@@ -120,7 +120,7 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
     )
     bar = figure.add_axes((0.3, 0.1, 0.4, 0.025))
     figure.colorbar(ScalarMappable(scale, shades), cax=bar, orientation="horizontal")
-    bar.set_xlabel(f"axial displacement $u_z$ ({unit})", fontsize=11)
+    bar.set_xlabel(f"axial displacement u_z ({unit})", fontsize=11)
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 

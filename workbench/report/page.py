@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from workbench.files.names import visible
 from workbench.files.writing import write_atomic
 from workbench.render.canvas import Picture
 from workbench.report.definitions import defined, definition
@@ -84,11 +85,11 @@ Block = str | TextTable | Picture | Note | Answer | Verbatim
 
 def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]]) -> Path:
     """Write an HTML page with every picture inside it. `sections` are (heading, blocks)."""
-    parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
-             f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"]
+    parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{_text(title)}</title>",
+             f"<style>{_STYLE}</style><h1>{_text(title)}</h1>"]
     explained: set[str] = set()
     for heading, blocks in sections:
-        parts.append(f"<h2>{html.escape(heading)}</h2>")
+        parts.append(f"<h2>{_text(heading)}</h2>")
         parts += [_html(block, explained) for block in blocks]
     write_atomic(path, "\n".join(parts) + "\n")
     return path
@@ -108,35 +109,40 @@ def _html(block: Block, explained: set[str]) -> str:
             return f"<table><tr>{head}</tr>{body}</table>{_legend(new)}"
         case Picture(path, caption):
             data = base64.b64encode(path.read_bytes()).decode("ascii")
-            text = html.escape(caption)
+            text = _text(caption)
             image = f'<img src="data:image/png;base64,{data}" alt="{text}">'
             return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
         case Note(text):
-            return f'<p class="note">{html.escape(text)}</p>'
+            return f'<p class="note">{_text(text)}</p>'
         case Answer(text):
-            return f'<p class="answer">{html.escape(text)}</p>'
+            return f'<p class="answer">{_text(text)}</p>'
         case Verbatim(text):
-            return f"<pre>{html.escape(text)}</pre>"
+            return f"<pre>{_text(text)}</pre>"
         case str():
             paragraphs = (" ".join(each.split()) for each in re.split(r"\n\s*\n", block))
-            return "".join(f"<p>{html.escape(each)}</p>" for each in paragraphs if each)
+            return "".join(f"<p>{_text(each)}</p>" for each in paragraphs if each)
+
+
+def _text(text: str) -> str:
+    """Text for HTML: nothing in it is a tag, and control characters are shown as escapes."""
+    return html.escape(visible(text, keep="\n\t"))
 
 
 def _heading(text: str) -> str:
     words = definition(text)
-    return html.escape(text) if words is None else f'<abbr title="{html.escape(words)}">{html.escape(text)}</abbr>'
+    return _text(text) if words is None else f'<abbr title="{_text(words)}">{_text(text)}</abbr>'
 
 
 def _cell(text: str, *, first: bool) -> str:
     """A cell: a heading of its row, a number, or a sentence, which stands at the left."""
     if first:
         return f"<td>{_heading(text)}</td>"
-    return f"<td{' class=words' if len(text) > _WORDS else ''}>{html.escape(text)}</td>"
+    return f"<td{' class=words' if len(text) > _WORDS else ''}>{_text(text)}</td>"
 
 
 def _legend(meanings: Mapping[str, str]) -> str:
     """HTML of the meanings of headings, below their table; empty where there are none."""
-    rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(words)}</dd>" for name, words in meanings.items())
+    rows = "".join(f"<dt>{_text(name)}</dt><dd>{_text(words)}</dd>" for name, words in meanings.items())
     return f'<dl class="legend">{rows}</dl>' if rows else ""
 
 

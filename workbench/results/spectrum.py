@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from workbench.files.errors import InputError
+from workbench.files.names import visible
 from workbench.files.writing import write_atomic
 from workbench.results.notebook import Shown, Summary
 
@@ -38,7 +39,8 @@ class Origin:
 
     ``kind`` is "measured", "simulated" or "unknown"; ``source`` the path of the recording as text and ``sha256`` the
     digest of its bytes; ``settings`` further statements of the source (oscillator level, adapter, corrections applied).
-    Every text is one line without surrounding blanks, so that an origin survives being written to a file.
+    Every text is one line: control characters, which foreign files bring along, become escapes. It has no surrounding
+    blanks, so that an origin survives being written to a file.
 
     Raises:
         ValueError: an unknown kind, or a text that would not survive.
@@ -54,14 +56,19 @@ class Origin:
     def __post_init__(self) -> None:
         if self.kind not in ORIGIN_KINDS:
             raise ValueError(f"origin kind {self.kind!r} is not one of {', '.join(ORIGIN_KINDS)}")
-        object.__setattr__(self, "settings", dict(self.settings))
-        texts = (self.source, self.sha256, self.instrument, self.date, *self.settings, *self.settings.values())
-        for text in texts:
-            if text != text.strip() or len(text.splitlines()) > 1:
-                raise ValueError(f"origin text {text!r} must be one line without surrounding blanks")
+        for name in ("source", "sha256", "instrument", "date"):
+            object.__setattr__(self, name, _one_line(getattr(self, name)))
+        object.__setattr__(self, "settings", {_one_line(key): _one_line(text) for key, text in self.settings.items()})
+        for text in (self.source, self.sha256, self.instrument, self.date, *self.settings, *self.settings.values()):
+            if text != text.strip():
+                raise ValueError(f"origin text {text!r} must not begin or end with blanks")
         for name in self.settings:
             if not name or ":" in name:
                 raise ValueError(f"origin setting name {name!r} must not be empty or hold a colon")
+
+
+def _one_line(text: str) -> str:
+    return visible(text, keep="\t")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,0 +1,59 @@
+"""A function answered by a process of its own, because a library that it calls may crash, or never end.
+
+Requests and answers are JSON: nothing that the process sends is executed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from typing import Any
+
+
+class NoAnswer(RuntimeError):
+    """The process ended without an answer; the message says how."""
+
+
+def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
+    """The answer (JSON) of a function, ``module:name``, to a request (JSON), which may take so many `seconds`.
+
+    Raises:
+        NoAnswer: the process crashed, failed, or took longer.
+    """
+    # It ends without destructors: those of a library may crash yet.
+    code = (f"import os, sys; sys.path[:] = {sys.path!r}; from geometry.apart import answer_request; "
+            f"answer_request({function!r}, {seconds}); os._exit(0)")
+    # In a session of its own Ctrl-C is not for it: this process is interrupted, and ends it.
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], input=json.dumps(request).encode(),
+                          stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True, check=False)
+    if done.returncode == -signal.SIGALRM:
+        raise NoAnswer(f"no answer within {seconds} s")
+    if done.returncode != 0:
+        how = f"signal {-done.returncode}" if done.returncode < 0 else f"status {done.returncode}"
+        raise NoAnswer(how)
+    kind, found = json.loads(done.stdout)
+    if kind == "failed":
+        raise NoAnswer(found)
+    return found
+
+
+def answer_request(function: str, seconds: int) -> None:
+    """Write the answer to the request on standard input to standard output, in the process of :func:`answer_apart`."""
+    # The system ends a process whose library never returns, also after the one that waits for it has ended.
+    signal.alarm(seconds)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # Prints of the library must not get between the answer.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    module, _, name = function.partition(":")
+    try:
+        answer = "answer", getattr(importlib.import_module(module), name)(json.load(sys.stdin.buffer))
+    except Exception as error:
+        answer = "failed", f"{type(error).__name__}: {error}"
+    answers.write(json.dumps(answer).encode())
+    answers.flush()

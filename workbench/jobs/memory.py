@@ -1,0 +1,304 @@
+"""The memory that this process may take, and errors that come of too little of it.
+
+Three limits hold at a time: the free memory of the machine, that of the control groups around the process (a container,
+a batch system), and the address space of each process (``ulimit -v``, RLIMIT_AS).
+"""
+
+from __future__ import annotations
+
+import errno
+import mmap
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from threading import Lock
+
+from workbench.jobs.interruption import ENDS, say
+
+#: Environment variable with the bytes of the machine's memory that are for this process, one of several workers.
+PROCESS_VARIABLE = "WORKBENCH_MEMORY_OF_PROCESS"
+
+#: Number of buffers that each linear algebra library gets before the work: one for each thread that calls it at a time.
+BUFFERS = 3
+
+#: Bytes of address space that must be free before a buffer is requested; one takes 34 MB on the processors of today.
+#: Doubled, limits below 0.7 GB are refused that would do.
+BUFFER = 64e6
+
+#: Bytes of address space that must be free before numpy and scipy are loaded: loading them without hangs too. Doubled,
+#: no command works below 0.9 GB.
+LOADED = 420e6
+
+#: Files of a memory control group of version 2 and of version 1: limits, the memory in use, the key of the part of
+#: `memory.stat` that the system takes back before it ends a process.
+GROUP_FILES = (
+    (("memory.max", "memory.high"), "memory.current", "inactive_file"),
+    (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file"),
+)
+
+#: Words by which libraries report that an allocation failed, where their exception is no MemoryError.
+FAILED = re.compile(r"malloc|bad_alloc|bad allocation|out of ?memory|not enough memory|cannot allocate memory"
+                    r"|can't start new thread|failed to map segment", re.IGNORECASE)
+
+
+#: Bytes of address space below which it is nearly used up. Doubled, a defect of the program is more often taken for a
+#: lack of memory under a limit.
+EXHAUSTED = 100e6
+
+#: Characters of the reason of a failure that are shown, its last ones. Doubled, the advice of numpy is shown too.
+SHOWN = 200
+
+
+#: Option of the system's call `prctl`: the signal that a process gets when its parent ends.
+PR_SET_PDEATHSIG = 1
+
+#: Held while the limit of the address space is another one.
+_CONFINED = Lock()
+
+
+@dataclass(frozen=True)
+class Room:
+    """Free memory in bytes, and the ``limit`` that makes it so small, in words."""
+
+    size: float
+    limit: str
+
+
+def address_limit() -> float | None:
+    """The limit of this process' address space (bytes); None without a limit."""
+    try:
+        import resource
+    except ImportError:  # a system without such limits
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else float(soft)
+
+
+def free_memory(*, proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> Room | None:
+    """The memory that is free for this process, by its tightest limit; None if the system states none.
+
+    Parameters:
+        proc, groups: where the system shows its processes and its control groups.
+    """
+    rooms = []
+    limit = address_limit()
+    if limit is not None:
+        rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
+                          "that ulimit -v allows a process"))
+    stated = os.environ.get(PROCESS_VARIABLE)
+    if stated is not None:
+        rooms.append(Room(float(stated), "a process' share of the memory that is free here, less with more --jobs"))
+    else:
+        rooms += _shared(proc, groups)
+    return min(rooms, key=lambda room: room.size, default=None)
+
+
+def shared_memory() -> float | None:
+    """Bytes that are free for all processes together; None if the system states none."""
+    stated = os.environ.get(PROCESS_VARIABLE)
+    if stated is not None:
+        return float(stated)
+    return min((room.size for room in _shared(Path("/proc"), Path("/sys/fs/cgroup"))), default=None)
+
+
+def _shared(proc: Path, groups: Path) -> Iterator[Room]:
+    """Free memory of the machine, and of every control group around this process that has a limit."""
+    try:
+        with (proc / "meminfo").open(encoding="ascii") as lines:
+            free = [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+    except OSError:
+        free = []
+        names = os.sysconf_names if hasattr(os, "sysconf_names") else {}
+        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # Without /proc: all memory there is.
+            free.append(float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE")))
+    for bytes_free in free:
+        yield Room(bytes_free, "the memory that is free here")
+    for folder in _groups(proc, groups):
+        for limits, used, reclaimed in GROUP_FILES:
+            taken = _number_in(folder / used)
+            found = [size for name in limits if (size := _number_in(folder / name)) is not None]
+            if found and taken is not None:
+                back = _reclaimable(folder / "memory.stat", reclaimed)
+                yield Room(max(min(found) - max(taken - back, 0.0), 0.0), "the memory that is free in this control "
+                           f"group (cgroup), which may take {shown_memory(min(found))}")
+
+
+def _groups(proc: Path, groups: Path) -> Iterator[Path]:
+    """Folders of the memory control groups of this process, and of those around them."""
+    try:
+        lines = (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    own = [("", "/"), ("memory", "/")]  # A container may show the path that only its host knows.
+    for line in lines:
+        number, kinds, path = line.split(":", 2)
+        if number == "0" or "memory" in kinds.split(","):
+            own.append(("" if number == "0" else "memory", path))
+    seen = dict.fromkeys(
+        groups / kind / at for kind, path in own for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents))
+    yield from (folder for folder in seen if folder.is_dir())
+
+
+def _number_in(path: Path) -> float | None:
+    try:
+        return float(path.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None  # no such file, or no limit: "max"
+
+
+def _reclaimable(path: Path, key: str) -> float:
+    """Bytes of files that the system keeps in memory for as long as nobody needs it."""
+    with suppress(OSError):
+        for line in path.read_text(encoding="ascii").splitlines():
+            name, _, number = line.partition(" ")
+            if name == key:
+                return float(number)
+    return 0.0
+
+
+def _mapped(proc: Path) -> float:
+    """Bytes of address space that this process takes."""
+    try:
+        return float((proc / "self" / "statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
+    except OSError:
+        return 0.0
+
+
+@cache
+def reserve_buffers() -> None:
+    """Let the linear algebra libraries have their buffers now, if the address space is limited, and one thread each.
+
+    A library that is called for the first time while no memory is left would try forever (OpenBLAS 0.3.30).
+
+    Raises:
+        MemoryError: there is no room for them.
+    """
+    if address_limit() is None:
+        return
+    if "scipy.linalg" not in sys.modules:
+        require(LOADED, "the libraries that every command loads")
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # heard when the libraries are loaded
+    import ctypes
+
+    import scipy.linalg  # noqa: F401 - loads its library, and that of numpy
+    from threadpoolctl import ThreadpoolController
+
+    for library in ThreadpoolController().lib_controllers:
+        if library.internal_api != "openblas" or not hasattr(library.dynlib, "blas_memory_alloc"):
+            continue
+        take, give = library.dynlib.blas_memory_alloc, library.dynlib.blas_memory_free
+        take.restype, take.argtypes, give.argtypes = ctypes.c_void_p, [ctypes.c_int], [ctypes.c_void_p]
+        taken = []
+        for _ in range(BUFFERS):
+            require(BUFFER, f"the buffers of {Path(library.filepath).name}")
+            taken.append(take(0))
+        for buffer in taken:
+            give(buffer)
+
+
+def require(size: float, user: str) -> None:
+    """Check that so many bytes of address space are there for a `user`, if it is limited.
+
+    Raises:
+        MemoryError: they are not.
+    """
+    if address_limit() is None:
+        return
+    try:
+        mmap.mmap(-1, int(size)).close()
+    except OSError:
+        raise MemoryError(f"{shown_memory(size)} of address space were not there for {user}") from None
+
+
+@contextmanager
+def confined(size: float) -> Iterator[None]:
+    """Let this process map at most so many bytes more in this block, if its address space is limited."""
+    limit = address_limit()
+    if limit is None:
+        yield
+        return
+    import resource
+
+    with _CONFINED:
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped(Path("/proc")) + size)), hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def is_shortage(error: BaseException) -> bool:
+    """Whether an error, or one behind it, comes of too little memory, or of too few threads."""
+    return _behind(error) is not None
+
+
+def is_exhausted() -> bool:
+    """Whether the address space is limited and nearly used up: whatever a library raises then comes of that."""
+    limit = address_limit()
+    return limit is not None and limit - _mapped(Path("/proc")) < EXHAUSTED
+
+
+def _behind(error: BaseException) -> BaseException | None:
+    """The error among an error and its causes that an allocation failed by."""
+    match error:
+        case MemoryError():
+            return error
+        case OSError() if error.errno == errno.ENOMEM:
+            return error
+        # gmsh raises nothing more special than Exception.
+        case RuntimeError() | ImportError() | OSError() if FAILED.search(str(error)):
+            return error
+        case Exception() if type(error) is Exception and FAILED.search(str(error)):
+            return error
+    return None if error.__cause__ is None else _behind(error.__cause__)
+
+
+def shortage_text(error: BaseException, needed: str = "") -> str:
+    """One line about an error of which :func:`is_shortage` is true: the reason, the limit, the remedy.
+
+    `needed` are words about the memory that the job needs.
+    """
+    reason = str(_behind(error) or error) or "an allocation failed"
+    limit, room = address_limit(), free_memory()
+    where = ("" if room is None else f"; {shown_memory(room.size)} are free" if limit is None else
+             f"; ulimit -v allows a process {shown_memory(limit)} of address space")
+    return (f"memory was not enough: {' '.join(reason.split())[-SHOWN:]}{needed}{where}. Fewer "
+            "--jobs, a coarser --accuracy or a narrower band take less; otherwise give it more")
+
+
+def supervised() -> int | None:
+    """Go on in a child process, for which this function returns None; in its parent it returns the child's exit status.
+
+    A library that finds no memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
+    """
+    child = os.fork()
+    if child == 0:
+        if sys.platform == "linux":
+            import ctypes
+
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        return None
+    for end in ENDS:
+        if signal.getsignal(end) is not signal.SIG_IGN:
+            signal.signal(end, lambda number, _frame: os.kill(child, number))
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status >= 0:
+        return status
+    say(shortage_text(MemoryError(f"signal {-status} ended the command, which most often is a library without memory")))
+    return 1
+
+
+def shown_memory(size: float) -> str:
+    """Bytes as text for messages."""
+    for unit, factor in (("TB", 1e12), ("GB", 1e9)):
+        if size >= factor:
+            return f"{size / factor:.3g} {unit}"
+    return f"{size / 1e6:.3g} MB"
