@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from geometry.chip import Chip
 from geometry.solid import chip_solids
@@ -37,7 +39,10 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
     written = {}
     for name, shape in chip_solids(chip).items():
         written[name] = folder / f"{name}.stl"
-        with replacing(written[name]) as whole:
+        # The kernel writes no STL to a path with a colon in it.
+        with replacing(written[name]) as whole, TemporaryDirectory() as plain:
+            draft = Path(plain) / f"{name}.stl"
             # The deviation alone bounds the facets: the angle, in radians, is left wide.
-            shape.exportStl(str(whole), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
+            shape.exportStl(str(draft), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
+            shutil.copyfile(draft, whole)
     return written

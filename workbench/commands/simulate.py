@@ -49,7 +49,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     states = list(dict.fromkeys(chip.state(name).name for name in chosen))
     for name in states:
         fill(chip, name, model.registry)
-    folder = output_folder(options, outputs_of(chip, states))
+    folder = output_folder(options, simulation_outputs(chip, states))
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
@@ -94,7 +94,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     return 0
 
 
-def outputs_of(chip: Chip, states: Sequence[str]) -> Outputs:
+def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
     """The files of `simulate` for some states of a chip."""
     return Outputs("simulate", working=("unfinished_*.csv",), names=(
         "report.html", "merit.json", "spectrum.csv", "impedance.png", "cad.png", *solid_names(chip),

@@ -12,7 +12,7 @@ from workbench.commands.parsed_options import jobs_option, output_folder
 from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
-from workbench.design.study_folder import outputs_of
+from workbench.design.study_folder import study_outputs
 from workbench.model.problem import fill
 from workbench.report.study import confirmed_table, draw_study, statistics_table, write_study_report
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def run_study(options: argparse.Namespace, console: Console) -> int:
     """``workbench study``: every point of a study, its table, its pictures, and the report."""
     plan = read_study(options.study, materials=options.materials, inviscid=options.inviscid)
-    folder = output_folder(options, outputs_of(plan))
+    folder = output_folder(options, study_outputs(plan, options.output))
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)

@@ -141,9 +141,13 @@ class StudyFolder:
                                      self.figures)
 
 
-def outputs_of(study: Study) -> Outputs:
-    """The files of a study; a run goes on with those of its models and points."""
-    working = (_BEGUN, f"{_MODELS}/*", f"{_POINTS}/*")
+def study_outputs(study: Study, folder: Path) -> Outputs:
+    """The files of a study; a run goes on with those of its models and points.
+
+    Where there is no study yet, all that lies in folders of these names is in its way.
+    """
+    files = "*.npz" if (folder / _BEGUN).is_file() else "*"
+    working = (_BEGUN, f"{_MODELS}/{files}", f"{_POINTS}/{files}")
     return Outputs("study", working=working, names=(
         *working, "study.parquet", "study.nc", "study.json", "report.html",
         *(f"{name}_{state}{end}" for state in study.states
@@ -159,7 +163,7 @@ def opened(
     Raises:
         InputError: the folder holds another study, or see `workbench.files.output.begin`.
     """
-    with held(path, outputs_of(study), source=study.file) as folder:
+    with held(path, study_outputs(study, Path(path)), source=study.file) as folder:
         _begin(folder.path, study, parts, overwrite=overwrite)
         yield StudyFolder(folder.path, study.figures)
 

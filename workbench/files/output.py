@@ -61,10 +61,10 @@ class Leftovers:
     remaining: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        said = [f"removed {listed(self.removed)} of an earlier run"] if self.removed else []
+        said = [f"removed {enumerated(self.removed)} of an earlier run"] if self.removed else []
         for command in dict.fromkeys(command for _, command in self.remaining):
             names = [name for name, each in self.remaining if each == command]
-            said.append(f"{listed(names)} {'are' if len(names) > 1 else 'is'} of an earlier `workbench {command}`")
+            said.append(f"{enumerated(names)} {'are' if len(names) > 1 else 'is'} of an earlier `workbench {command}`")
         return "; ".join(said)
 
 
@@ -189,7 +189,7 @@ def clear(folder: Path) -> None:
         shutil.rmtree(begun, ignore_errors=True)
 
 
-def listed(names: Sequence[str]) -> str:
+def enumerated(names: Sequence[str]) -> str:
     """Names with commas between them, at most :data:`LISTED` of them."""
     more = f" and {len(names) - LISTED} more files" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more
@@ -246,8 +246,8 @@ def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> Non
               if not manifest.owns(name, outputs.working) and not (name == MARK and _is_old_mark(path / MARK))]
     if theirs:
         raise InputError(source, field, str(path), "a folder without files of your own, or changed since, under names "
-                         f"that `workbench {outputs.command}` writes: {listed(theirs)}; choose another folder, or move "
-                         f"{'it' if len(theirs) == 1 else 'them'} away")
+                         f"that `workbench {outputs.command}` writes: {enumerated(theirs)}; choose another folder, or "
+                         f"move {'it' if len(theirs) == 1 else 'them'} away")
 
 
 def _is_old_mark(mark: Path) -> bool:

@@ -88,7 +88,7 @@ class Manifest:
         self.commands: dict[str, str] = {}
         for line in lines(folder / STATE / MANIFEST):
             name, digest = str(line.get("file", "")), str(line.get("sha256"))
-            if is_inside(name):
+            if stays_inside(name):
                 self.digests.setdefault(name, set()).add(digest)
                 self.commands[name] = str(line.get("command"))
 
@@ -138,7 +138,7 @@ def _beginning(path: Path, size: int) -> bytes:
         return stream.read(size)
 
 
-def is_inside(name: str) -> bool:
+def stays_inside(name: str) -> bool:
     """Whether a relative path stays in its folder."""
     return bool(name) and not name.startswith("/") and ".." not in name.split("/")
 
