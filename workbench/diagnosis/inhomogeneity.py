@@ -234,8 +234,8 @@ def cell_forms(operators: FullOperators, left: Complex, right: Complex, coeffici
                     weight[LOSS] += 1j * product.weight * g.imag
         cells = part.places[place].elements
         for pair, form in forms.items():
-            for kind in np.flatnonzero(weights[pair].any(axis=1)):
-                result[kind, cells] += weights[pair][kind] * form
+            for row in np.flatnonzero(weights[pair].any(axis=1)):
+                result[row, cells] += weights[pair][row] * form
     return result
 
 

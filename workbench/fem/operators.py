@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +123,7 @@ class FullOperators(Brief):
         for place_name, forms in self.pair_forms(left, right):
             sums = {pair: each.sum(axis=0) for pair, each in forms.items()}
             for integral in self.by_place[place_name]:
-                result[:, self._index[id(integral)]] = sum(
-                    p.weight * sums[*pair_of(p), integral.radial] for p in integral.products)
+                result[:, self._index[id(integral)]] = _form(integral, sums)
         return result
 
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
@@ -136,8 +135,7 @@ class FullOperators(Brief):
         result: dict[int, Complex] = {}
         for place_name, forms in self.pair_forms(left, right):
             for integral in self.by_place[place_name]:
-                result[self._index[id(integral)]] = sum(
-                    p.weight * forms[*pair_of(p), integral.radial] for p in integral.products)
+                result[self._index[id(integral)]] = _form(integral, forms)
         return tuple(result[q] for q in range(len(self.integrals)))
 
     def pair_forms(self, left: Complex, right: Complex) -> Iterator[tuple[str, dict[Pair, Complex]]]:
@@ -148,14 +146,15 @@ class FullOperators(Brief):
         for place_name, group in self.by_place.items():
             place, used = self.places[place_name], _operators_of(group)
             pairs = dict.fromkeys((*pair_of(p), integral.radial) for integral in group for p in integral.products)
-            found = {pair: np.empty((len(place.weights), right.shape[1]), dtype=complex) for pair in pairs}
+            found: dict[Pair, Complex] = {
+                pair: np.empty((len(place.weights), right.shape[1]), dtype=complex) for pair in pairs}
             for start in range(0, len(place.weights), TOGETHER):
                 some = slice(start, start + TOGETHER)
                 cells = place.of(some)
                 lefts = self.evaluate(cells, used, left)
                 rights = lefts if right is left else self.evaluate(cells, used, right)
                 for row, column, radial in pairs:
-                    density = lefts[row] * rights[column]
+                    density: NDArray[np.inexact] = lefts[row] * rights[column]
                     if row != column and rights is not lefts:
                         density = 0.5 * (density + lefts[column] * rights[row])
                     found[row, column, radial][some] = _real_times(cells.measure(radial)[:, None], density)[:, 0]
@@ -384,12 +383,17 @@ class FullOperators(Brief):
         return Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
 
 
-def _real_times(matrices: Real, columns: NDArray[np.inexact]) -> NDArray[np.inexact]:
+def _real_times(matrices: Real, columns: NDArray[np.inexact]) -> Any:
     """Products of real matrices (ne, m, n) and columns (ne, n, k), without complex copies of the matrices."""
     if not np.iscomplexobj(columns):
         return np.asarray(matrices @ columns)
     parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
     return np.ascontiguousarray(matrices @ parts).view(np.complex128)
+
+
+def _form(integral: Integral, forms: Mapping[Pair, Complex]) -> Complex:
+    """The form of an integral, from the forms of its pairs."""
+    return np.asarray(sum(p.weight * forms[*pair_of(p), integral.radial] for p in integral.products))
 
 
 def pair_of(product: Product) -> tuple[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ class SplitMatrix:
         return found
 
 
-def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> NDArray[np.inexact]:
+def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> Any:
     """The product (m, k) of a real sparse matrix (m, n) and real or complex columns (n, k).
 
     scipy would make a complex copy of the matrix first.
@@ -150,5 +151,5 @@ class FreeUnknowns:
     """
 
     pattern: sparse.csc_matrix
-    entries: NDArray[np.int64]
+    entries: NDArray[np.int32]
     factorisation: Factorisation
