@@ -102,6 +102,7 @@ CAMPAIGN: Mapping[str, Mapping[str, str]] = {
         "noise": "standard deviation of a point relative to its impedance, where the recording brings none",
         "held_out": "`true`: never fitted, only predicted",
         "columns": "a column map, where the recording's headings do not say what they are",
+        "without_outliers": "`true`: leaves out the points that the findings on the recording name (page Recordings)",
         "known": "what this state alone adds, by name as in `[known]`",
         "observations": "beside the impedance, by name: `focusing_time` (s), `temperature_rate` (K/s at switch-on, of "
                         "the whole chip), each with `value`, `uncertainty` (relative), `drive` and `frequency`",

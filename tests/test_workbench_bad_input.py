@@ -202,7 +202,9 @@ def rows(*lines: str) -> str:
 
 GOOD = ("300000,5,-500", "310000,5,-490", "320000,5,-480")
 RECORDING_MISTAKES: dict[str, tuple[str, list[str]]] = {
-    "NaN": (rows(GOOD[0], "310000,nan,-490", GOOD[2]), ["line 3, column 2", "'nan'", "a finite number"]),
+    "NaN": (rows(GOOD[0], "nan,5,-490", GOOD[2]), ["line 3, column 1", "a finite frequency"]),
+    "no values": (rows(GOOD[0], "310000,9.9E37,9.9E37", "320000,OVLD,OVLD"),
+                  ["lines 3 to 4: no value", "at least 2 rows with values"]),
     "words": (rows(GOOD[0], "310000,five,-490"), ["line 3, column 2", "'five'", "a number"]),
     "cut short": (rows(*GOOD[:2]) + "320000,5", ["line 4", "'320000,5'", "3 columns; this row has 2"]),
     "only names": (rows(), ["0 rows of numbers", "cut short"]),

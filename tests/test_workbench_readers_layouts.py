@@ -129,7 +129,7 @@ LAYOUTS: dict[str, Layout] = {
         "the same, a sweep that was stopped", "sweep.csv", "chunk;timestamp;size;fieldname\n" + "".join(
             f"0;12;{len(v) + 1};{name};" + ";".join(f"{x:.12g}" for x in v) + ";nan\n"
             for name, v in (("frequency", FREQUENCY), ("absz", abs(Z)), ("phasez", np.angle(Z)), ("imagzpwr", Z.imag))),
-        findings=("idle",)),
+        findings=("no_value",)),
     "R&S ZNB, dB and angle": Layout(
         "Rohde & Schwarz ZNB/ZVA trace export", "trace.csv", "# Version 1.00\n#\nfreq[Hz];db:Trc1_S11;ang:Trc1_S11;\n"
         + rows(FREQUENCY, 20 * np.log10(abs(S)), np.angle(S, deg=True), delimiter=";", end=";")),

@@ -124,12 +124,12 @@ def moments(command: list[str], count: int) -> list[float]:
 KILLED = {
     "simulate": "simulate {inputs}/chip.toml --accuracy 2% --points 41",
     "simulate --full": "simulate {inputs}/disc.toml --accuracy 2% --points 41 --full --no-cad --no-pictures",
-    "compare": "compare {inputs}/empty.csv {inputs}/chip.toml --state empty --accuracy 2% --points 41",
+    "compare": "compare {inputs}/empty.csv {inputs}/chip.toml --state empty --accuracy 2%",
     "render": "render {inputs}/chip.toml --at 1.02MHz --accuracy 2%",
     "mesh": "mesh {inputs}/disc.toml --converge --accuracy 2%",
     "export": "export {inputs}/chip.toml",
-    "particles": "particles {inputs}/chip.toml --drive 1Vpp --minutes 1 --count 20 --accuracy 2% --points 41 "
-                 "--no-animation",
+    "particles": "particles {inputs}/chip.toml --particle polystyrene --particle-radius 5um --drive 1Vpp --minutes 1 "
+                 "--count 20 --accuracy 2% --no-animation",
     "sensitivity": "sensitivity {inputs}/disc.toml --accuracy 2% --points 21 --scalings 3",
     "tolerance": "tolerance {inputs}/disc.toml --figure f0 --accuracy 2% --samples 64",
     "fit": "fit polymer {inputs}/empty.csv --chip {inputs}/chip.toml --state empty --region substrate --free "
@@ -237,8 +237,8 @@ def visible_files(folder: Path) -> dict[str, bytes]:
             and name not in MINE and name != MARK}
 
 
-def faults_in(folder: Path, *, ended: bool) -> list[str]:
-    """Faults of a folder after a kill, or after a run that ended."""
+def faults_in(folder: Path, *, ended: bool | None) -> list[str]:
+    """Faults of a folder after a kill, or after a run that ended; None where either may be."""
     found = [f"{name} is not as it was" for name, content in MINE.items() if (folder / name).read_bytes() != content]
     manifest = Manifest(folder)
     results = visible_files(folder)
@@ -246,7 +246,7 @@ def faults_in(folder: Path, *, ended: bool) -> list[str]:
     found += [f"{name} is not in the manifest" for name in results if not manifest.owns(name)]
     if ended and (folder / MARK).exists():
         found.append("a mark on complete results")
-    if not ended and results and not (folder / MARK).exists():
+    if ended is False and results and not (folder / MARK).exists():
         found.append("no mark on incomplete results")
     return found
 
@@ -254,9 +254,7 @@ def faults_in(folder: Path, *, ended: bool) -> list[str]:
 def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
     """Kill commands at random moments; complete every fourth folder by the same command."""
     random = np.random.default_rng(arguments.seed)
-    names = arguments.command or list(KILLED)
-    if arguments.command:
-        names = [name for name in KILLED if name.split()[0] in arguments.command]
+    names = [name for name in KILLED if arguments.command is None or name.split()[0] in arguments.command]
     faults, refused, late, completed = [], 0, 0, 0
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
@@ -300,7 +298,9 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
                 os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
             late += ended
-            found = faults_in(folder, ended=ended and process.returncode in (0, 1, 3))
+            complete = ended and process.returncode in (0, 1, 3)
+            # A second command that began after the first one had ended, and was killed, leaves a mark of its own.
+            found = faults_in(folder, ended=None if beside and not ended_by_itself else complete)
             points = {file: content for file, content in visible_files(folder).items() if file.startswith("points/")}
             if number % 4 == 0 and not found:
                 again = begun(name, root / "inputs", folder)
@@ -331,7 +331,8 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--command", choices=COMMANDS, action="append", help="only this one (default: all)")
+    parser.add_argument("--command", choices=sorted({*COMMANDS, *(name.split()[0] for name in KILLED)}),
+                        action="append", help="only this one (default: all)")
     parser.add_argument("--moments", type=int, default=20)
     parser.add_argument("--kills", type=int, default=0, metavar="N", help="kill N times instead (default: Ctrl-C)")
     parser.add_argument("--beside", type=int, default=0, metavar="N", help="of these, N with a second command beside")

@@ -16,6 +16,7 @@
     noise = "0.5 %"                 # of a point, where the recording brings no uncertainty
     held_out = true                 # never fitted, only predicted
     columns = "MAP.toml"            # of the recording, where its headings do not say what they are
+    without_outliers = true         # leaves out the points that the findings on the recording name
 
     [states.filled.observations]    # beside the impedance (`workbench.campaign.observation`)
     focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }

@@ -25,7 +25,7 @@ from workbench.fitting.uncertainty import correlation_length
 from workbench.model.device_numbers import bench_number, device_numbers
 from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
-from workbench.readers import read_column_map, read_recording
+from workbench.readers import Reading, read_column_map, read_recording
 from workbench.results.observed_value import ObservedValue
 from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 
@@ -33,8 +33,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Keys of a state in a campaign file; ``known`` is read together with that of the other states.
-STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known",
-              "observations")
+STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns",
+              "without_outliers", "known", "observations")
 
 
 #: Relative standard deviation of a point above which a recording says nothing of a device, and something else is meant.
@@ -49,9 +49,9 @@ class DeviceState:
     ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
     electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
     point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
-    does). ``observations`` are its observations beside the impedance. A state that stands for one of these has it as
-    ``observation``, its value as ``measured`` and the uncertainty as ``noise``, which is the state's whose name
-    the observation has.
+    does); ``findings`` are those of the recording's reader. ``observations`` are its observations beside the impedance.
+    A state that stands for one of these has it as ``observation``, its value as ``measured`` and the uncertainty as
+    ``noise``, which is the state's whose name the observation has.
     """
 
     name: str
@@ -64,13 +64,15 @@ class DeviceState:
     held_out: bool = False
     observations: tuple[Observation, ...] = ()
     observation: Observation | None = None
+    findings: tuple[str, ...] = ()
 
     @cached_property
     def observed(self) -> tuple[DeviceState, ...]:
         """The states that stand for its observations."""
         return tuple(
             replace(self, name=each.name, measured=ObservedValue(np.array([each.frequency]), np.array([each.value])),
-                    noise=np.array([each.uncertainty]), stated=True, drive=None, observations=(), observation=each)
+                    noise=np.array([each.uncertainty]), stated=True, drive=None, observations=(), observation=each,
+                    findings=())
             for each in self.observations)
 
     @cached_property
@@ -165,7 +167,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     device = fill(chip, state.name, registry)
-    whole, recording = _recording(table, folder)
+    whole, recording, findings = _recording(table, folder)
     band = _band(table) if "band" in table else None
     measured = in_band(whole, chip, band, name=recording)
     noise, stated = _noise(measured, table)
@@ -175,26 +177,31 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     found = DeviceState(name, device, measured, noise, stated,
                         None if drive is None else 0.5 * drive, temperature, held_out,
                         read_observations(table, name, device, (float(measured.frequency[0]),
-                                                                float(measured.frequency[-1]))))
+                                                                float(measured.frequency[-1]))), findings=findings)
     if set(device.materials) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
         check_device(in_band(whole, chip, None, name=recording), chip, device.materials, name=recording)
     return found
 
 
-def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str]:
-    """The spectrum of the state, and the name that mistakes in it are reported under."""
-    given = table.content.get("recording")
+def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str, tuple[str, ...]]:
+    """The spectrum of the state, the name that mistakes in it are reported under, and the findings of its reader."""
+    given, without = table.content.get("recording"), table.flag("without_outliers")
     if given is not None and not isinstance(given, str):
+        if without and not isinstance(given, Reading):
+            raise table.error("without_outliers", "a recording that is read from a file")
+        given = given.without_outliers() if isinstance(given, Reading) and without else given
+        findings = tuple(each.message for each in given.findings) if isinstance(given, Reading) else ()
         try:
-            return spectrum_of(given), table.at("recording")
+            return spectrum_of(given), table.at("recording"), findings
         except TypeError:
             raise table.error("recording", _expected(table, "a Spectrum", "recording")) from None
     path = folder / table.text("recording", expected=_expected(table, "a Spectrum", "recording"))
     columns = None
     if "columns" in table:
         columns = read_column_map(folder / table.text("columns", expected="the path of a column map"))
-    return read_recording(path, columns=columns).spectrum, str(path)
+    reading = read_recording(path, columns=columns, without_outliers=without)
+    return reading.spectrum, str(path), tuple(each.message for each in reading.findings)
 
 
 def _expected(table: FileTable, value: str, file: str) -> str:

@@ -19,7 +19,7 @@ from workbench.app.section_fields import SectionFields
 from workbench.app.server import Drawing, LiveView
 from workbench.app.session import Session
 from workbench.commands.parsed_options import model_options, reading_option
-from workbench.commands.terminal import print_line
+from workbench.commands.terminal import print_line, say_finding
 from workbench.files.errors import InputError
 from workbench.jobs.interruption import ENDS
 from workbench.jobs.process import Send
@@ -43,11 +43,14 @@ def run_app(options: argparse.Namespace, console: Console) -> int:
         raise RuntimeError("the live view needs trame and trame-vuetify (./setup installs them)")
     chip = read_chip(options.chip)
     model = model_options(options, chip)
-    recording = None if options.recording is None else reading_option(options, options.recording, console).spectrum
+    reading = None if options.recording is None else reading_option(options, options.recording, console)
+    for finding in () if reading is None else reading.findings:
+        say_finding(finding.message, console)
     if options.campaign is not None and not options.campaign.is_file():
         raise InputError("command line", "--campaign", str(options.campaign), "a file")
     session = Session(chip, options.state, options.vary, registry=model.registry, band=model.band,
-                      accuracy=model.accuracy, drive=model.drive, recording=recording,
+                      accuracy=model.accuracy, drive=model.drive,
+                      recording=None if reading is None else reading.spectrum,
                       recording_name="" if options.recording is None else options.recording.name,
                       growing=growing_elsewhere)
     view = LiveView(session, Drawing(_section, _space), options.folder, diagnose_as_command,

@@ -187,7 +187,10 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     if options.device is None:
         raise InputError("command line", "DEVICE", None, "a CHIP.toml or a recorded spectrum, or --connect")
     if options.device.suffix != ".toml":
-        return device_of(reading_option(options, options.device, console).spectrum), str(options.device)
+        reading = reading_option(options, options.device, console)
+        for finding in reading.findings:
+            say_finding(finding.message, console)
+        return device_of(reading.spectrum), str(options.device)
     chip = read_chip(options.device)
     requested = model_options(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)

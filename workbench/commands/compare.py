@@ -41,7 +41,7 @@ OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv",
 def run_compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
     reading = reading_option(options, options.recording, console)
-    measured = reading.spectrum
+    measured, found = reading.spectrum, [finding.message for finding in reading.findings]
     chip = read_chip(options.chip)
     model = model_options(options, chip)
     model = replace(model, band=_common_band(options, model.band, measured.frequency),
@@ -57,19 +57,19 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,
         "read_as": reading.read_as or None,
-        "findings": [str(finding) for finding in reading.findings],
+        "findings": found,
         "measured": {**figures_record(merit, reason), "circuit": resonances_record(resonances["measured"])},
         "simulated": simulation_record(run),
         "comparison": comparison_record(comparison),
     })
     next_step = what_next(comparison, options.chip, options.recording, run.state)
-    write_comparison_report(measured, run, comparison, folder, findings=list(map(str, reading.findings)),
+    write_comparison_report(measured, run, comparison, folder, findings=found,
                             next_step=next_step, resonances=resonances)
     print_table(f"{chip.name}, {run.state}", compared_figures_table(comparison))
     print_table("", distance_table(comparison))
     print_table("", resonances_table(resonances))
     print_paragraph(next_step)
-    for text in (*(finding.message for finding in reading.findings), *run.findings):
+    for text in (*found, *run.findings):
         say_finding(text, console)
     return 0
 

@@ -92,6 +92,8 @@ def _of_file(options: argparse.Namespace, console: Console) -> Campaign:
     found = read_campaign(options.diagnosed, materials=options.materials)
     for state in found.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
+        for text in state.findings:
+            say_finding(f"{state.name}: {text}", console)
     return found
 
 

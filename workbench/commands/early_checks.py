@@ -25,7 +25,7 @@ QUANTITIES: Mapping[str, tuple[str, str]] = {
 #: Options of `diagnose` about its one recording, as the command line spells them; a campaign file has keys for them.
 OF_ONE_RECORDING: Mapping[str, str] = {
     "chip": "--chip", "state": "--state", "columns": "--columns", "format": "--format", "correction": "--correction",
-    "noise": "--noise", "low": "--from", "high": "--to"}
+    "without_outliers": "--without-outliers", "noise": "--noise", "low": "--from", "high": "--to"}
 
 #: Tables that a chip file has and a campaign file has not; a recording is no TOML file.
 OF_CHIPS = ("chip", "layers")
@@ -124,7 +124,7 @@ def check_diagnosed(options: argparse.Namespace) -> None:
         return
     for key, option in OF_ONE_RECORDING.items():
         value = getattr(options, key)
-        if value is not None:
+        if value not in (None, False):
             raise InputError("command line", option, str(value), f"nothing beside the campaign file {given}, which "
                              "says that itself of each of its states; or a recording in its place")
 

@@ -66,7 +66,7 @@ def _member(options: argparse.Namespace) -> BatchMember:
     return BatchMember(
         options.recording.stem, options.recording, options.chip, options.kind, options.state, options.material,
         options.region, names, (end(options.low, "--from"), end(options.high, "--to")), options.columns, options.format,
-        options.correction)
+        options.correction, options.without_outliers)
 
 
 def _thicknesses(text: str | None) -> tuple[float, ...]:

@@ -143,7 +143,8 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         if member.columns is not None and member.format is not None:
             raise InputError(member.name, "format", member.format, "columns or format, not both")
         columns = None if member.columns is None else read_column_map(member.columns)
-        reading = read_recording(member.recording, columns=columns, format=member.format, correction=member.correction)
+        reading = read_recording(member.recording, columns=columns, format=member.format, correction=member.correction,
+                                 without_outliers=member.without_outliers)
         chip = read_chip(member.chip)
         band = tuple(own if asked is None else asked for asked, own in zip(member.band, chip.band, strict=True))
         if not 0.0 < band[0] < band[1]:

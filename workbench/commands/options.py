@@ -105,6 +105,9 @@ def _with_recording(sub: argparse.ArgumentParser) -> None:
                           "biologic, zplot, hioki, lines or table (default: found out)")
     sub.add_argument("--correction", choices=("negate", "conjugate"),
                      help="put a wrong phase right, on your word (default: as recorded)")
+    sub.add_argument("--without-outliers", action="store_true",
+                     help="leave out the points that the findings name with their rows: those that leave their "
+                          "neighbours, or that no passive device has (default: they stay)")
 
 
 def _simulate(sub: argparse.ArgumentParser) -> None:

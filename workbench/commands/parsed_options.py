@@ -96,7 +96,7 @@ def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
 
 
 def reading_option(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
-    """The recording, read as --columns, --format and --correction say; the meaning of its columns is printed.
+    """The recording, read as the options of a recording say; the meaning of its columns is printed.
 
     Raises:
         InputError: a recording that cannot be read, or --columns and --format together.
@@ -106,7 +106,8 @@ def reading_option(options: argparse.Namespace, recording: Path, console: Consol
     if options.columns is not None and options.format is not None:
         raise InputError("command line", "--format", options.format, "--columns or --format, not both")
     columns = None if options.columns is None else read_column_map(options.columns)
-    reading = read_recording(recording, columns=columns, format=options.format, correction=options.correction)
+    reading = read_recording(recording, columns=columns, format=options.format, correction=options.correction,
+                             without_outliers=options.without_outliers)
     say_read_as(reading.read_as, recording.name, console)
     return reading
 

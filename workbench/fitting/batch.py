@@ -16,6 +16,7 @@
     columns = "columns.toml"
     format = "e4990a"
     correction = "conjugate"
+    without_outliers = true             # leaves out the points that the findings on the recording name
     save = "pzt4/disc_1"
 
     [[joint]]                           # recordings fitted together: parameters of one name are shared
@@ -61,7 +62,7 @@ MAD_TO_SIGMA = 1.4826
 ENOUGH = 4
 
 _RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
-                   "correction", "save")
+                   "correction", "without_outliers", "save")
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class BatchMember:
     columns: Path | None = None
     format: str | None = None
     correction: str | None = None
+    without_outliers: bool = False
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,7 @@ def _member(row: FileTable, folder: Path) -> BatchMember:
         row.optional_text("state"), row.optional_text("material"), row.optional_text("region"),
         row.texts("free", (DEFAULT,)), band, _path(row, "columns", folder) if "columns" in row else None,
         row.optional_text("format"), None if correction is None else row.choice("correction", ("negate", "conjugate")),
+        row.flag("without_outliers"),
     )
 
 
@@ -200,8 +203,8 @@ def content_key(job: Job, settings: Settings, filling: Sequence[Mapping[str, obj
     """
     files = [(file_digest(m.recording), file_digest(m.chip), "" if m.columns is None else file_digest(m.columns))
              for m in job.members]
-    members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction)
-               for m in job.members]
+    members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction,
+                m.without_outliers) for m in job.members]
     options = (settings.accuracy, settings.algorithm, settings.starts, settings.tries,
                settings.gel_thicknesses)
     values = [sorted((region, repr(material)) for region, material in one.items()) for one in filling]

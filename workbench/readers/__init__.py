@@ -6,21 +6,23 @@
 A table with clear headings needs no more; for one without, :func:`read_recording` asks for a column map, and proposes
 one. A file that cannot be trusted (cut short, not a number) is an `InputError` with the line. A sweep in another order
 than that of frequency is put in order, with a finding. A file that can be read but contradicts physics gives findings,
-and is corrected only on request.
+and is corrected only on request. Rows without a value are left out with a finding, impossible points only on request.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from workbench.files.errors import InputError, choose
 from workbench.readers import columns as _columns
 from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
-from workbench.readers.findings import Finding, examine
+from workbench.readers.findings import Finding, Rows, examine
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded
 from workbench.readers.text import RecordingText, load_text, refuse_waveform
@@ -58,15 +60,19 @@ FORMATS: Mapping[str, Format] = {
 }
 
 #: Findings on the spectrum itself, which are found anew after a correction.
-_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency"})
+_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency",
+                       "outlier", "spacing"})
+#: The setting of an origin that lists the points left out on request.
+LEFT_OUT = "left out"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reading(Shown):
-    """A spectrum as recorded, and the findings on it."""
+    """A spectrum as recorded, the findings on it, and the rows of the file that its points stand in, if known."""
 
     spectrum: Spectrum
     findings: tuple[Finding, ...]
+    rows: Rows | None = None
 
     @property
     def read_as(self) -> str:
@@ -88,7 +94,31 @@ class Reading(Shown):
         """The reading with its spectrum corrected by "negate" or "conjugate", noted in the origin, and re-examined."""
         spectrum = corrected(self.spectrum, correction)
         kept = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
-        return Reading(spectrum, (*kept, *examine(spectrum)))
+        return Reading(spectrum, (*kept, *examine(spectrum, rows=self.rows)), self.rows)
+
+    def without_outliers(self) -> Reading:
+        """The reading without the points in the ``rows`` of its findings, noted in the origin and in a finding.
+
+        Raises:
+            InputError: they are half of the points or more.
+        """
+        rows = self.rows or Rows(tuple(range(1, self.spectrum.frequency.size + 1)), "point")
+        out = {row for finding in self.findings for row in finding.rows}
+        kept = np.array([row not in out for row in rows.numbers])
+        points = np.flatnonzero(~kept)
+        if not len(points):
+            return self
+        words = f"{len(points)} of {len(kept)} points as outliers: {rows.named(points, self.spectrum.frequency)}"
+        if 2 * len(points) >= len(kept):
+            raise InputError(self.spectrum.origin.source or "recording", "without_outliers", words,
+                             "fewer than half of the points; the recording as a whole is in doubt")
+        spectrum = self.spectrum.at(kept)
+        spectrum = replace(spectrum, origin=replace(spectrum.origin, settings={
+            **spectrum.origin.settings, LEFT_OUT: words}))
+        rest = Rows(rows.of(np.flatnonzero(kept)), rows.word)
+        others = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
+        said = Finding("left_out", f"left out {words}")
+        return Reading(spectrum, (*others, said, *examine(spectrum, rows=rest)), rest)
 
 
 def detect(path: Path | str) -> str:
@@ -102,13 +132,13 @@ def detect(path: Path | str) -> str:
 
 def read_recording(
     path: Path | str, *, columns: ColumnMap | Path | str | None = None, format: str | None = None,
-    correction: str | None = None,
+    correction: str | None = None, without_outliers: bool = False,
 ) -> Reading:
     """Read a recording of impedance.
 
     `format` (a key of :data:`FORMATS`) skips the detection; `columns`, a map or its file, reads any other table;
-    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`. :attr:`Reading.read_as` states the
-    meaning of a table's columns.
+    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`; `without_outliers` leaves out points
+    as :meth:`Reading.without_outliers` does. :attr:`Reading.read_as` states the meaning of a table's columns.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.
@@ -126,8 +156,10 @@ def read_recording(
         name = _detect(text) if format is None else choose(format, FORMATS, source=text.path, field="format")
         found = FORMATS[name].parse(text)
     gain = columns is not None and columns.quantity.kind == "gain"
-    reading = Reading(found.spectrum, (*found.findings, *examine(found.spectrum, shunt_gain=gain)))
-    return reading if correction is None else reading.corrected(correction)
+    reading = Reading(found.spectrum, (*found.findings, *examine(found.spectrum, rows=found.rows, shunt_gain=gain)),
+                      found.rows)
+    reading = reading if correction is None else reading.corrected(correction)
+    return reading.without_outliers() if without_outliers else reading
 
 
 def _detect(text: RecordingText) -> str:

@@ -30,6 +30,7 @@ from workbench.readers.text import (
     cell_number,
     cells,
     complex_parts,
+    holds_no_value,
     is_number,
     load_text,
     row_cells,
@@ -212,7 +213,8 @@ def recorded(
                              "negative, hence taken to be written without its sign"))
     noted = {READ_AS: " ".join(read_as.split()), **settings}
     origin = Origin("measured", text.path, text.sha256, instrument, settings=noted)
-    return in_order(text, frequency, impedance, lines=rows.lines, column=column, origin=origin, findings=found)
+    return in_order(text, frequency, impedance, lines=rows.lines, column=column, origin=origin,
+                    cells=values[1:], findings=found)
 
 
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
@@ -381,8 +383,9 @@ def _locate(
 
 
 def _holds_numbers(row: Sequence[str], places: Sequence[int], decimal: str) -> bool:
-    return max(places) < len(row) and all(
-        is_number(row[place], decimal) or complex_parts(row[place]) is not None for place in places)
+    return max(places) < len(row) and is_number(row[places[0]], decimal) and all(
+        is_number(row[place], decimal) or complex_parts(row[place]) is not None or holds_no_value(row[place], decimal)
+        for place in places)
 
 
 def _refuse_columns(

@@ -100,7 +100,7 @@ def _block(text: RecordingText, stripped: Sequence[str], begin: int) -> Recorded
     first, second = (rows.values[:, names.index(name)] for name in chosen)
     origin = Origin("measured", text.path, text.sha256, instrument, date, {"columns": ", ".join(cells(header, ","))})
     return in_order(text, rows.values[:, 0], PAIRS[chosen].impedance(first, second), lines=rows.lines, column=1,
-                    origin=origin)
+                    origin=origin, cells=[first, second])
 
 
 def _by_headings(text: RecordingText, begin: int, end: int, instrument: str, date: str) -> Recorded:

@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.results.spectrum import Spectrum, turns_anticlockwise
+from workbench.readers.outliers import off_the_grid, outliers
+from workbench.results.spectrum import Spectrum, scatter, turns_anticlockwise
 
 #: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet: 20 Hz;
 #: 25 milliohm to 40 megohm), with a margin. A value outside is probably in a misread unit.
 PLAUSIBLE_OHM = (1e-3, 1e9)
 PLAUSIBLE_HZ = 20.0
+#: Factor beyond :data:`PLAUSIBLE_OHM` at which one point is wrong by itself. Doubled, nothing changes.
+BEYOND = 1e3
+#: Standard deviations of Re Z / |Z| below zero that are more than noise. Doubled, an active point passes for noise.
+BEYOND_NOISE = 5.0
 
 #: A step between two points is out of line if a mirror image of one side fits the other better by the first of these
 #: factors (squares of second differences), if the other end of such a stretch fits better by the second, and if the
@@ -22,19 +28,66 @@ PLAUSIBLE_HZ = 20.0
 OUT_OF_LINE = (8.0, 2.0, 6.0)
 
 
+#: Stretches of rows that a finding names. Doubled, it fills the screen.
+NAMED = 8
+
+
 @dataclass(frozen=True)
 class Finding:
-    """One finding. ``code`` is a key of this module's rules, ``message`` describes it and the possible remedy."""
+    """One finding. ``code`` is a key of this module's rules, ``message`` describes it and the possible remedy;
+    ``rows`` of the file hold points that :meth:`workbench.readers.Reading.without_outliers` leaves out."""
 
     code: str
     message: str
+    rows: tuple[int, ...] = ()
 
 
-def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, ...]:
+@dataclass(frozen=True)
+class Rows:
+    """The row of the file of every point of a spectrum, ``numbers`` (n,) from one, and the ``word`` for a row."""
+
+    numbers: tuple[int, ...]
+    word: str = "line"
+
+    def of(self, points: NDArray[np.intp]) -> tuple[int, ...]:
+        """The rows of some points."""
+        return tuple(self.numbers[int(point)] for point in points)
+
+    def named(self, points: NDArray[np.intp], frequency: NDArray[np.float64]) -> str:
+        """Some points in words: their rows, and with one point its `frequency` (n,) Hz."""
+        words = rows_in_words(self.of(points), self.word)
+        return f"{words} ({frequency[points[0]]:.9g} Hz)" if len(points) == 1 else words
+
+
+def rows_in_words(numbers: Sequence[int], word: str = "line") -> str:
+    """Rows in words: "line 3", "lines 3, 7 and 9 to 12"."""
+    ends: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if ends and number == ends[-1][1] + 1:
+            ends[-1][1] = number
+        else:
+            ends.append([number, number])
+    said = [str(a) if a == b else f"{a} to {b}" for a, b in ends[:NAMED]]
+    rest = sum(b - a + 1 for a, b in ends[NAMED:])
+    said += [f"{rest} more"] if rest else []
+    head = word if ends[0][0] == ends[-1][1] else f"{word}s"
+    return f"{head} {' and '.join(filter(None, (', '.join(said[:-1]), said[-1])))}"
+
+
+#: Remedy for points that are named with their rows.
+LEAVE_OUT = "--without-outliers (without_outliers=True) leaves {it} out"
+
+
+def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = False) -> tuple[Finding, ...]:
     """All findings on `spectrum`; `shunt_gain` if it was computed from the gain of a shunt divider.
+
+    Without the `rows` of the file points are counted from one.
 
     - ``inverse_ratio`` or ``negated``: Re Z < 0 at nine points in ten or more, which a passive device never shows.
     - ``active``: Re Z < 0 at fewer points.
+    - ``outlier``: points that leave their neighbours by far more than the noise (:mod:`workbench.readers.outliers`),
+      or with |Z| that nothing has. The findings below are on the rest.
+    - ``spacing``: frequencies beside the even steps of the others.
     - ``conjugated``: the reflection coefficient turns anticlockwise with rising frequency. Foster's reactance
       theorem, dX/dw >= |X|/w for a lossless one-port, makes it turn clockwise, for an inductor as for a capacitor or
       a resonator, so a genuine inductor is not accused.
@@ -42,37 +95,35 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
       advised, since each applies to every point.
     - ``magnitude``, ``frequency``: values no analyser of this kind reaches.
     """
-    findings: list[Finding] = []
+    frequency = spectrum.frequency
+    points = len(frequency)
+    rows = Rows(tuple(range(1, points + 1)), "point") if rows is None else rows
+    stretches = _stretches(spectrum)
+    turned = np.concatenate([np.arange(begin, end) for begin, end in stretches]) if stretches else np.empty(0, np.intp)
+    findings = _odd_points(spectrum, rows, turned)
+    if stretches:
+        words = " and ".join(rows.named(np.arange(begin, end), frequency) for begin, end in stretches)
+        findings.append(Finding("stretch", f"{words} do not join their neighbours, as if a sign were turned there: "
+                                "look at them in the file, or measure again; no correction mends them, since each "
+                                f"turns every point; {LEAVE_OUT.format(it='them')}", rows.of(turned)))
+    odd = {row for finding in findings for row in finding.rows}
+    whole = np.array([row not in odd for row in rows.numbers])
     resistance = spectrum.impedance.real
     active = int(np.count_nonzero(resistance < 0.0))
-    points = len(resistance)
-    stretches = _stretches(spectrum)
-    if stretches:
-        places = " and ".join(
-            f"{begin + 1} to {end} ({spectrum.frequency[begin]:.9g} to {spectrum.frequency[end - 1]:.9g} Hz)"
-            if end - begin > 1 else f"{begin + 1} ({spectrum.frequency[begin]:.9g} Hz)" for begin, end in stretches)
-        findings.append(Finding("stretch", f"points {places} do not join their neighbours, as if a sign were turned "
-                                "there: look at them in the file, or measure again; no correction mends them, since "
-                                "each turns every point"))
-        if active:
-            findings.append(Finding("active", f"Re Z < 0 at {active} of {points} points: a passive device cannot do "
-                                    "so"))
-    elif active >= 0.9 * points:
+    if active < 0.9 * points:
+        findings += _active(spectrum, rows, whole)
+    if np.count_nonzero(whole) >= max(2, points / 2):
+        spectrum = spectrum.at(whole)
+    if active >= 0.9 * points and not stretches:
         if shunt_gain:
             findings.append(Finding("inverse_ratio", f"Re Z < 0 at {active} of {points} points: the gain is "
                                     "probably the inverse ratio; read with inverse=True (or False if it was set)"))
         else:
             findings.append(Finding("negated", f"Re Z < 0 at {active} of {points} points: the phase is probably "
                                     "off by 180 degrees (reversed polarity); read with correction='negate'"))
-    else:
-        if active:
-            worst = int(np.argmax(-resistance / spectrum.magnitude))
-            findings.append(Finding("active", f"Re Z < 0 at {active} of {points} points, worst "
-                                    f"{spectrum.phase_deg[worst]:.2f} degrees at {spectrum.frequency[worst]:.9g} Hz: "
-                                    "a passive device cannot do so (noise, or the analyser's compensation)"))
-        if turns_anticlockwise(spectrum):
-            findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
-                                    "anticlockwise with rising frequency; read with correction='conjugate'"))
+    elif not stretches and turns_anticlockwise(spectrum):
+        findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
+                                "anticlockwise with rising frequency; read with correction='conjugate'"))
     typical = float(np.median(spectrum.magnitude))
     if not PLAUSIBLE_OHM[0] <= typical <= PLAUSIBLE_OHM[1]:
         findings.append(Finding("magnitude", f"the median |Z| is {typical:.3g} ohm: is the unit right?"))
@@ -80,6 +131,52 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
         findings.append(Finding("frequency", f"the highest frequency is {spectrum.frequency[-1]:.6g} Hz: is the unit "
                                 "right?"))
     return tuple(findings)
+
+
+def _odd_points(spectrum: Spectrum, rows: Rows, turned: NDArray[np.intp]) -> list[Finding]:
+    """The findings on points apart from the rest, other than those in a stretch that is `turned`."""
+    frequency, size = spectrum.frequency, spectrum.magnitude
+    found = outliers(frequency, spectrum.impedance)
+    low, high = PLAUSIBLE_OHM[0] / BEYOND, PLAUSIBLE_OHM[1] * BEYOND
+    typical = float(np.median(size))
+    if low <= typical <= high:
+        # Tables too short for a comparison of neighbours have such points too.
+        found |= {int(i): float(np.log(size[i] / typical)) for i in np.flatnonzero((size < low) | (size > high))}
+    findings = []
+    points = np.array(sorted(set(found) - set(turned.tolist())), dtype=np.intp)
+    if len(points):
+        worst = max(points.tolist(), key=lambda point: abs(found[point]))
+        away = abs(found[worst])
+        by = f"{100.0 * np.expm1(away):.2g} %" if away < 1.0 else f"a factor of {np.exp(min(away, 700.0)):.2g}"
+        by += f" at {frequency[worst]:.9g} Hz" if len(points) > 1 else ""
+        leave, it = ("leaves its", "it") if len(points) == 1 else ("leave their", "them")
+        findings.append(Finding("outlier", f"{rows.named(points, frequency)} {leave} neighbours by far more than the "
+                                f"noise, by up to {by}: a faulty reading, or a resonance narrower than the step; "
+                                f"{LEAVE_OUT.format(it=it)}", rows.of(points)))
+    points, step = off_the_grid(frequency)
+    if len(points):
+        it = "it" if len(points) == 1 else "them"
+        findings.append(Finding("spacing", f"{rows.named(points, frequency)}: beside the even steps of the other "
+                                f"frequencies ({step}): a digit may be wrong; {LEAVE_OUT.format(it=it)}",
+                                rows.of(points)))
+    return findings
+
+
+def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Finding]:
+    """The finding on points with Re Z < 0; its rows are those beyond the noise of the `whole` points."""
+    share = spectrum.impedance.real / spectrum.magnitude
+    active = np.flatnonzero(share < 0.0)
+    if not len(active):
+        return []
+    worst = int(np.argmin(share))
+    noise = scatter(spectrum.at(whole)) if np.count_nonzero(whole) > 1 else 0.0
+    beyond = active[share[active] < -BEYOND_NOISE * noise]
+    words = (f"Re Z < 0 at {len(active)} of {len(share)} points, worst {spectrum.phase_deg[worst]:.2f} degrees at "
+             f"{spectrum.frequency[worst]:.9g} Hz: a passive device cannot do so (noise, or the analyser's "
+             "compensation)")
+    if len(beyond):
+        words += f"; beyond the noise: {rows.named(beyond, spectrum.frequency)}; {LEAVE_OUT.format(it='them')}"
+    return [Finding("active", words, rows.of(beyond))]
 
 
 def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:

@@ -123,7 +123,7 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
         return heading.unit, ""
     if heading.strange_unit:
         return "", f"its unit {heading.strange_unit!r} is not one of {', '.join(UNITS['frequency'])}"
-    highest = float(np.max(values))
+    highest = float(np.nanmax(values, initial=0.0))
     possible = [unit for unit, factor in UNITS["frequency"].items()
                 if PLAUSIBLE_HZ <= highest * factor <= ANALYSERS_UP_TO_HZ]
     if len(possible) == 1:

@@ -64,7 +64,8 @@ def parse_hp4294a(text: RecordingText) -> Recorded:
     settings = {key.lower(): value for key, (value, _) in header.items() if key not in ("DATE", "TRACE", "FORMAT")}
     date = header["DATE"][0] if "DATE" in header else ""
     origin = Origin("measured", text.path, text.sha256, text.lines[0].strip().strip('"'), date, settings)
-    return in_order(text, first.values[:, 0], impedance, lines=first.lines, column=1, origin=origin)
+    return in_order(text, first.values[:, 0], impedance, lines=first.lines, column=1, origin=origin,
+                    cells=[first.values[:, 1], second.values[:, 1]])
 
 
 def _header(text: RecordingText) -> dict[str, tuple[str, int]]:
@@ -113,7 +114,7 @@ def _trace(text: RecordingText, name: str, declared: int) -> NumberRows:
 
 def _real(text: RecordingText, rows: NumberRows) -> NDArray[np.float64]:
     """The trace's values; an imaginary part would mean a trace this reader does not know."""
-    wrong = rows.values[:, 2] != 0.0
+    wrong = np.nan_to_num(rows.values[:, 2]) != 0.0
     if np.any(wrong):
         index = int(np.argmax(wrong))
         raise text.error(rows.lines[index], 3, float(rows.values[index, 2]), "zero: a magnitude, phase, real or "

@@ -20,7 +20,7 @@ from workbench.readers.findings import Finding
 from workbench.readers.headings import understand
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded, in_order
-from workbench.readers.text import RecordingText, cells, complex_parts, is_number
+from workbench.readers.text import RecordingText, cell_number, cells, complex_parts, holds_no_value, is_number
 from workbench.results.spectrum import Origin
 
 #: Quantities by the pair of fields that hold an impedance.
@@ -84,32 +84,26 @@ def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[
     if len(sizes) > 1:
         raise text.error(line, None, " and ".join(map(str, sorted(sizes))) + " values", f"as many of {pair[0]} and "
                          f"{pair[1]} as of {frequency}; the file may be cut short")
-    whole = np.all(np.isfinite(values), axis=0)
-    findings = []
-    if not np.all(whole):
-        findings.append(Finding("idle", f"{np.count_nonzero(~whole)} of {len(whole)} points hold no number (nan): left "
-                                "out"))
     quantity = PAIRS[pair]
     unit = f"rad; the phase of Z is {pair[1]}" if quantity.form == "polar" else "ohm"
     read_as = f"as a LabOne sweep, lines {frequency} in Hz, {pair[0]} and {pair[1]} in {unit}"
     origin = Origin("measured", text.path, text.sha256, "Zurich Instruments, LabOne", settings={READ_AS: read_as})
-    one, two, three = (each[whole] for each in values)
-    return in_order(text, one, quantity.impedance(two, three), lines=[line] * len(one), column=5, origin=origin,
-                    findings=findings)
+    one, two, three = values
+    # The frequency of a point that was not measured may be missing too; the last cell of a line may be an empty one.
+    return in_order(replace(text, row="value"), one, quantity.impedance(two, three), cells=[two + 0.0 * one, three],
+                    lines=range(1, len(one) + 1), column=1, origin=origin)
 
 
 def _values(text: RecordingText, line: int, row: list[str]) -> NDArray[np.float64]:
     """The numbers of a line, NaN for a missing one.
 
     Raises:
-        InputError: a cell that is neither a number nor nan.
+        InputError: a cell that is no number.
     """
     found = np.full(len(row), np.nan)
     for place, cell in enumerate(row):
-        if is_number(cell):
-            found[place] = float(cell)
-        elif cell.casefold().lstrip("+-") not in ("nan", "inf", ""):
-            raise text.error(line, place + 5, cell, "a number or nan")
+        if cell:
+            found[place] = cell_number(text, line, place + 5, cell=cell)
     return found
 
 
@@ -150,10 +144,11 @@ def _turned(text: RecordingText) -> RecordingText | None:
     for delimiter in ("\t", ";", ","):
         rows = [row for row in (cells(line, delimiter) for line in text.lines[:200]) if len(row) > 3]
         known = [row for row in rows if understand(row[0]) is not None and all(
-            is_number(cell) or is_number(cell, ",") or complex_parts(cell) is not None for cell in row[1:])]
+            is_number(cell) or is_number(cell, ",") or complex_parts(cell) is not None or holds_no_value(cell)
+            for cell in row[1:])]
         sizes = {len(row) for row in known}
         parts = {heading.part for heading in (understand(row[0]) for row in known) if heading is not None}
         if len(known) >= 2 and len(sizes) == 1 and "frequency" in parts:
             lines = ("\t".join(column) for column in zip(*known, strict=True))
-            return replace(text, lines=tuple(lines))
+            return replace(text, lines=tuple(lines), row="column")
     return None

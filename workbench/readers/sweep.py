@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.readers.findings import Finding
+from workbench.files.errors import InputError
+from workbench.readers.findings import Finding, Rows, rows_in_words
 from workbench.readers.text import RecordingText, check_impedance
 from workbench.results.spectrum import Origin, Spectrum
 
@@ -23,7 +25,10 @@ ONE_VALUE = 1e-6
 #: neighbouring frequencies and this share, or the last share in any case. Doubled, a drift of twice the size is
 #: averaged with milder words.
 TWO_STATES = (3.0, 0.02, 0.25)
-
+#: Fewest rows above a last one that may be cut off: without a line end, and with one. A program that drops zeros at the
+#: end makes one cell in ten shorter. Doubled, short tables are not examined.
+FEW_ROWS = (4, 30)
+_LAST_NUMBER = re.compile(r"(\d*)(?:\.(\d*))?([eE][+-]?\d*)?$")
 
 #: Least number of repeated readings that determine the noise: ten determine it to 16 %, five to 22 %.
 REPEATS = 10
@@ -31,38 +36,60 @@ REPEATS = 10
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The spectrum that a file holds, and the findings made while it was put in order."""
+    """The spectrum that a file holds, the findings made while it was put in order, and the ``rows`` of its points."""
 
     spectrum: Spectrum
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...]
+    rows: Rows
 
 
 def in_order(
     text: RecordingText, frequency: NDArray[np.float64], impedance: NDArray[np.complex128], *, lines: Sequence[int],
-    column: int, origin: Origin, uncertainty: NDArray[np.float64] | None = None, shared_uncertainty: float = 0.0,
-    findings: Sequence[Finding] = (),
+    column: int, origin: Origin, cells: Sequence[NDArray[np.float64]], uncertainty: NDArray[np.float64] | None = None,
+    shared_uncertainty: float = 0.0, findings: Sequence[Finding] = (),
 ) -> Recorded:
     """The spectrum of points (n,) in Hz and ohm that stand on `lines`, `frequency` being the `column` from one.
 
-    Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
-    overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
+    `cells` are the columns of numbers, (n,) each, behind the impedance; points with NaN in one, which stands for no
+    value (:data:`workbench.readers.text.NO_VALUE`), are left out, as are those without a frequency (zero: idle rows,
+    direct current). A falling sweep is turned round, overlapping ones are merged, points of one frequency are joined:
+    equal values to one, different ones to their mean.
     Without a stated noise, repeated readings give it. Findings report this, after `findings`, and the origin's setting
     :data:`PUT_IN_ORDER` holds their words.
 
     Raises:
-        InputError: fewer than two frequencies, a negative one, an impedance that is zero or not finite.
+        InputError: fewer than two frequencies, a negative one, none beside values, an impedance that is zero or not
+            finite.
     """
     found = list(findings)
+    cut = _cut_off(text, lines)
+    found += [] if cut is None else [cut]
     if len(frequency) < 2:
         where = lines[0] if lines else len(text.lines)
         raise text.error(where, None, f"{len(frequency)} rows of numbers", "at least 2; the file may be cut short")
+    lost = np.any(np.isnan([*cells, *([] if uncertainty is None else [uncertainty])]), axis=0)
+    nowhere = np.isnan(frequency) & ~lost
+    if np.any(nowhere):
+        line = lines[int(np.argmax(nowhere))]
+        raise text.error(line, column, "no number", "a finite frequency; if the analyser had none there, take the "
+                         f"{text.row} out of a copy of the file")
+    if np.any(lost):
+        named = [line for line, out in zip(lines, lost, strict=True) if out]
+        words = (f"{rows_in_words(named, text.row)}: no value (9.9e37 or more, or a word such as OVLD or nan, which is "
+                 "written for overload or for nothing measured)")
+        if len(lines) - len(named) < 2:
+            raise InputError(text.path, "rows", words, "at least 2 rows with values")
+        found.append(Finding("no_value", f"{words}: left out, {len(named)} of {len(lines)} rows"))
+        lines = [line for line, out in zip(lines, lost, strict=True) if not out]
+        frequency, impedance = frequency[~lost], impedance[~lost]
+        uncertainty = None if uncertainty is None else uncertainty[~lost]
     if np.any(frequency < 0.0):
         index = int(np.argmax(frequency < 0.0))
         raise text.error(lines[index], column, float(frequency[index]), "a frequency above zero")
     idle = frequency == 0.0
     if np.any(idle):
         named = [line for line, out in zip(lines, idle, strict=True) if out]
-        found.append(Finding("idle", f"{_lines(named)} without a frequency (zero): left out"))
+        found.append(Finding("idle", f"{rows_in_words(named, text.row)} without a frequency (zero): left out"))
         lines = [line for line, out in zip(lines, idle, strict=True) if not out]
         frequency, impedance = frequency[~idle], impedance[~idle]
         uncertainty = None if uncertainty is None else uncertainty[~idle]
@@ -73,12 +100,13 @@ def in_order(
     order = np.argsort(frequency, kind="stable")
     steps = np.diff(frequency)
     if np.all(steps < 0.0):
-        found.append(Finding("falling", f"the sweep falls (line {lines[0]} to {lines[-1]}): turned round"))
+        found.append(Finding("falling", f"the sweep falls ({text.row} {lines[0]} to {lines[-1]}): turned round"))
     elif np.any(steps < 0.0):
-        found.append(Finding("order", _order(steps, lines)))
+        found.append(Finding("order", _order(steps, lines, text.row)))
     # A sweep that rises or falls throughout has no frequency twice, however small its steps.
     near = 0.0 if np.all(steps > 0.0) or np.all(steps < 0.0) else ONE_FREQUENCY
     frequency, impedance = frequency[order], impedance[order]
+    rows = np.asarray(lines)[order]
     groups = np.concatenate(([0], np.cumsum(np.diff(frequency) > near * frequency[:-1])))
     if groups[-1] == 0:
         raise text.error(lines[0], column, f"{len(frequency)} points at one frequency", "a sweep over at least 2 "
@@ -96,14 +124,53 @@ def in_order(
             uncertainty = noise * np.abs(mean) / np.sqrt(counts)
             found.append(Finding("noise", f"repeated readings scatter by {100.0 * noise:.2g} % of Z: taken as the "
                                  "noise of one"))
-        frequency, impedance = frequency[single], mean
+        frequency, impedance, rows = frequency[single], mean, rows[single]
     elif uncertainty is not None:
         uncertainty = uncertainty[order]
     if found:
         # A spectrum is used without its findings, but its origin is shown everywhere.
         said = " ".join("; ".join(finding.message for finding in found).split())
         origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: said})
-    return Recorded(Spectrum(frequency, impedance, uncertainty, origin, shared_uncertainty), tuple(found))
+    return Recorded(Spectrum(frequency, impedance, uncertainty, origin, shared_uncertainty), tuple(found),
+                    Rows(tuple(rows.tolist()), text.row))
+
+
+def _cut_off(text: RecordingText, lines: Sequence[int]) -> Finding | None:
+    """The finding that the file ends within a number: its last cell is shorter than all those above.
+
+    Some programs write no end of the last line, so that a missing end alone is no sign. Where all cells above have the
+    same number of decimals, the last one has too; where they differ, only a cell with fewer digits than all others in
+    a line without an end is a sign, in a short table fewer by three than usual.
+    """
+    last = max((line for line, content in enumerate(text.lines, 1) if content.strip()), default=0)
+    if text.row != "line" or last not in lines:
+        return None
+    *above, end = (_last_cell(text.lines[line - 1]) for line in (*(line for line in lines if line != last), last))
+    few, many = FEW_ROWS
+    if len(above) < (many if text.ended else few):
+        return None
+    forms = {form for form, _ in above}
+    (decimals, exponent), digits = end
+    if len(forms) == 1:
+        whole = next(iter(forms))
+        short = decimals < whole[0] or exponent < whole[1]
+    else:
+        sizes = [size for _, size in above]
+        fewest = min(sizes) if len(above) >= many else min(*sizes, float(np.median(sizes)) - 2.0)
+        short = not text.ended and digits < fewest
+    if not short:
+        return None
+    ending = "" if text.ended else ", whose line has no end,"
+    return Finding("cut_off", f"line {last}: its last cell{ending} is shorter than all above it: the file may have "
+                   "been cut off; record or copy it again", (last,))
+
+
+def _last_cell(content: str) -> tuple[tuple[int, int], int]:
+    """Decimals and characters of the exponent of the last number of a line, and its digits before the exponent."""
+    content = content.replace(",", ".") if re.search("[;\t]", content) else content
+    found = _LAST_NUMBER.search(content.partition("!")[0].rstrip(' \t.;")jiJI'))
+    whole, decimals, exponent = (found[1], found[2] or "", found[3] or "") if found else ("", "", "")
+    return (len(decimals), len(exponent)), len((whole + decimals).lstrip("0"))
 
 
 def _noise(impedance: NDArray[np.complex128], mean: NDArray[np.complex128], groups: NDArray[np.int64]) -> float:
@@ -112,12 +179,7 @@ def _noise(impedance: NDArray[np.complex128], mean: NDArray[np.complex128], grou
     return float(np.sqrt(np.sum(off**2) / (2.0 * (len(groups) - len(mean)))))
 
 
-def _lines(named: Sequence[int]) -> str:
-    """Lines in words, the first and the last of many."""
-    return f"line {named[0]}" if len(named) == 1 else f"{len(named)} lines ({named[0]} to {named[-1]})"
-
-
-def _order(steps: NDArray[np.float64], lines: Sequence[int]) -> str:
+def _order(steps: NDArray[np.float64], lines: Sequence[int], word: str) -> str:
     """The order in the file of frequencies that neither rise nor fall throughout, in words."""
     signs = np.sign(steps)
     moves = signs[signs != 0.0]
@@ -126,11 +188,11 @@ def _order(steps: NDArray[np.float64], lines: Sequence[int]) -> str:
         turn = int(np.argmax(signs == moves[-1]))
         words = ("rises", "falls") if moves[0] > 0.0 else ("falls", "rises")
         if np.count_nonzero(signs == moves[0]) > 1 and np.count_nonzero(signs == moves[-1]) > 1:
-            return f"the sweep {words[0]} to line {lines[turn]} and {words[1]} again: put in order of frequency"
+            return f"the sweep {words[0]} to {word} {lines[turn]} and {words[1]} again: put in order of frequency"
     back = [lines[int(index) + 1] for index in np.flatnonzero(signs == (-1.0 if np.sum(moves) >= 0.0 else 1.0))]
     turns = ", ".join(map(str, back[:5])) + (" ..." if len(back) > 5 else "")
     falling = "falling " if np.sum(moves) < 0.0 else ""
-    return (f"the frequencies are out of order at line {turns}: {len(back) + 1} {falling}sweeps or segments that "
+    return (f"the frequencies are out of order at {word} {turns}: {len(back) + 1} {falling}sweeps or segments that "
             "follow each other, put in order of frequency")
 
 

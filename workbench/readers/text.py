@@ -21,6 +21,13 @@ from workbench.instruments.waveform_table import recognised
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
+#: Least size of a number that stands for no value: instruments write 9.9e37 (SCPI: 9.91e37, not a number) for overload
+#: and for a point that was not measured. Doubled, it is read as ohms.
+NO_VALUE = 9.9e37
+#: Words that instruments, programs and spreadsheets write for the same.
+_NO_VALUE = re.compile(r"[+-]?(nan|inf|infinity|1\.#(inf|qnan|ind)|ol|ov(er)?(ld|l|f|r|load|flow|range)|over)|"
+                       r"n/?a|#n/a|#num!|#div/0!|-{2,}", re.IGNORECASE)
+
 #: Signs at the beginning of a line that is no row.
 COMMENTS = ("%", "#", "!")
 
@@ -47,15 +54,20 @@ _WRITTEN = re.compile(rf"([+-]?{_REAL})([+-]{_REAL})j")
 
 @dataclass(frozen=True)
 class RecordingText:
-    """The lines of a recording (without their ends), the path as given and the SHA-256 of the bytes."""
+    """The lines of a recording (without their ends), the path as given and the SHA-256 of the bytes.
+
+    ``ended`` if the last line has an end; ``row`` is the word for a line, which in a table turned over is a column.
+    """
 
     path: str
     lines: tuple[str, ...]
     sha256: str
+    ended: bool = True
+    row: str = "line"
 
     def error(self, line: int, column: int | None, value: object, expected: str) -> InputError:
         """The error about one place; `line` and `column` count from one."""
-        place = f"line {line}" if column is None else f"line {line}, column {column}"
+        place = f"{self.row} {line}" if column is None or self.row != "line" else f"line {line}, column {column}"
         return InputError(self.path, place, value, expected)
 
 
@@ -94,7 +106,8 @@ def load_text(path: Path) -> RecordingText:
     if not text.strip():
         raise InputError(str(path), "file", f"{len(data)} bytes", "a recording; this file is empty")
     lines = re.split(r"\r\n|[\r\n\f]", text)
-    return RecordingText(str(path), tuple(lines[:-1] if not lines[-1] else lines), hashlib.sha256(data).hexdigest())
+    ended = not lines[-1]
+    return RecordingText(str(path), tuple(lines[:-1] if ended else lines), hashlib.sha256(data).hexdigest(), ended)
 
 
 def _is_binary(data: bytes) -> bool:
@@ -199,20 +212,23 @@ def _unquoted(cell: str) -> str:
     return cell[1:-1].strip() if len(cell) > 1 and cell.startswith('"') and cell.endswith('"') else cell
 
 
+def holds_no_value(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell holds what instruments write for no value: a word, or a number of :data:`NO_VALUE` or more."""
+    if is_number(cell, decimal):
+        return not abs(float(_plain(cell, decimal))) < NO_VALUE
+    return _NO_VALUE.fullmatch(cell) is not None
+
+
 def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
-    """The number in one cell.
+    """The number in one cell, NaN if it :func:`holds_no_value`.
 
     Raises:
-        InputError: the cell holds no number, NaN or infinity, or an undeclared decimal comma.
+        InputError: the cell holds no number, or an undeclared decimal comma.
     """
-    plain = cell.replace(",", ".") if decimal == "," else cell
-    if _NUMBER.fullmatch(plain):
-        value = float(plain)
-        if np.isfinite(value):
-            return value
-    if cell.casefold().lstrip("+-") in ("nan", "inf", "infinity") or _NUMBER.fullmatch(plain):
-        raise text.error(line, column, cell, "a finite number; if the analyser had none there, take the line out of a "
-                         "copy of the file")
+    if holds_no_value(cell, decimal):
+        return np.nan
+    if is_number(cell, decimal):
+        return float(_plain(cell, decimal))
     if _DECIMAL_COMMA.fullmatch(cell):
         raise text.error(line, column, cell, "a number with a decimal point; this one has a decimal comma")
     raise text.error(line, column, cell, "a number" if cell else "a number; this cell is empty")
@@ -229,7 +245,7 @@ def numbers(
     """The table in the lines `numbered` (pairs of line number and line), each with exactly `columns` cells.
 
     Raises:
-        InputError: a row of another length, or a cell that is not a finite number.
+        InputError: a row of another length, or a cell that is no number.
     """
     values = np.empty((len(numbered), columns))
     for index, (line, content) in enumerate(numbered):
@@ -270,7 +286,7 @@ class RowCells:
         """The numbers (n,) of the column `place` (from 0).
 
         Raises:
-            InputError: a row that ends before it, or a cell that is not a finite number.
+            InputError: a row that ends before it, or a cell that is no number.
         """
         found = np.empty(len(self.cells))
         for index, line in enumerate(self.lines):
@@ -298,7 +314,7 @@ class RowCells:
     def loosely(self, place: int, *, decimal: str) -> NDArray[np.float64]:
         """The numbers (n,) of a column, NaN for a cell that is none."""
         return np.array([float(_plain(row[place], decimal)) if place < len(row) and is_number(row[place], decimal)
-                         else np.nan for row in self.cells])
+                         and not holds_no_value(row[place], decimal) else np.nan for row in self.cells])
 
     def _cell(self, text: RecordingText, index: int, place: int, *, width: int) -> str:
         row = self.cells[index]
@@ -341,7 +357,10 @@ def row_cells(
         first = row[frequency] if frequency < len(row) else ""
         others = sum(is_number(cell, decimal) or complex_parts(cell) is not None for place, cell in enumerate(row)
                      if place != frequency)
-        if is_number(first, decimal) or (not first and others > 1):
+        # A frequency is not lost alone; lines of dashes and remarks such as "over 20" are no rows.
+        lost = holds_no_value(first) and (others > 1 or (first[-1:].casefold() in ("n", "f", "y") and (
+            others or all(map(holds_no_value, row)))))
+        if is_number(first, decimal) or (not first and others > 1) or lost:
             lone = sum(bool(cell) for cell in row) == 1
             if lone and width > 1 and (not found or _plain(row[-1], decimal) == str(len(found))):
                 skipped += [line] if found else []
@@ -357,8 +376,6 @@ def row_cells(
             lines.append(line)
             continue
         if others > 1 and not first[:1].isalpha():
-            cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
-        if first.casefold().lstrip("+-") in ("nan", "inf", "infinity") and others:
             cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
         if found and not others and len(row) == width > 1 and all(row) and tuple(row) != tuple(headings):
             return RowCells(tuple(found), tuple(lines), tuple(skipped), line)

@@ -83,7 +83,7 @@ def parse_touchstone(text: RecordingText) -> Recorded:
         raise text.error(data[-1][0] if data else len(text.lines), None, f"{len(lines)} frequencies",
                          f"the {options.frequencies} of [Number of Frequencies]; the file may be cut short")
     frequency = values[:, 0] * options.unit
-    if not options.stands and len(frequency) and np.max(frequency) > _NO_ANALYSER_HZ:
+    if not options.stands and np.nanmax(frequency, initial=0.0) > _NO_ANALYSER_HZ:
         raise InputError(text.path, "Touchstone", f"frequencies to {np.max(values[:, 0]):g} and no line of options",
                          "a line such as '# HZ S RI R 50' above the rows: without one they are gigahertz, S as "
                          "magnitude and angle, and 50 ohm")
@@ -99,7 +99,8 @@ def parse_touchstone(text: RecordingText) -> Recorded:
                                 "GHz and S as magnitude and angle in degrees, at 50 ohm"))
     if ports > 1:
         findings.append(_ports(values, options, ports))
-    return in_order(text, frequency, impedance, lines=lines, column=1, origin=origin, findings=findings)
+    return in_order(text, frequency, impedance, lines=lines, column=1, origin=origin, cells=list(values.T[1:3]),
+                    findings=findings)
 
 
 def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding:
@@ -109,7 +110,7 @@ def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding
     rest = "port 2" if ports == 2 else "the other ports"
     words = f"{ports} ports: the impedance at port 1 was read from {letter}11, {rest} {ends}"
     if options.parameter == "s" and options.matrix == "full" and len(values):
-        coupled = float(np.max(np.abs(_complex(values[:, 3:5], options))))
+        coupled = float(np.nanmax(np.abs(_complex(values[:, 3:5], options))))
         if coupled > THROUGH:
             form = {"ri": 'form = "rectangular"', "ma": 'form = "polar"', "db": 'form = "polar"'}[options.form]
             unit = "dB" if options.form == "db" else "1"
@@ -217,7 +218,7 @@ def _option_line(text: RecordingText, line: int, options: Options, words: Sequen
 def _numbers(text: RecordingText, line: int, words: Sequence[str]) -> tuple[float, ...]:
     """Resistances above zero."""
     found = tuple(cell_number(text, line, column, cell=word) for column, word in enumerate(words, 1))
-    if any(value <= 0.0 for value in found):
+    if not all(value > 0.0 for value in found):
         raise text.error(line, None, " ".join(words), "a resistance above zero")
     return found
 

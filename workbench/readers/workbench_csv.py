@@ -6,9 +6,10 @@ The origin's lines may be missing.
 from __future__ import annotations
 
 from workbench.files.errors import InputError, nearest_names
+from workbench.readers.findings import Finding
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, numbers
-from workbench.results.spectrum import CSV_COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
+from workbench.results.spectrum import CSV_COLUMNS, ORIGIN_KINDS, ROWS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
 
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
@@ -33,7 +34,7 @@ def parse_workbench_csv(text: RecordingText) -> Recorded:
     if not table:
         raise text.error(len(text.lines), None, text.lines[-1], "the column names and rows; the file is cut short")
     shared = _shared_uncertainty(text, comments)
-    origin = _origin(text, [each for each in comments if _key(each[1]) != SHARED_UNCERTAINTY])
+    origin = _origin(text, [each for each in comments if _key(each[1]) not in (SHARED_UNCERTAINTY, ROWS)])
     header_line, header = table[0]
     names = tuple(cells(header, ","))
     if names not in (CSV_COLUMNS, (*CSV_COLUMNS, UNCERTAINTY_COLUMN)):
@@ -49,8 +50,20 @@ def parse_workbench_csv(text: RecordingText) -> Recorded:
                 raise text.error(line, 4, float(value), "an uncertainty above zero")
     if shared and uncertainty is None:
         raise InputError(text.path, SHARED_UNCERTAINTY, shared, f"a column {UNCERTAINTY_COLUMN} that it is a part of")
+    stated = [(line, content.partition(":")[2].strip()) for line, content in comments if _key(content) == ROWS]
+    findings = []
+    for line, number in stated:
+        if not number.isdecimal():
+            raise text.error(line, None, number, "the number of rows below the column names")
+        if int(number) != len(table) - 1:
+            findings.append(Finding("rows", f"{len(table) - 1} rows, and line {line} states {number}: the file may "
+                                    "have been cut off, or rows taken out"))
+    if stated and not text.ended:
+        findings.append(Finding("cut_off", f"line {len(text.lines)} has no end: the file may have been cut off",
+                                (table[-1][0],)))
     return in_order(text, rows.values[:, 0], impedance, lines=rows.lines, column=1, origin=origin,
-                    uncertainty=uncertainty, shared_uncertainty=shared)
+                    cells=list(rows.values.T[1:3]), uncertainty=uncertainty, shared_uncertainty=shared,
+                    findings=findings)
 
 
 def _key(comment: str) -> str:

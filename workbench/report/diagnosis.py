@@ -131,6 +131,9 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
     if any(state.observation for state in found.states):
         observations.append(("Observed beside the impedance", ["Each is one datum with its stated uncertainty, weighed "
                                                                "like a recording.", observations_table(found)]))
+    recordings: list[Block] = []
+    for state in (state for state in found.states if state.observation is None):
+        recordings += [f"State {state.name}:", *map(Note, state.findings), origin_table(state.measured.origin)]
     sections: Sequence[tuple[str, Sequence[Block]]] = [
         ("What was found" if so_far is None else "Not finished", first), *rest, *provisional,
         ("Before and after", [f"{LEFT[0].upper()}{LEFT[1:]}.", *_beyond(found), remainder_table(found),
@@ -150,8 +153,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         ("Effects with known constants", [
             "They are part of the model and never fitted; this is what each changes.",
             _known_physics(known)]),
-        ("The recordings", [block for state in found.states if state.observation is None
-                            for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
+        ("The recordings", recordings)]
     title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
     return write_report(folder / "report.html", f"{title}: {found.campaign.name}", sections)
 
@@ -356,6 +358,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         # Of a search that was cut short: what explains best of what it looked at.
         "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
         "findings": list(found.findings), "seconds": found.seconds,
+        "reader_findings": {s.name: list(s.findings) for s in states if s.findings},
     }
 
 

@@ -91,7 +91,7 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
     for heading, blocks in sections:
         parts.append(f"<h2>{_text(heading)}</h2>")
         parts += [_html(block, explained) for block in blocks]
-    write_atomic(path, "\n".join(parts) + "\n")
+    write_atomic(path, "\n".join([*parts, "</html>"]) + "\n")
     return path
 
 

@@ -31,6 +31,8 @@ UNCERTAINTY_COLUMN = "uncertainty_ohm"
 
 #: The key of the line above the columns that holds the part of the uncertainty that all points share.
 SHARED_UNCERTAINTY = "shared uncertainty"
+#: The key of the line that states the number of rows, by which a file that was cut off is recognised.
+ROWS = "rows"
 
 
 @dataclass(frozen=True)
@@ -194,9 +196,12 @@ class Spectrum(Shown):
                 f"the band {low:.9g} to {high:.9g} Hz holds {np.count_nonzero(inside)} points of a spectrum from "
                 f"{self.frequency[0]:.9g} to {self.frequency[-1]:.9g} Hz; at least 2 are needed"
             )
-        uncertainty = None if self.uncertainty is None else self.uncertainty[inside]
-        return replace(self, frequency=self.frequency[inside], impedance=self.impedance[inside],
-                       uncertainty=uncertainty)
+        return self.at(inside)
+
+    def at(self, kept: NDArray[np.bool_]) -> Spectrum:
+        """The points that are `kept`, (n,), at least two."""
+        uncertainty = None if self.uncertainty is None else self.uncertainty[kept]
+        return replace(self, frequency=self.frequency[kept], impedance=self.impedance[kept], uncertainty=uncertainty)
 
     def interpolant(self) -> Callable[[ArrayLike], NDArray[np.complex128]]:
         """A smooth Z(f) through every point; its argument must lie within the band.
@@ -348,6 +353,7 @@ def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
     lines += [f"# setting {name}: {text}" for name, text in origin.settings.items()]
     if spectrum.shared_uncertainty:
         lines.append(f"# {SHARED_UNCERTAINTY}: {spectrum.shared_uncertainty!r}")
+    lines.append(f"# {ROWS}: {spectrum.frequency.size}")
     columns = [spectrum.frequency, spectrum.impedance.real, spectrum.impedance.imag]
     names = list(CSV_COLUMNS)
     if spectrum.uncertainty is not None:
