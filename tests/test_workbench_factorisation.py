@@ -53,13 +53,10 @@ def kind(request: pytest.FixtureRequest) -> Callable[[sparse.csc_matrix], Factor
 
 def scaled(operators: FullOperators, problem: Problem, frequency: float) -> sparse.csc_matrix:
     """What a solve at a frequency (Hz) factorises: without the electrode, scaled to a diagonal of ones."""
-    system, inner = System(operators, problem.values), operators.free
-    entries = system.matrix(frequency).data[inner.entries]
-    pattern = inner.pattern
-    matrix = sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+    matrix = sparse.csc_matrix(System(operators, problem.values).matrix(frequency)[:-1, :-1])
     scale = 1.0 / np.sqrt(np.abs(matrix.diagonal()))
-    data = entries * scale[pattern.indices] * np.repeat(scale, np.diff(pattern.indptr))
-    return sparse.csc_matrix((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+    data = matrix.data * scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr))
+    return sparse.csc_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 @pytest.fixture(scope="module")

@@ -57,7 +57,7 @@ def test_a_state_leaves_no_residual_in_its_own_order(coarse: Problem) -> None:
     operators = assemble(coarse.mesh, coarse.terms)
     surplus = _surplus(operators)
     solution = solve_full(operators, np.array([350e3]), coarse.values)
-    images = surplus.images(surplus.embedding @ solution.states, solution.coefficients)
+    images = surplus.finer.images(surplus.embedding @ solution.states, solution.coefficients.T)
     size = np.sqrt(np.abs(System(operators, coarse.values).matrix(350e3).diagonal()))
     within = np.abs((surplus.embedding.T @ images)[:-1, 0]) / size[:-1]
     above = np.abs(surplus.basis.T @ images)

@@ -28,6 +28,7 @@ from workbench.fem.solve import Solution, solve_full
 from workbench.fitting.measurement_model import log_ratio
 from workbench.model.numbers import plain_words
 from workbench.model.problem import Problem
+from workbench.results.peaks import find_peaks
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -216,11 +217,9 @@ def _averaged(square: Real) -> Real:
 
 def modes_of_spectrum(frequency: Real, impedance: Complex) -> list[ModeOfModel]:
     """The resonances and the antiresonances of a predicted spectrum (n,): peaks of Re Y and of Re Z."""
-    from scipy.signal import find_peaks  # a second to import, for one function
-
     found = []
     for kind, of in (("resonance", 1.0 / impedance), ("antiresonance", impedance)):
-        peaks, _ = find_peaks(np.log(np.maximum(of.real, 1e-12 * np.abs(of))), prominence=STANDS_OUT)
+        peaks, _ = find_peaks(np.log(np.maximum(of.real, 1e-12 * np.abs(of))), STANDS_OUT)
         found += [ModeOfModel(kind, float(frequency[peak])) for peak in peaks]
     return found
 

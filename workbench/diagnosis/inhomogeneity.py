@@ -25,7 +25,7 @@ from skfem import MeshQuad
 
 from geometry.names import TRANSDUCER, parent_place
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.fem.operators import FullOperators
+from workbench.fem.operators import FullOperators, pair_of
 from workbench.fitting.objective import Objective
 from workbench.model.problem import Problem
 from workbench.physics.piezoelectric import PiezoelectricSolid
@@ -217,22 +217,25 @@ def cell_forms(operators: FullOperators, left: Complex, right: Complex, coeffici
     For columns `left` and `right` (size, n), and the coefficients (n, integrals) of the integrals.
     """
     kinds = [_kind(integral) for integral in operators.integrals]
-    # Integrals of one form at one place differ by their coefficients alone.
-    coefficients: dict[tuple[int, int], tuple[int, Complex]] = {}
-    for q, kind in enumerate(kinds):
-        g = coefficients_of[:, q]
-        if kind is not None and g.any():
-            key = kind, int(operators.forms[q])
-            first, total = coefficients.get(key, (q, np.zeros(g.size, dtype=complex)))
-            coefficients[key] = first, total + g
-    result = np.zeros((3, operators.mesh.mesh.t.shape[1], right.shape[1]), dtype=complex)
-    used = np.array([q for q, _ in coefficients.values()])
-    for (kind, _), (q, g), forms in zip(coefficients, coefficients.values(),
-                                        operators.of(used).element_quadratic(left, right), strict=True):
-        cells = operators.places[operators.integrals[q].domain].elements
-        result[kind][cells] += g * forms
-        if kind == STIFFNESS and g.imag.any():
-            result[LOSS][cells] += 1j * g.imag * forms
+    used = [q for q, kind in enumerate(kinds) if kind is not None and coefficients_of[:, q].any()]
+    part, count = operators.of(np.array(used, dtype=int)), right.shape[1]
+    known = {id(integral): q for q, integral in zip(used, part.integrals, strict=True)}
+    result = np.zeros((3, operators.mesh.mesh.t.shape[1], count), dtype=complex)
+    for place, forms in part.pair_forms(left, right):
+        # The coefficients of all integrals of the place are summed first.
+        weights = {pair: np.zeros((3, count), dtype=complex) for pair in forms}
+        for integral in part.by_place[place]:
+            q = known[id(integral)]
+            g, kind = coefficients_of[:, q], kinds[q]
+            for product in integral.products:
+                weight = weights[*pair_of(product), integral.radial]
+                weight[kind] += product.weight * g
+                if kind == STIFFNESS:
+                    weight[LOSS] += 1j * product.weight * g.imag
+        cells = part.places[place].elements
+        for pair, form in forms.items():
+            for row in np.flatnonzero(weights[pair].any(axis=1)):
+                result[row, cells] += weights[pair][row] * form
     return result
 
 

@@ -186,11 +186,10 @@ class FullSystem:
         operators, free = self.operators, slice(None, -1)
         _, first, second = by_frequency(self._system.factors(difference_frequencies(frequency)), frequency)
         with one_thread():
-            whole, factor = self._system.factored(frequency)
-            electrode = whole @ np.append(np.zeros(whole.shape[0] - 1), 1.0)
+            electrode, factor = self._system.factored(frequency)
             x, residual = factor.solve(-electrode[free])
             state = np.append(x, 1.0)
-            images = np.stack([matrix @ state for matrix in self._system.group_matrices])
+            images = np.stack([matrix.times(state[:, None])[:, 0] for matrix in self._system.group_matrices])
             slopes, change = slope_columns(operators, frequency, self.values, names)
             by_parameter, by_both = np.split(operators.images(state, np.hstack([slopes, change])), 2, axis=1)
             forces = _Forces(first @ images, second @ images, by_parameter, by_both)
@@ -200,7 +199,7 @@ class FullSystem:
                 if right[free, column].any():
                     moved[free, column] = -factor.solve(right[free, column], DERIVATIVE_LIMIT)[0]
         groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), self.values)
-        charge = np.array([-complex(state @ (whole @ state))])
+        charge = np.array([self._system.charge(frequency, state)])
         solution = Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
         return _linearised(solution, names, forces, moved)
 

@@ -7,10 +7,10 @@ depend on which of the two they are given. Parameter values are never stored her
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,8 @@ from workbench.fem.coefficients import Coefficients
 from workbench.fem.dense import Span
 from workbench.fem.elements import Lagrange
 from workbench.fem.factorisation import factorisation
-from workbench.fem.forms import combined_matrices
 from workbench.fem.places import Place, place_of
-from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
+from workbench.fem.sparsity import FreeUnknowns, Kind, Pattern, Stack, real_product
 from workbench.fem.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
@@ -45,6 +44,9 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+
+#: Two operators in alphabetical order, and the further factor of the measure.
+Pair = tuple[str, str, MeasureFactor | None]
 
 #: Number of cells whose points are projected at once, so that they stay in the processor's cache.
 TOGETHER = 64
@@ -108,7 +110,7 @@ class FullOperators(Brief):
             local[component][rows < 0] = 0.0  # not an unknown
         taken: dict[Part, NDArray[np.inexact]] = {}
         for component, kind, factor in parts:
-            part = place.shapes[kind] @ local[component]
+            part = _real_times(place.shapes[kind], local[component])
             taken[component, kind, factor] = part * place.factor(factor)[:, :, None] if factor else part
         result = {}
         for name in names:
@@ -117,8 +119,12 @@ class FullOperators(Brief):
         return result
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        parts = self.element_quadratic(left, right)
-        return np.stack([part.sum(axis=0) for part in parts], axis=-1)
+        result = np.zeros((right.shape[1], len(self.integrals)), dtype=complex)
+        for place_name, forms in self.pair_forms(left, right):
+            sums = {pair: each.sum(axis=0) for pair, each in forms.items()}
+            for integral in self.by_place[place_name]:
+                result[:, self._index[id(integral)]] = _form(integral, sums)
+        return result
 
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
         acting = np.flatnonzero(constants.any(axis=0))
@@ -127,19 +133,32 @@ class FullOperators(Brief):
     def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
         """Forms left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
         result: dict[int, Complex] = {}
-        for place_name, group in self._by_place.items():
-            place = self.places[place_name]
-            used = _operators_of(group)
-            lefts = self.evaluate(place, used, left)
-            rights = lefts if right is left else self.evaluate(place, used, right)
-            for integral in group:
-                density = sum(
-                    0.5 * p.weight * (lefts[p.row] * rights[p.column] + lefts[p.column] * rights[p.row])
-                    for p in integral.products
-                )
-                weights = place.measure(integral.radial)
-                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, weights)
+        for place_name, forms in self.pair_forms(left, right):
+            for integral in self.by_place[place_name]:
+                result[self._index[id(integral)]] = _form(integral, forms)
         return tuple(result[q] for q in range(len(self.integrals)))
+
+    def pair_forms(self, left: Complex, right: Complex) -> Iterator[tuple[str, dict[Pair, Complex]]]:
+        """The symmetric forms of pairs of operators that all integrals are sums of, cell by cell.
+
+        For columns `left` and `right` (size, n): by place, an array (ne, n) for every pair.
+        """
+        for place_name, group in self.by_place.items():
+            place, used = self.places[place_name], _operators_of(group)
+            pairs = dict.fromkeys((*pair_of(p), integral.radial) for integral in group for p in integral.products)
+            found: dict[Pair, Complex] = {
+                pair: np.empty((len(place.weights), right.shape[1]), dtype=complex) for pair in pairs}
+            for start in range(0, len(place.weights), TOGETHER):
+                some = slice(start, start + TOGETHER)
+                cells = place.of(some)
+                lefts = self.evaluate(cells, used, left)
+                rights = lefts if right is left else self.evaluate(cells, used, right)
+                for row, column, radial in pairs:
+                    density: NDArray[np.inexact] = lefts[row] * rights[column]
+                    if row != column and rights is not lefts:
+                        density = 0.5 * (density + lefts[column] * rights[row])
+                    found[row, column, radial][some] = _real_times(cells.measure(radial)[:, None], density)[:, 0]
+            yield place_name, found
 
     def of(self, integrals: NDArray[np.int64]) -> FullOperators:
         """A copy with the same unknowns and only the integrals of these indices (k,)."""
@@ -156,7 +175,8 @@ class FullOperators(Brief):
         return {id(integral): q for q, integral in enumerate(self.integrals)}
 
     @cached_property
-    def _by_place(self) -> dict[str, list[Integral]]:
+    def by_place(self) -> dict[str, list[Integral]]:
+        """The integrals by the name of their place."""
         groups: dict[str, list[Integral]] = {}
         for integral in self.integrals:
             groups.setdefault(integral.domain, []).append(integral)
@@ -166,7 +186,7 @@ class FullOperators(Brief):
     def forms(self) -> NDArray[np.int64]:
         """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
         known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None], int] = {}
-        return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
+        return np.array([known.setdefault((i.domain, frozenset((pair_of(p), p.weight) for p in i.products), i.radial),
                                           len(known)) for i in self.integrals], dtype=int)
 
     def project(self, basis: Real, further: Real | None = None) -> Real:
@@ -184,9 +204,9 @@ class FullOperators(Brief):
         first = np.unique(self.forms, return_index=True)[1]
         result = np.zeros((first.size, columns.shape[1], count))
         for place_name, place in places.items():
-            group = self._by_place[place_name]
+            group = self.by_place[place_name]
             used = _operators_of(group)
-            grams = {(*_pair(p), integral.radial): np.zeros((columns.shape[1], count))
+            grams = {(*pair_of(p), integral.radial): np.zeros((columns.shape[1], count))
                      for integral in group for p in integral.products}
             for start in range(0, len(place.weights), TOGETHER):
                 cells = place.of(slice(start, start + TOGETHER))
@@ -206,59 +226,93 @@ class FullOperators(Brief):
                 index = self._index[id(integral)]
                 if first[self.forms[index]] == index:
                     for p in integral.products:
-                        result[self.forms[index]] += p.weight * grams[*_pair(p), integral.radial]
+                        result[self.forms[index]] += p.weight * grams[*pair_of(p), integral.radial]
         return result
 
-    def images(self, state: Complex, constants: Complex) -> Complex:
-        """Products sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k).
+    def images(self, states: Complex, constants: Complex) -> Complex:
+        """Products sum_q constants_qk A_q x_k for `constants` (number of integrals, k): (size, k).
+
+        `states` is one state x (size,) for all of them, or as many as there are (size, k).
         """
-        result = np.empty((self.size, constants.shape[1]), dtype=complex)
-        for column, each in zip(result.T, constants.T, strict=True):
-            column[:] = self.summed(each).times(state)
+        columns = states.reshape(len(states), -1)
+        result = np.zeros((self.size, constants.shape[1]), dtype=complex)
+        for place_name, kinds in self._kinds.items():
+            place, names = self.places[place_name], list(kinds)
+            weights = np.stack([kinds[kind] for kind in names]) @ constants
+            acting = [(kind, row) for kind, row in zip(names, weights, strict=True) if row.any()]
+            for start in range(0, len(place.weights), TOGETHER) if acting else ():
+                self._add_images(place.of(slice(start, start + TOGETHER)), acting, columns, result)
         return result
 
-    def summed(self, constants: Complex) -> Symmetric:
-        """The matrix sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
-        upper = np.zeros(self._pattern.keys.size, dtype=complex)
-        for block in self._blocks:
-            weights = block.mixing @ constants
-            if weights.any():
-                upper[block.positions] += combined_matrices(weights, block.entries)
-        return Symmetric(self._pattern, upper)
+    def _add_images(
+        self, place: Place, acting: Sequence[tuple[Kind, Complex]], columns: Complex, result: Complex
+    ) -> None:
+        """Add to `result` (size, k) the products over the cells of a place, for the kinds that act, with their weights
+        (k,)."""
+        fields, forces = dict[Part, Complex](), dict[tuple[Part, MeasureFactor | None], Complex]()
+        rows = {component: self.numbering[component][place.dofs.T]
+                for component in {part[0] for (a, b, _), _ in acting for part in (a, b)}}
+        local = {component: np.where((at >= 0)[:, :, None], columns[at], 0.0) for component, at in rows.items()}
+        for part in {part for (a, b, _), _ in acting for part in (a, b)}:
+            found = _real_times(place.shapes[part[1]], local[part[0]])
+            fields[part] = found * place.factor(part[2])[:, :, None] if part[2] else found
+        for (a, b, radial), weight in acting:
+            for one, other in {(a, b), (b, a)}:
+                force = fields[other] * ((0.5 if a != b else 1.0) * weight)
+                if (one, radial) in forces:
+                    forces[one, radial] += force
+                else:
+                    forces[one, radial] = force
+        by_component: dict[str, Complex] = {}
+        for (part, radial), force in forces.items():
+            measure = place.measure(radial)
+            force *= (measure * place.factor(part[2]) if part[2] else measure)[:, :, None]
+            back = _real_times(place.shapes[part[1]].transpose(0, 2, 1), force)
+            by_component[part[0]] = by_component[part[0]] + back if part[0] in by_component else back
+        for component, force in by_component.items():
+            touched, at = np.unique(rows[component].ravel(), return_inverse=True)
+            gather = sparse.csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(touched.size, at.size))
+            found = real_product(gather, force.reshape(at.size, -1))
+            first = int(touched[0] < 0)  # no unknown
+            result[touched[first:]] += found[first:]
+
+    def summed(self, constants: Complex) -> Complex:
+        """Entries (upper, k) of sum_q constants_qk A_q in the upper triangle of the pattern (`sparsity.Pattern`), for
+        `constants` (number of integrals, k)."""
+        return self._stack.summed(constants)
 
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
-        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`."""
-        return self.summed(constants).stored
+        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`, for `constants`
+        (number of integrals,)."""
+        return self.summed(constants[:, None])[:, 0][self.sparsity.mirror]
 
     @property
     def pattern(self) -> sparse.csc_matrix:
         """The symmetric sparsity pattern (size, size) with all ones and sorted indices."""
-        return self._pattern.matrix
+        return self.sparsity.matrix
 
     @cached_property
     def free(self) -> FreeUnknowns:
         """The part of :attr:`pattern` without the electrode, which every solve factorises."""
-        whole = self.pattern
+        whole, last = self.pattern, self.size - 1
         column = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(whole.indptr))
-        inside = (whole.indices < self.size - 1) & (column < self.size - 1)
-        entries = np.flatnonzero(inside)
-        rows, columns = whole.indices[entries], column[entries]
-        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.size - 1))]).astype(np.int32)
-        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), rows, starts),
-                                    shape=(self.size - 1, self.size - 1))
-        return FreeUnknowns(pattern, entries, factorisation(pattern))
+        entries = np.flatnonzero((whole.indices < last) & (column < last))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(column[entries], minlength=last))]).astype(np.int32)
+        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), whole.indices[entries], starts),
+                                    shape=(last, last))
+        return FreeUnknowns(pattern, self.sparsity.mirror[entries], factorisation(pattern))
 
     def _components(self, group: Iterable[Integral]) -> list[str]:
         used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
         return [c for c in COMPONENTS if c in used]
 
     @cached_property
-    def _blocks(self) -> tuple[MatrixBlock, ...]:
-        """The real matrices that every sum here is made of: one for each pair of parts and each measure."""
-        found: list[MatrixBlock] = []
-        for place_name, group in self._by_place.items():
-            # Weight of every pair of parts in each integral; a pair counts once for both orders.
-            held: dict[Kind, NDArray[np.float64]] = {}
+    def _kinds(self) -> dict[str, dict[Kind, Real]]:
+        """By place, the weight (integrals,) of every pair of parts in each integral; a pair counts once for both
+        orders."""
+        found: dict[str, dict[Kind, Real]] = {}
+        for place_name, group in self.by_place.items():
+            held: dict[Kind, Real] = {}
             for integral in group:
                 for p in integral.products:
                     for a in OPERATORS[p.row]:
@@ -266,19 +320,40 @@ class FullOperators(Brief):
                             kind = min(a, b), max(a, b), integral.radial
                             row = held.setdefault(kind, np.zeros(len(self.integrals)))
                             row[self._index[id(integral)]] += p.weight
-            by_components: dict[tuple[str, str], list[Kind]] = {}
-            for kind in sorted(held, key=repr):
-                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
-            found += [self._block(self.places[place_name], components, kinds, np.stack([held[k] for k in kinds]))
-                      for components, kinds in by_components.items()]
-        return tuple(found)
+            found[place_name] = {kind: held[kind] for kind in sorted(held, key=repr)}
+        return found
 
-    def _block(self, place: Place, components: tuple[str, str], kinds: list[Kind], mixing: Real) -> MatrixBlock:
+    @cached_property
+    def _stack(self) -> Stack:
+        """The real matrices that every sum here is made of."""
+        positions, entries, mixing = [], [], []
+        for place_name, held in self._kinds.items():
+            by_components: dict[tuple[str, str], list[Kind]] = {}
+            for kind in held:
+                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
+            for components, kinds in by_components.items():
+                where, values = self._block(self.places[place_name], components, kinds)
+                positions += [where] * len(kinds)
+                entries += list(values)
+                mixing += [held[kind] for kind in kinds]
+        starts = np.concatenate([[0], np.cumsum([each.size for each in positions])])
+        stacked = sparse.csc_array((np.concatenate(entries), np.concatenate(positions), starts),
+                                   shape=(self.sparsity.keys.size, len(entries)))
+        return Stack(stacked, sparse.csr_array(np.stack(mixing)))
+
+    def _block(
+        self, place: Place, components: tuple[str, str], kinds: list[Kind]
+    ) -> tuple[NDArray[np.int64], Real]:
+        """Positions (m,) in the upper triangle, and the entries (kinds, m) there, of some kinds at one place."""
         rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
         rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
         kept = ((rows >= 0) & (columns >= 0)).ravel()
-        positions, inverse = np.unique(self._pattern.position(rows.ravel()[kept], columns.ravel()[kept]),
-                                       return_inverse=True)
+        every = self.sparsity.position(rows.ravel()[kept], columns.ravel()[kept])
+        number = np.full(self.sparsity.keys.size, -1, dtype=np.int32)
+        number[every] = 0
+        positions = np.flatnonzero(number == 0)
+        number[positions] = np.arange(positions.size)
+        inverse = number[every]
         # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
         # twice.
         twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
@@ -293,12 +368,13 @@ class FullOperators(Brief):
                 # Both triangles fall on the upper one.
                 product = 0.5 * (product + product.transpose(0, 2, 1))
             entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
-        return MatrixBlock(mixing, positions, entries)
+        return positions, entries
 
     @cached_property
-    def _pattern(self) -> Pattern:
+    def sparsity(self) -> Pattern:
+        """The sparsity pattern of all matrices."""
         rows, columns = [], []
-        for place_name, group in self._by_place.items():
+        for place_name, group in self.by_place.items():
             place = self.places[place_name]
             local = np.concatenate([self.numbering[c][place.dofs] for c in self._components(group)]).T  # (ne, nl)
             shape = (local.shape[0], local.shape[1], local.shape[1])
@@ -307,7 +383,20 @@ class FullOperators(Brief):
         return Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
 
 
-def _pair(product: Product) -> tuple[str, str]:
+def _real_times(matrices: Real, columns: NDArray[np.inexact]) -> Any:
+    """Products of real matrices (ne, m, n) and columns (ne, n, k), without complex copies of the matrices."""
+    if not np.iscomplexobj(columns):
+        return np.asarray(matrices @ columns)
+    parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
+    return np.ascontiguousarray(matrices @ parts).view(np.complex128)
+
+
+def _form(integral: Integral, forms: Mapping[Pair, Complex]) -> Complex:
+    """The form of an integral, from the forms of its pairs."""
+    return np.asarray(sum(p.weight * forms[*pair_of(p), integral.radial] for p in integral.products))
+
+
+def pair_of(product: Product) -> tuple[str, str]:
     """The two operators of a product in alphabetical order, since forms are symmetric."""
     return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 

@@ -25,6 +25,7 @@ from workbench.fem.dense import Span, solve_dense
 from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.sparsity import SplitMatrix
 from workbench.jobs.memory import is_shortage, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
@@ -231,8 +232,9 @@ class System:
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         groups = operators.coefficients.groups(np.ones(1), values)
-        #: Indices of the entries of every group that are not zero, and these: groups of boundaries have few.
-        self._entries = [operators.summed(constants).nonzero() for _, constants in groups]
+        #: Entries (groups, upper) of the upper triangle of every group.
+        self.upper = np.ascontiguousarray(operators.summed(np.array([constants for _, constants in groups]).T).T)
+        self._latest: tuple[float, Complex] = (np.nan, self.upper[:0])
 
     def factors(self, frequencies: Real) -> Complex:
         """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
@@ -240,42 +242,39 @@ class System:
         return np.stack([h for h, _ in groups])
 
     @cached_property
-    def group_matrices(self) -> list[sparse.csr_matrix]:
+    def group_matrices(self) -> list[SplitMatrix]:
         """Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
-        pattern = self.operators.pattern
-        return [sparse.csr_matrix((entries, pattern.indices[where], np.searchsorted(where, pattern.indptr)),
-                                  shape=pattern.shape) for where, entries in self._entries]
+        return [SplitMatrix.of(self.operators.sparsity, upper) for upper in self.upper]
 
-    def matrix(self, frequency: float) -> sparse.csr_matrix:
+    def matrix(self, frequency: float) -> sparse.csr_array:
         """The matrix A(w) (size, size), complex symmetric, electrode included."""
-        return self._stored(self._at(frequency))
+        return self.operators.sparsity.whole(self._at(frequency))
 
     def charge(self, frequency: float, state: Complex) -> complex:
         """The charge -x^T A x of a state (size,)."""
-        return -complex(state @ (self.matrix(frequency) @ state))
+        pattern, upper = self.operators.sparsity, self._at(frequency)
+        triangle = sparse.csc_array((upper, pattern.rows, pattern.starts), shape=(pattern.size,) * 2)
+        # Large terms cancel within a row: the form of one triangle alone would keep their rounding.
+        return -complex(state @ (triangle @ state + triangle.T @ state - triangle.diagonal() * state))
 
     def _at(self, frequency: float) -> Complex:
-        """The stored entries of A(w)."""
-        total = np.zeros(self.operators.pattern.nnz, dtype=complex)
-        for factor, (where, entries) in zip(self.factors(np.array([frequency]))[:, 0], self._entries, strict=True):
-            total[where] += factor * entries
-        return total
+        """The entries (upper,) of A(w) in the upper triangle; those of the last frequency are kept."""
+        if self._latest[0] != frequency:
+            self._latest = frequency, self.factors(np.array([frequency]))[:, 0] @ self.upper
+        return self._latest[1]
 
-    def _stored(self, entries: Complex) -> sparse.csr_matrix:
-        # A symmetric matrix is the same by rows and by columns; products are faster by rows.
-        pattern = self.operators.pattern
-        return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
-
-    def factored(self, frequency: float) -> tuple[sparse.csr_matrix, Factor]:
-        """The matrix A(w) (size, size), electrode included, and the factorised part without the electrode.
+    def factored(self, frequency: float) -> tuple[Complex, Factor]:
+        """The last column (size,) of A(w), which is the electrode's, and the factorised part without it.
 
         Raises:
             NotConverged: the matrix is singular.
         """
-        entries, inner = self._at(frequency), self.operators.free
-        held = sparse.csr_matrix((entries[inner.entries], inner.pattern.indices, inner.pattern.indptr),
+        upper, inner, pattern = self._at(frequency), self.operators.free, self.operators.sparsity
+        held = sparse.csr_matrix((upper[inner.entries], inner.pattern.indices, inner.pattern.indptr),
                                  shape=inner.pattern.shape)
-        return self._stored(entries), factorise(held, frequency, inner.factorisation)
+        electrode = np.zeros(pattern.size, dtype=complex)
+        electrode[pattern.rows[pattern.starts[-2]:]] = upper[pattern.starts[-2]:]
+        return electrode, factorise(held, frequency, inner.factorisation)
 
     def solve(self, frequency: float) -> tuple[Complex, float]:
         """The state (size,) at unit electrode voltage, and its scaled residual."""
@@ -306,19 +305,20 @@ class System:
         With `moves` (len(tangents), k), the derivatives are taken along these directions of parameters, not by each
         parameter.
         """
-        whole, factor = self.factored(frequency)
-        free = whole.shape[0] - 1
-        electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
-        x, residual = factor.solve(-electrode)
+        electrode, factor = self.factored(frequency)
+        free = electrode.size - 1
+        x, residual = factor.solve(-electrode[:-1])
         along = np.eye(len(tangents)) if moves is None else moves
         states = np.zeros((free + 1, count + along.shape[1]), dtype=complex)
         states[:, 0] = np.append(x, 1.0)
         if count > 1:
-            change = self._stored(self._at(frequency * (1.0 + step)) - whole.data)
+            here, there = self.factors(np.array([frequency, frequency * (1.0 + step)])).T
+            change = [(moved, matrix) for moved, matrix in zip(there - here, self.group_matrices, strict=True) if moved]
             vector = states[:, 0]
             directions = np.zeros((free, 0), dtype=complex)
             for k in range(1, count):
-                found = factor.solve_scaled(factor.scale * (change @ vector)[:free])
+                image = sum(moved * matrix.times(vector[:, None])[:, 0] for moved, matrix in change)
+                found = factor.solve_scaled(factor.scale * image[:free])
                 for _ in range(2):
                     found = found - directions @ (directions.conj().T @ found)
                 found = found / np.linalg.norm(found)

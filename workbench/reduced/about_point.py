@@ -85,12 +85,11 @@ class LocalBasis:
         """The first terms (size, count) of the series of the state at every place, over the root of the charge."""
         operators, factor = self.model.full, own.factor
         assert factor is not None  # not one without factors
-        changes = [operators.summed(self._change(own, place)) for place in places]
+        changes = np.stack([self._change(own, place) for place in places], axis=1)
         terms = np.repeat((own.state / np.sqrt(abs(own.charge)))[:, None], len(places), axis=1)
         found = np.zeros((len(places), own.state.size, count), dtype=complex)
         for k in range(count):
-            forces = np.column_stack([change.times(term)[:-1]
-                                      for term, change in zip(terms.T, changes, strict=True)])
+            forces = operators.images(terms, changes)[:-1]
             terms[-1] = 0.0
             terms[:-1] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * forces)
             found[:, :, k] = terms.T

@@ -69,15 +69,15 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
     displacements, for potentials and for pressures. Couplings between these are left out.
     """
-    factors = system.factors(np.array([frequency]))[:, 0]
-    total = sparse.csr_matrix(system.operators.pattern.shape)
-    for factor, matrix in zip(factors, system.group_matrices, strict=True):
-        sign, row = np.sign((factor * matrix.diagonal()).real), np.repeat(
-            np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-        alike = sign[matrix.indices] == sign[row]
-        entries = np.where(alike, sign[row] * (factor * matrix.data).real, 0.0)
-        total = total + sparse.csr_matrix((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
-    return total[:-1, :-1]
+    pattern, total = system.operators.sparsity, np.zeros(system.upper.shape[1])
+    # The last entry of each column of the upper triangle is the diagonal's.
+    on_diagonal = np.flatnonzero(pattern.rows == pattern.columns)
+    for factor, upper in zip(system.factors(np.array([frequency]))[:, 0], system.upper, strict=True):
+        entries, sign = (factor * upper).real, np.zeros(pattern.size)
+        sign[pattern.columns[on_diagonal]] = np.sign(entries[on_diagonal])
+        row = sign[pattern.rows]
+        total += np.where(row == sign[pattern.columns], row * entries, 0.0)
+    return pattern.whole(total)[:-1, :-1]
 
 
 def estimated_error(residual: Complex, charge: Complex) -> Real:

@@ -13,11 +13,11 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from workbench.fem.dense import solve_dense
 from workbench.fem.forms import combined_matrices
 from workbench.fem.solve import Factor, NotConverged, System
+from workbench.fem.sparsity import SplitMatrix
 from workbench.reduced.basis import span, truncated_coordinates, without_lift
 from workbench.reduced.estimate import estimated_error
 from workbench.reduced.model import ReducedModel
@@ -185,19 +185,16 @@ class TrialBasis:
 DEEPEST = 1e-7
 
 
-def _projected_image(left: Real, matrix: sparse.csr_matrix, columns: Real) -> Complex:
+def _projected_image(left: Real, matrix: SplitMatrix, columns: Real) -> Complex:
     """left (n, size) times a complex matrix times real columns (size, k); only rows of the matrix that are not empty
     count."""
-    rows = np.flatnonzero(np.diff(matrix.indptr))
-    if 2 * rows.size > matrix.shape[0]:
-        return np.asarray(left @ _image(matrix, columns))
-    return np.asarray(left[:, rows] @ _image(matrix[rows], columns))
-
-
-def _image(matrix: sparse.csr_matrix, columns: Real) -> Complex:
-    """A complex matrix times real columns (size, k)."""
-    parts = [part @ columns if part.data.any() else 0.0 for part in (matrix.real, matrix.imag)]
-    return np.asarray(parts[0] + 1j * parts[1], dtype=complex)
+    found = np.zeros((len(left), columns.shape[1]), dtype=complex)
+    for part, turn in ((matrix.real, 1.0), (matrix.imaginary, 1j)):
+        if part is not None:
+            rows = np.flatnonzero(np.diff(part.indptr))
+            few = 2 * rows.size < len(columns)
+            found += turn * (left[:, rows] @ (part[rows] @ columns) if few else left @ (part @ columns))
+    return found
 
 
 def grow(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from workbench.results.peaks import find_peaks
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 Interpolant = Callable[..., NDArray[np.complex128]]
@@ -138,13 +139,11 @@ def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
 
 def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, float, float]:
     """Numbers f0, Z_min, f1, f2 of the deepest resonance or of the one nearest to `near`."""
-    from scipy.signal import find_peaks  # a second to import, for one function
-
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     magnitude = np.abs(at(grid))
     # The prominence of a peak of -ln|Z| is the rise of |Z| on the lesser side before it falls below the minimum.
-    minima, _ = find_peaks(-np.log(magnitude), prominence=0.5 * math.log(2.0))
+    minima, _ = find_peaks(-np.log(magnitude), 0.5 * math.log(2.0))
     candidates = tuple(float(frequency) for frequency in grid[minima])
     lowest = int(np.argmin(magnitude))
     at_lowest, least = float(grid[lowest]), float(magnitude[lowest])

@@ -18,6 +18,7 @@ from workbench.files.errors import InputError
 from workbench.results.band import fitted_points
 from workbench.results.circuit import BranchCircuit, CircuitFit, Freedom, SolvedCircuit, check_passive_spectrum, solved
 from workbench.results.merit import NoResonance
+from workbench.results.peaks import find_peaks, half_widths
 from workbench.results.spectrum import Spectrum, WithSpectrum, scatter
 
 Real = NDArray[np.float64]
@@ -118,19 +119,17 @@ def unresolved(found: SolvedCircuit) -> str | None:
 
 def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
     """Frequency (Hz), Q and series capacitance (F) of the peaks of Re Y, that which stands out most first."""
-    from scipy.signal import find_peaks, peak_widths  # a second to import, for two functions
-
     conductance = spectrum.admittance.real
     if not np.max(conductance) > 0.0:
         return []
     # The noise of Re Y is about that of |Y|.
     noise = _noise(spectrum) / spectrum.magnitude
     floor = np.maximum(conductance, 1e-6 * float(np.max(conductance)))
-    places, found = find_peaks(np.log(floor), prominence=RISE)
-    rises = conductance[places] * -np.expm1(-found["prominences"])
+    places, prominence = find_peaks(np.log(floor), RISE)
+    rises = conductance[places] * -np.expm1(-prominence)
     kept = rises > ABOVE_NOISE * noise[places]
-    places, prominence = places[kept], found["prominences"][kept]
-    widths = peak_widths(floor, places, rel_height=0.5)[0]
+    places, prominence = places[kept], prominence[kept]
+    widths = half_widths(floor, places)
     steps = np.gradient(spectrum.frequency)
     peaks = []
     for k in np.argsort(-prominence):

@@ -26,6 +26,7 @@ from scipy import sparse
 from skfem import Dofs
 
 from workbench.fem.elements import Lagrange, gauss_lobatto
+from workbench.fem.factorisation import factorisation
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import Place
 from workbench.fem.solve import System, factorise, one_thread
@@ -89,11 +90,12 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorE
     solution = model.solve(frequency[indices], values)
     surplus, g = _surplus(model.full), solution.coefficients
     middle = float(np.median(frequency))
-    residual = surplus.basis.T @ surplus.images(surplus.embedding @ model.expand(solution), g)
+    residual = surplus.basis.T @ surplus.finer.images(surplus.embedding @ model.expand(solution), g.T)
     with one_thread():
-        factor = factorise(System(surplus.operators, values).matrix(middle), middle)
+        matrix = System(surplus.operators, values).matrix(middle)
+        factor = factorise(matrix, middle, factorisation(matrix))
         added = factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * residual)
-        right = model.basis[:, :-1].T @ (surplus.embedding.T @ surplus.images(surplus.basis @ added, g))
+        right = model.basis[:, :-1].T @ (surplus.embedding.T @ surplus.finer.images(surplus.basis @ added, g.T))
         summed = model.operators.combinations(np.array([constants for _, constants in solution.groups]))
         whole = np.einsum("gn,gij->nij", np.stack([h for h, _ in solution.groups]), summed[:, :-1, :-1])
         moved = np.linalg.solve(whole, right.T[:, :, None])[:, :, 0]
@@ -115,11 +117,6 @@ class _Surplus:
     embedding: sparse.csr_array
     basis: sparse.csr_array
     operators: FullOperators
-
-    def images(self, fields: Complex, coefficients: Complex) -> Complex:
-        """Products A x (size of the finer model, n) for its `fields` (the same shape) at n frequencies."""
-        return np.stack([self.finer.images(state, g[:, None])[:, 0]
-                         for state, g in zip(fields.T, coefficients, strict=True)], axis=1)
 
 
 def _surplus(operators: FullOperators) -> _Surplus:
