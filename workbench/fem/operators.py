@@ -7,7 +7,7 @@ depend on which of the two they are given. Parameter values are never stored her
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -236,45 +236,40 @@ class FullOperators(Brief):
         """
         columns = states.reshape(len(states), -1)
         result = np.zeros((self.size, constants.shape[1]), dtype=complex)
-        for place_name, kinds in self._kinds.items():
-            place, names = self.places[place_name], list(kinds)
-            weights = np.stack([kinds[kind] for kind in names]) @ constants
-            acting = [(kind, row) for kind, row in zip(names, weights, strict=True) if row.any()]
-            for start in range(0, len(place.weights), TOGETHER) if acting else ():
-                self._add_images(place.of(slice(start, start + TOGETHER)), acting, columns, result)
+        for place_name, group in self.by_place.items():
+            weights: dict[Pair, Complex] = {}
+            for integral in group:
+                own = constants[self._index[id(integral)]]
+                for p in integral.products if own.any() else ():
+                    pair = *pair_of(p), integral.radial
+                    weights[pair] = weights.get(pair, 0.0) + p.weight * own
+            place = self.places[place_name]
+            for start in range(0, len(place.weights), TOGETHER) if weights else ():
+                self._add_images(place.of(slice(start, start + TOGETHER)), weights, columns, result)
         return result
 
-    def _add_images(
-        self, place: Place, acting: Sequence[tuple[Kind, Complex]], columns: Complex, result: Complex
-    ) -> None:
-        """Add to `result` (size, k) the products over the cells of a place, for the kinds that act, with their weights
-        (k,)."""
-        fields, forces = dict[Part, Complex](), dict[tuple[Part, MeasureFactor | None], Complex]()
-        rows = {component: self.numbering[component][place.dofs.T]
-                for component in {part[0] for (a, b, _), _ in acting for part in (a, b)}}
-        local = {component: np.where((at >= 0)[:, :, None], columns[at], 0.0) for component, at in rows.items()}
-        for part in {part for (a, b, _), _ in acting for part in (a, b)}:
-            found = _real_times(place.shapes[part[1]], local[part[0]])
-            fields[part] = found * place.factor(part[2])[:, :, None] if part[2] else found
-        for (a, b, radial), weight in acting:
-            for one, other in {(a, b), (b, a)}:
-                force = fields[other] * ((0.5 if a != b else 1.0) * weight)
-                if (one, radial) in forces:
-                    forces[one, radial] += force
-                else:
-                    forces[one, radial] = force
-        by_component: dict[str, Complex] = {}
-        for (part, radial), force in forces.items():
-            measure = place.measure(radial)
-            force *= (measure * place.factor(part[2]) if part[2] else measure)[:, :, None]
-            back = _real_times(place.shapes[part[1]].transpose(0, 2, 1), force)
-            by_component[part[0]] = by_component[part[0]] + back if part[0] in by_component else back
-        for component, force in by_component.items():
-            touched, at = np.unique(rows[component].ravel(), return_inverse=True)
+    def _add_images(self, place: Place, weights: Mapping[Pair, Complex], columns: Complex, result: Complex) -> None:
+        """Add to `result` (size, k) the products over a place's cells, for pairs of operators with weights (k,)."""
+        used = dict.fromkeys(name for row, column, _ in weights for name in (row, column))
+        fields = self.evaluate(place, used, columns)
+        forces: dict[tuple[str, MeasureFactor | None], Complex] = {}
+        for (row, column, radial), weight in weights.items():
+            # No set: its order, and with it the last bit of a sum, is another one in every process.
+            for one, other in dict.fromkeys(((row, column), (column, row))):
+                force = fields[other] * ((0.5 if row != column else 1.0) * weight)
+                forces[one, radial] = forces[one, radial] + force if (one, radial) in forces else force
+        local: dict[str, Complex] = {}
+        for (name, radial), force in forces.items():
+            measured = force * place.measure(radial)[:, :, None]
+            for component, kind, factor in OPERATORS[name]:
+                turned = measured * place.factor(factor)[:, :, None] if factor else measured
+                found = _real_times(place.shapes[kind].transpose(0, 2, 1), turned)
+                local[component] = local[component] + found if component in local else found
+        for component, force in local.items():
+            touched, at = np.unique(self.numbering[component][place.dofs.T].ravel(), return_inverse=True)
             gather = sparse.csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(touched.size, at.size))
-            found = real_product(gather, force.reshape(at.size, -1))
             first = int(touched[0] < 0)  # no unknown
-            result[touched[first:]] += found[first:]
+            result[touched[first:]] += real_product(gather, force.reshape(at.size, -1))[first:]
 
     def summed(self, constants: Complex) -> Complex:
         """Entries (upper, k) of sum_q constants_qk A_q in the upper triangle of the pattern (`sparsity.Pattern`), for
