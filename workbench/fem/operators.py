@@ -196,16 +196,12 @@ class FullOperators(Brief):
         Returns:
             (number of distinct :attr:`forms`, n + m, n); the upper part is symmetric.
         """
-        return self._projected(self.places, basis, further)
-
-    def _projected(self, places: Mapping[str, Place], basis: Real, further: Real | None) -> Real:
         count = basis.shape[1]
         columns = basis if further is None else np.column_stack([basis, further])
         first = np.unique(self.forms, return_index=True)[1]
         result = np.zeros((first.size, columns.shape[1], count))
-        for place_name, place in places.items():
-            group = self.by_place[place_name]
-            used = _operators_of(group)
+        for place_name, group in self.by_place.items():
+            place, used = self.places[place_name], _operators_of(group)
             grams = {(*pair_of(p), integral.radial): np.zeros((columns.shape[1], count))
                      for integral in group for p in integral.products}
             for start in range(0, len(place.weights), TOGETHER):

@@ -157,7 +157,11 @@ def sketched_error(operators: ReducedOperators, sketch: Real, solution: Solution
     """Estimated relative error (n,) of the impedance of a `solution` of `operators`, see :class:`ReducedModel`."""
     constants = np.array([constants for _, constants in solution.groups])
     sketches = combined_matrices(operators.by_form(constants), sketch)
-    residual = sum(h * (each @ solution.states) for (h, _), each in zip(solution.groups, sketches, strict=True))
+    if solution.span is not None:
+        sketches, states = sketches @ solution.span.basis, solution.span.coordinates
+    else:
+        states = solution.states
+    residual = sum(h * (each @ states) for (h, _), each in zip(solution.groups, sketches, strict=True))
     return estimated_error(np.asarray(residual), solution.charge)
 
 
