@@ -5,6 +5,7 @@ Requests and answers are JSON: nothing that the process sends is executed.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
@@ -13,6 +14,9 @@ import signal
 import subprocess
 import sys
 from typing import Any
+
+#: Option of the system's call `prctl`: the signal that a process gets when its parent ends.
+PR_SET_PDEATHSIG = 1
 
 
 class NoAnswer(RuntimeError):
@@ -44,8 +48,10 @@ def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
 
 def answer_request(function: str, seconds: int) -> None:
     """Write the answer to the request on standard input to standard output, in the process of :func:`answer_apart`."""
-    # The system ends a process whose library never returns, also after the one that waits for it has ended.
+    # The system ends a process whose library never returns, and one whose parent has ended.
     signal.alarm(seconds)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # Prints of the library must not get between the answer.
     answers = os.fdopen(os.dup(1), "wb")

@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,6 +49,14 @@ class _Entry:
     content: str
     withdrawal: Withdrawal | None
 
+    @property
+    def exported(self) -> dict[str, object]:
+        """The entry as it is written."""
+        found: dict[str, object] = {"name": self.name, "sha256": _digest(self.content), "content": self.content}
+        if self.withdrawal is not None:
+            found["withdrawal"] = {"date": self.withdrawal.date, "reason": self.withdrawal.reason}
+        return found
+
 
 def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> tuple[str, ...]:
     """Write the entries that `names` mean to the file `path`, and return their full names.
@@ -65,17 +74,11 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
         load_quietly(registry, name)  # An unreadable entry is not handed on.
         # Written as bytes: text mode would change line ends.
         content, withdrawal = file.read_bytes().decode("utf-8"), read_withdrawal(file)
-        entry: dict[str, object] = {"name": name, "sha256": _digest(content), "content": content}
-        if withdrawal is not None:
-            entry["withdrawal"] = {"date": withdrawal.date, "reason": withdrawal.reason}
-        entries.append(entry)
-    if path.is_file():
-        try:
-            _read(path)
-        except InputError as error:
-            raise InputError("materials", "output", str(path), "a new name, or a file of exported materials, which is "
-                             f"replaced; this is another file ({error})") from None
-    write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
+        entries.append(_Entry(name, content, withdrawal).exported)
+    if os.path.lexists(path) and (path.is_file() or path.is_symlink()) and not _is_exported(path):
+        raise InputError("materials", "output", str(path), "a new name, or a file of exported materials as it was "
+                         "written, which is replaced; this is another file, a changed one or a link")
+    write_atomic(path, _exported_text(entries))
     return tuple(dict(found))
 
 
@@ -128,6 +131,20 @@ def _refuse_other(path: Path, entry: _Entry, folder: Path) -> None:
 def _digest(content: str) -> str:
     # Half a surrogate pair, which JSON can smuggle in, has no digest of its own and matches none.
     return hashlib.sha256(content.encode("utf-8", "replace")).hexdigest()
+
+
+def _is_exported(path: Path) -> bool:
+    """Whether a file is one of exported materials, just as :func:`export_entries` writes it."""
+    try:
+        entries = _read(path)
+        content = path.read_text(encoding="utf-8")
+    except (InputError, OSError):
+        return False
+    return not path.is_symlink() and content == _exported_text([each.exported for each in entries])
+
+
+def _exported_text(entries: Sequence[Mapping[str, object]]) -> str:
+    return json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n"
 
 
 def _read(path: Path) -> list[_Entry]:

@@ -165,6 +165,15 @@ def test_folded_and_taken_up_again(tmp_path: Path) -> None:
     assert [p.sequence for p in read_run(path).points] == [0, 1, 2, 3]
 
 
+def test_results_of_single_numbers_are_written(tmp_path: Path) -> None:
+    """A bench without compensation has a scalar among its results, of which HDF5 has no checksum."""
+    path = tmp_path / "run.h5"
+    with started(path) as journal:
+        run = journal.fold(complete=True)
+    write_run(run, path, results={"5Vpp": {"common": np.array(0.01), "noise": np.ones(3), "none": np.zeros(0)}})
+    assert [p.sequence for p in read_run(path).points] == [p.sequence for p in run.points]
+
+
 def test_files_that_are_no_runs_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with pytest.raises(InputError, match="a run file"):

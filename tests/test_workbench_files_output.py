@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import subprocess
 import sys
@@ -367,3 +368,66 @@ def test_entries_are_looked_for_where_a_pattern_can_lead_only(tmp_path: Path) ->
         patched.setattr(os, "walk", walk)
         assert list(in_the_way(tmp_path, OUTPUTS.names)) == ["front/a.toml", "points/a"]
     assert walked == [tmp_path.name, "front", "points"]
+
+
+def test_a_file_behind_a_link_is_not_the_runs_whatever_the_manifest_says(tmp_path: Path) -> None:
+    out, precious = tmp_path / "out", tmp_path / "precious"
+    precious.mkdir()
+    (precious / "notes.txt").write_text("mine")
+    with hold(out):
+        pass
+    (out / "link").symlink_to(precious)
+    digest = hashlib.sha256(b"mine").hexdigest()
+    with (out / STATE / MANIFEST).open("a") as stream:
+        stream.write(f'{{"file": "link/notes.txt", "sha256": "{digest}", "command": "simulate"}}\n')
+        stream.write(100_000 * "[" + "\n")
+    folder = hold(out)
+    assert folder.tidy() == Leftovers((), ())
+    folder.finish(complete=True)
+    assert (precious / "notes.txt").read_text() == "mine"
+
+
+def test_an_input_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
+    with hold(tmp_path) as folder:
+        for name in ("report.html", "spectrum_a.csv"):
+            write_atomic(folder.path / name, "a result")
+    (tmp_path / "link.csv").symlink_to(tmp_path / "spectrum_a.csv")
+    for path in ("spectrum_a.csv", "link.csv"):
+        with pytest.raises(InputError, match=rf"reads \S*/{path}, and would write a result under its name"):
+            begin(tmp_path, OUTPUTS, source="x", field="y", inputs=[tmp_path / path])
+    folder = begin(tmp_path, Outputs("simulate", names=("report.html",)), source="x", field="y",
+                   inputs=[tmp_path / "spectrum_a.csv"])
+    assert folder.tidy() == Leftovers(("report.html",), ())
+    folder.finish(complete=True)
+    assert (tmp_path / "spectrum_a.csv").exists()
+
+
+def test_another_command_leaves_the_mark_of_a_run_that_was_cut_short(tmp_path: Path) -> None:
+    folder = hold(tmp_path)
+    write_atomic(folder.path / "report.html", "x")
+    folder.finish(complete=False)
+    mark = (tmp_path / MARK).read_text()
+    other = hold(tmp_path, Outputs("export", names=("chip.step",)))
+    write_atomic(other.path / "chip.step", "x")
+    other.finish(complete=True)
+    assert other.mark_stays
+    assert (tmp_path / MARK).read_text() == mark
+    folder = hold(tmp_path)
+    folder.finish(complete=True)
+    assert not folder.mark_stays
+    assert not (tmp_path / MARK).exists()
+
+
+def test_a_mark_that_the_user_has_changed_stays(tmp_path: Path) -> None:
+    folder = hold(tmp_path)
+    (tmp_path / MARK).write_text("mine")
+    folder.finish(complete=True)
+    assert folder.mark_stays
+    assert (tmp_path / MARK).read_text() == "mine"
+
+
+def test_the_state_of_a_folder_is_no_output_folder(tmp_path: Path) -> None:
+    with hold(tmp_path):
+        pass
+    with pytest.raises(InputError, match="holds the manifest of a run"):
+        hold(tmp_path / STATE)

@@ -329,3 +329,15 @@ def test_a_hang_and_a_crash_are_counted(mutations: ModuleType, tmp_path: Path) -
         assert reader.read("no kind", good)[0] == "traceback"
         reader.limit = 0.0
         assert reader.read("recording", good)[0] == "hang"
+
+
+@pytest.mark.parametrize("turn", [np.pi, 0.5 * np.pi, -2.0])
+@pytest.mark.parametrize("at", [40, 300, 480])
+def test_one_wrong_phase_leaves_out_one_point_and_no_stretch_of_good_ones(at: int, turn: float) -> None:
+    """The jump at a wrong point is no end of a stretch of turned signs."""
+    whole = read_recording(Path(__file__).parent / "data/reference/chip_filled.csv").spectrum
+    impedance = whole.impedance.copy()
+    impedance[at] *= np.exp(1j * turn)
+    found = examine(Spectrum(whole.frequency, impedance))
+    assert "stretch" not in {each.code for each in found}
+    assert {row for each in found for row in each.rows} == {at + 1}

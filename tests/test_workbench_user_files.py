@@ -258,5 +258,11 @@ def test_materials_are_exported_over_an_export_only(here: Path, capsys: pytest.C
     assert main([*words, str(path)]) == 2
     assert "a file of exported materials" in " ".join(capsys.readouterr().err.split())
     assert path.read_text() == '{"mine": 1}'
-    assert main([*words, str(here / "glue.json")]) == main([*words, str(here / "glue.json")]) == 0
+    glue = here / "glue.json"
+    assert main([*words, str(glue)]) == main([*words, str(glue)]) == 0
+    glue.write_text(glue.read_text().replace('"format"', '"mine": 1, "format"', 1))
+    (here / "link.json").symlink_to(glue)
+    for changed in (glue, here / "link.json"):
+        assert main([*words, str(changed)]) == 2
+    assert '"mine"' in glue.read_text()
     assert STATE not in {each.name for each in here.iterdir()}

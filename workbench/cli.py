@@ -156,6 +156,8 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
     if interrupted.requested and output is not None:
         # The command made its report of what it knew by then.
         return _interrupted(output, console, interrupted)
+    if held is not None and held.mark_stays:
+        console.print(f"{output}: INCOMPLETE.txt stays: it is of another command's run, or was changed", style="yellow")
     if leftovers:
         console.print(leftovers, markup=False)
     if status == 0 and output is not None:

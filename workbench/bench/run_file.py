@@ -263,9 +263,10 @@ def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArra
     import h5py
 
     def add(name: str, values: NDArray[Any], **packed: Any) -> None:
-        # HDF5 has no checksums of empty datasets and of texts. Those of a few numbers for each capture would double the
-        # file.
-        checked = values.size > 0 and values.dtype.kind != "O" and (packed or not name.startswith("captures/"))
+        # HDF5 has no checksums of empty datasets, single numbers and texts. Those of a few numbers for each capture
+        # would double the file.
+        checked = values.ndim > 0 and values.size > 0 and values.dtype.kind != "O" and (
+            packed or not name.startswith("captures/"))
         file.create_dataset(name, data=values, **packed, **({"fletcher32": True} if checked else {}))
 
     with replacing(path) as whole:

@@ -47,7 +47,8 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
     folder = output_folder(options, Outputs("design", names=(
         SO_FAR, BEST, "front/*.toml", "design.json", "report.html", "impedance.png", "convergence.png", "front.png",
         "cad.png", *solid_names(goal.chip), *(f"{folder}*-{12 * '?'}.py" for folder in ("", "front/")),
-        *(f"{label}/{name}" for label in ("before", "after") for name in field_files(goal.state)))))
+        *(f"{label}/{name}" for label in ("before", "after") for name in field_files(goal.state)))),
+        inputs=[goal.chip.file])
     so_far = folder / SO_FAR
     with progress_bars(console) as show:
         found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, progress=by_rows(show),

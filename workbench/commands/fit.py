@@ -14,6 +14,7 @@ from workbench.commands.parsed_options import accuracy_option, jobs_option, outp
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
+from workbench.files.output import MARK
 from workbench.files.ownership import Outputs, discard
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
@@ -33,6 +34,10 @@ from workbench.report.fit_batch import batch_columns_table, devices_table, summa
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+#: Files of a batch beside those of its fits.
+BATCH_FILES = ("summary.json", "report.html", "batch.png")
 
 
 def run_fit(options: argparse.Namespace, console: Console) -> int:
@@ -114,9 +119,13 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
     """``workbench fit batch``: finished fits are on disk at once, and a further run does only the rest."""
     batch = read_batch(options.file)
+    for job in batch.jobs:
+        if job.name in (*BATCH_FILES, MARK):
+            raise InputError(str(options.file), "name", job.name,
+                             f"another name: {job.name} is a file of the batch itself")
     # Fits of devices that are not in the file any more are results of their own.
     folder = output_folder(options, Outputs("fit batch", kept=("*/*",), names=(
-        "summary.json", "report.html", "batch.png", *(f"{job.name}/{name}" for job in batch.jobs
+        *BATCH_FILES, *(f"{job.name}/{name}" for job in batch.jobs
                                                       for name in fit_files(job)))))
     if any(job.save is not None for job in batch.jobs):
         saving_folder(settings.materials)

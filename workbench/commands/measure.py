@@ -37,9 +37,13 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
     # Before the sweep, so that a recording that is missing is not found out after it.
     compensation = read_compensation(setup.standards)
     path: Path = options.output
+    if path.suffix in (".csv", ".html"):
+        raise InputError("command line", "--output", str(path), f"a run file, such as {path.stem}.h5; {path.stem}.csv "
+                         f"and {path.stem}.html are written beside it")
     options.held = begin(path.parent, Outputs(
         "measure", (f"{path.stem}.csv", f"{path.stem}_*Vpp.csv", f"{path.stem}.html"), kept=("*",), marked=False,
-        named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output")
+        named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output",
+        inputs=[options.bench])
     before = exists(path)
     try:
         with _live(console, expected_points(setup)) as show:

@@ -135,11 +135,17 @@ def saving_folder(folders: Sequence[Path]) -> Path:
     return folders[-1]
 
 
-def output_folder(options: argparse.Namespace, outputs: Outputs, *, room: float = ROOM) -> Path:
+def output_folder(
+    options: argparse.Namespace, outputs: Outputs, *, room: float = ROOM, inputs: Sequence[Path | str] = ()
+) -> Path:
     """The output folder that the options name, held for this run (``options.held``) until the command ends.
+
+    Files that the options name, and further `inputs`, are neither replaced nor removed.
 
     Raises:
         InputError: see `workbench.files.output.begin`.
     """
-    options.held = begin(options.output, outputs, source="command line", field="--output", room=room)
+    named = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
+    read = [each for each in (*named, *map(Path, inputs)) if isinstance(each, Path) and each.is_file()]
+    options.held = begin(options.output, outputs, source="command line", field="--output", room=room, inputs=read)
     return options.held.path

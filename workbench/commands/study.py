@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def run_study(options: argparse.Namespace, console: Console) -> int:
     """``workbench study``: every point of a study, its table, its pictures, and the report."""
     plan = read_study(options.study, materials=options.materials, inviscid=options.inviscid)
-    folder = output_folder(options, study_outputs(plan, options.output))
+    folder = output_folder(options, study_outputs(plan, options.output), inputs=[plan.chip.file])
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)

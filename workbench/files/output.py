@@ -71,8 +71,10 @@ class Leftovers:
 class OutputFolder:
     """The folder ``path`` of a run, held until :meth:`finish`; the end of a ``with`` block finishes it."""
 
-    def __init__(self, path: Path, outputs: Outputs, lock: int) -> None:
-        self.path, self.outputs, self._lock = path, outputs, lock
+    def __init__(self, path: Path, outputs: Outputs, lock: int, inputs: frozenset[str]) -> None:
+        self.path, self.outputs, self._lock, self._inputs = path, outputs, lock, inputs
+        #: Whether a mark is still there though the results are complete: of another run, or changed by the user.
+        self.mark_stays = False
         manifest = Manifest(path)
         self._before = {name: command for name, command in manifest.commands.items()
                         if manifest.owns(name, outputs.working)}
@@ -99,14 +101,19 @@ class OutputFolder:
         self.finish(complete=error is None)
 
     def finish(self, *, complete: bool) -> None:
-        """Let the folder go. Its mark stays unless the results are `complete`, or nothing was written."""
+        """Let the folder go. Its mark stays unless the results are `complete`, or nothing was written.
+
+        The mark of an earlier run that did not end is there again, unless this run of the same command is complete.
+        """
         if self._lock < 0:
             return
-        written, mark = self._written(), self.path / MARK
-        if not complete and not written and self._earlier_mark is not None:
-            write_atomic(mark, self._earlier_mark)
+        written, mark, earlier = self._written(), self.path / MARK, self._earlier_mark
+        done = complete and (earlier is None or marking(earlier) in ("", self.outputs.command))
+        if earlier is not None and not done and (complete or not written):
+            write_atomic(mark, earlier)
         elif self.outputs.marked and (complete or not written) and Manifest(self.path).owns(MARK):
             mark.unlink()
+        self.mark_stays = complete and mark.exists()
         clear(self.path)
         (self.path / STATE / RUN).unlink(missing_ok=True)
         os.close(self._lock)
@@ -117,7 +124,7 @@ class OutputFolder:
         manifest, written = Manifest(self.path), self._written()
         removed, remaining = [], []
         for name, command in self._before.items():
-            if name in written or name == MARK or not manifest.owns(name):
+            if name in written or name in self._inputs or name == MARK or not manifest.owns(name):
                 continue
             if command != self.outputs.command:
                 remaining.append((name, command))
@@ -137,8 +144,12 @@ class OutputFolder:
         return {str(line.get("file")) for line in entered} - {MARK}
 
 
-def begin(path: Path, outputs: Outputs, *, source: str, field: str, room: float = 0.0) -> OutputFolder:
+def begin(
+    path: Path, outputs: Outputs, *, source: str, field: str, room: float = 0.0, inputs: Sequence[Path] = ()
+) -> OutputFolder:
     """Hold the folder for results, made if need be, with `room` (bytes) on its disk.
+
+    `inputs` are files that the run reads: they are neither replaced nor removed.
 
     Until :meth:`OutputFolder.finish` it holds a file (:data:`MARK`) that marks it as incomplete: whatever ends the
     program, nobody takes half of the results for all.
@@ -147,6 +158,8 @@ def begin(path: Path, outputs: Outputs, *, source: str, field: str, room: float 
         InputError: it holds files of the user under names that the run writes, another run is at work in it, it cannot
             be made or written to, or its disk is too full.
     """
+    if path.name == STATE:
+        raise InputError(source, field, str(path), f"a folder of another name: {STATE} holds the manifest of a run")
     made = [each for each in (path / STATE / LOCK, path / STATE, path, *path.parents) if not os.path.lexists(each)]
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -157,10 +170,11 @@ def begin(path: Path, outputs: Outputs, *, source: str, field: str, room: float 
         lock = _locked(path, source, field)
         try:
             _refuse_others(path, outputs, source, field)
+            read = _refuse_inputs(path, outputs, inputs, source, field)
             write_atomic(path / STATE / RUN, json.dumps({
                 "command": outputs.command, "process": os.getpid(), "begun": now(), "named": outputs.named,
                 "working": outputs.working}) + "\n")
-            return OutputFolder(path, outputs, lock)
+            return OutputFolder(path, outputs, lock, read)
         except BaseException:
             os.close(lock)
             raise
@@ -181,6 +195,12 @@ def held(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterato
         return
     with begin(path, outputs, source=source, field="folder") as folder:
         yield folder
+
+
+def marking(mark: str) -> str:
+    """The command that a mark is of; nothing for those of earlier versions."""
+    found = re.match(r"`workbench ([^`]*)`", mark)
+    return found.group(1) if found else ""
 
 
 def clear(folder: Path) -> None:
@@ -249,6 +269,24 @@ def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> Non
             source, field, str(path), f"a folder in which `workbench {outputs.command}` replaces no file of yours; no "
             f"run of the workbench wrote {enumerated(theirs)} as {'it is' if len(theirs) == 1 else 'they are'} now: "
             f"choose another folder, or move {'it' if len(theirs) == 1 else 'them'} away")
+
+
+def _refuse_inputs(
+    path: Path, outputs: Outputs, inputs: Sequence[Path], source: str, field: str
+) -> frozenset[str]:
+    """The relative paths of inputs in the folder.
+
+    Raises:
+        InputError: the run would replace one of them.
+    """
+    real = Path(os.path.realpath(path))
+    inside = {each: Path(os.path.realpath(each)) for each in inputs}
+    names = {each: at.relative_to(real).as_posix() for each, at in inside.items() if at.is_relative_to(real)}
+    for each, name in names.items():
+        if matches(name, outputs.names):
+            raise InputError(source, field, str(path), f"another folder: `workbench {outputs.command}` reads {each}, "
+                             "and would write a result under its name")
+    return frozenset(names.values())
 
 
 def _is_old_mark(mark: Path) -> bool:

@@ -95,7 +95,7 @@ class Manifest:
     def owns(self, name: str, working: Iterable[str] = ()) -> bool:
         """Whether a relative path is a file as a run wrote it, or one that matches `working` and that a run began."""
         path = self.folder / name
-        if name not in self.digests or path.is_symlink() or not path.is_file():
+        if name not in self.digests or link_above(self.folder, path) is not None or not path.is_file():
             return False
         return matches(name, working) or digest_of(path) in self.digests[name]
 
@@ -112,7 +112,7 @@ def lines(path: Path) -> Iterator[Mapping[str, Any]]:
     for line in path.read_bytes().split(b"\n"):
         try:
             entry = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(entry, dict):
             yield entry
@@ -141,6 +141,11 @@ def _beginning(path: Path, size: int) -> bytes:
 def stays_inside(name: str) -> bool:
     """Whether a relative path stays in its folder."""
     return bool(name) and not name.startswith("/") and ".." not in name.split("/")
+
+
+def link_above(folder: Path, path: Path) -> Path | None:
+    """The link among a path in a folder and the folders above it there; None if there is none."""
+    return next((each for each in (path, *path.parents) if folder in each.parents and each.is_symlink()), None)
 
 
 def digest_of(path: Path) -> str:
@@ -181,11 +186,10 @@ class Claim:
         Raises:
             OSError: so it is; the error names the file.
         """
-        above = next((each for each in self.path.parents if each != self.folder and self.folder in each.parents
-                      and each.is_symlink()), None)
-        if above is not None or (os.path.lexists(self.path)
-                                 and not Manifest(self.folder).owns(self.name, self.run.get("working", ()))):
-            raise OSError(errno.EEXIST, FOREIGN, str(above or self.path))
+        link = link_above(self.folder, self.path)
+        if link is not None or (os.path.lexists(self.path)
+                                and not Manifest(self.folder).owns(self.name, self.run.get("working", ()))):
+            raise OSError(errno.EEXIST, FOREIGN, str(link or self.path))
 
 
 def claim_of(path: Path) -> Claim | None:

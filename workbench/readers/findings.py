@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,9 +98,14 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     frequency = spectrum.frequency
     points = len(frequency)
     rows = Rows(tuple(range(1, points + 1)), "point") if rows is None else rows
-    stretches = _stretches(spectrum)
+    odd_points = outliers(frequency, spectrum.impedance)
+    # A single wrong point breaks a curve as the end of a turned stretch does, so the rest is looked at without it.
+    smooth = ~np.isin(np.arange(points), list(odd_points))
+    rest = np.flatnonzero(smooth)
+    stretches = [] if rest.size < 2 else [
+        (int(rest[begin]), int(rest[end - 1]) + 1) for begin, end in _stretches(spectrum.at(smooth))]
     turned = np.concatenate([np.arange(begin, end) for begin, end in stretches]) if stretches else np.empty(0, np.intp)
-    findings = _odd_points(spectrum, rows, turned)
+    findings = _odd_points(spectrum, odd_points, rows, turned)
     if stretches:
         words = " and ".join(rows.named(np.arange(begin, end), frequency) for begin, end in stretches)
         findings.append(Finding("stretch", f"{words} do not join their neighbours, as if a sign were turned there: "
@@ -133,10 +138,12 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     return tuple(findings)
 
 
-def _odd_points(spectrum: Spectrum, rows: Rows, turned: NDArray[np.intp]) -> list[Finding]:
-    """The findings on points apart from the rest, other than those in a stretch that is `turned`."""
-    frequency, size = spectrum.frequency, spectrum.magnitude
-    found = outliers(frequency, spectrum.impedance)
+def _odd_points(
+    spectrum: Spectrum, odd: Mapping[int, float], rows: Rows, turned: NDArray[np.intp]
+) -> list[Finding]:
+    """The findings on points apart from the rest, other than those in a stretch that is `turned`; `odd` are those that
+    leave their neighbours, with their deviations."""
+    frequency, size, found = spectrum.frequency, spectrum.magnitude, dict(odd)
     low, high = PLAUSIBLE_OHM[0] / BEYOND, PLAUSIBLE_OHM[1] * BEYOND
     typical = float(np.median(size))
     if low <= typical <= high:
