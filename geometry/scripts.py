@@ -80,7 +80,7 @@ def warn_of(script: Script, source: str) -> None:
 
 
 def script_bytes(script: Script) -> bytes:
-    """The content of a script, which is what it was when the chip file was read.
+    """The content of a script, unchanged since the chip file was read.
 
     Raises:
         InputError: it is another one, or cannot be read.

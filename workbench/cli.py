@@ -58,7 +58,7 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 
 
 def _checked(options: argparse.Namespace, interrupted: Interruption) -> int:
-    """Run the command that the options name, unless what they name has mistakes."""
+    """Check the files that the options name, and run the command."""
     from workbench.commands.console import error_console
 
     console = error_console()
@@ -168,7 +168,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
 def _interrupted(
     output: Path | None, console: Console, interrupted: Interruption, error: BaseException | None = None
 ) -> int:
-    """Say what is on disk and in the registry, once nothing is written any more; the exit status."""
+    """Print the files on disk and the saved entries, once nothing is written any more; the exit status."""
     from workbench.jobs import interruption
 
     interruption.wait()

@@ -19,7 +19,7 @@ def error_console() -> Console:
     """A console on standard error that shows texts literally: no markup, no emoji, control characters as escapes."""
     from rich.console import Console
 
-    class Literal(Console):
+    class LiteralConsole(Console):
         def render_str(
             self, text: str, *, style: str | Style = "", justify: JustifyMethod | None = None,
             overflow: OverflowMethod | None = None, emoji: bool | None = None, markup: bool | None = None,
@@ -29,4 +29,4 @@ def error_console() -> Console:
                 visible(text, keep=KEPT), style=style, justify=justify, overflow=overflow, emoji=emoji, markup=markup,
                 highlight=highlight, highlighter=highlighter)
 
-    return Literal(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
+    return LiteralConsole(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)

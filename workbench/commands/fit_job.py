@@ -38,7 +38,7 @@ from workbench.results.spectrum import write_spectrum
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A finished fit: its result, the content of its ``fit.json``, and what was written for it.
+    """A finished fit: its result, and the content of its ``fit.json``.
 
     ``saved_before`` says that the registry had its content already, under the name ``saved_as`` of the record.
     """

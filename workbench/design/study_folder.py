@@ -1,6 +1,6 @@
 """The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
 
-    begun.json                  what was asked; a study that asks something else is refused
+    begun.json                  the settings; a study with other settings is refused
     models/0.spectra.npz        the range model of a part, see `workbench.reduced.ranges.RangeModel.save`
     models/0.npz                the model made from it, see `workbench.design.model.DesignModel.save`
     points/00000000.npz         finished points, called after the first of them

@@ -29,7 +29,7 @@ MOST_BYTES = 80
 #: Categories of Unicode that act on a terminal or end a line: controls, half characters, separators of lines.
 _CONTROLS = ("Cc", "Cs", "Zl", "Zp")
 
-#: Characters that turn the direction of the text behind them, and so what a reader takes it for.
+#: Characters that turn the direction of the text behind them, so that it reads as another one.
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 

@@ -17,7 +17,7 @@ Complex = NDArray[np.complex128]
 #: Probability of a false alarm in a recording of normal noise. Doubled, the limit falls by 4 %.
 FALSE_ALARM = 1e-3
 #: Median of the smallest of five deviations over the standard deviation of a point's real and imaginary part, each, for
-#: white noise (one deviation: 1.18). Doubled, the noise passes for half of what it is.
+#: white noise (one deviation: 1.18). Doubled, the noise is estimated at half of its size.
 MEDIAN_OF_NOISE = 0.8
 #: Points on either side that tell the noise. Doubled, noise that changes within a sweep is averaged.
 NOISE_WITHIN = 15

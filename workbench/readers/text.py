@@ -213,7 +213,7 @@ def _unquoted(cell: str) -> str:
 
 
 def holds_no_value(cell: str, decimal: str = ".") -> bool:
-    """Whether a cell holds what instruments write for no value: a word, or a number of :data:`NO_VALUE` or more."""
+    """Whether a cell holds a code for no value: a word, or a number of :data:`NO_VALUE` or more."""
     if is_number(cell, decimal):
         return not abs(float(_plain(cell, decimal))) < NO_VALUE
     return _NO_VALUE.fullmatch(cell) is not None

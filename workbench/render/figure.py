@@ -16,7 +16,7 @@ def text_figure(width: float, height: float) -> Figure:
     """A figure of that size (inches) that prints every name as it stands, not as a formula between two ``$``."""
     from matplotlib.figure import Figure
 
-    class Literal(Figure):
+    class LiteralFigure(Figure):
         def draw(self, renderer: RendererBase) -> None:
             _read_literally(self)
             super().draw(renderer)
@@ -28,7 +28,7 @@ def text_figure(width: float, height: float) -> Figure:
             _read_literally(self)
             super().tight_layout(pad=pad, h_pad=h_pad, w_pad=w_pad, rect=rect)
 
-    return Literal(figsize=(width, height))
+    return LiteralFigure(figsize=(width, height))
 
 
 def _read_literally(figure: Figure) -> None:
