@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from workbench.files.quantities import parse_quantity
 #: and for showing a value lie near a thousand.
 DEEPEST = 50
 
+#: A line that begins with a key of more parts than that.
+LONG_KEY = re.compile(rf"\s*\[{{0,2}}\s*[\w-]+(?:\s*\.\s*[\w-]+){{{DEEPEST},}}\s*[]=]")
+
 #: Whole numbers of TOML have 64 bits.
 LARGEST = 2**63
 
@@ -28,6 +32,10 @@ def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[st
     Raises:
         InputError: it is not TOML (the parser's line and column are kept), or is nested beyond :data:`DEEPEST`.
     """
+    # The parser takes the square of the number of parts of a key.
+    if any(LONG_KEY.match(line) for line in text.splitlines()):
+        raise InputError(source, field, f"a key of more than {DEEPEST} parts",
+                         f"valid TOML, with at most {DEEPEST} levels of tables and lists")
     return _parsed(tomllib.loads, text, "valid TOML", source=source, field=field)
 
 
