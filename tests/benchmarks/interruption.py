@@ -177,7 +177,7 @@ def inputs_in(folder: Path) -> None:
     for name in ("chip.toml", "empty.csv"):
         shutil.copy(CAMPAIGN / name, folder / name)
     shutil.copy(DISC, folder / "disc.toml")
-    study = (ROOT / "examples/small_study/study.toml").read_text().replace("points = 64", "points = 200")
+    study = (ROOT / "examples/small_study/study.toml").read_text().replace("points = 64", "points = 100")
     (folder / "study.toml").write_text(study.replace('"chip.toml"', '"study_chip.toml"'))
     shutil.copy(ROOT / "examples/small_study/chip.toml", folder / "study_chip.toml")
     (folder / "batch.toml").write_text(BATCH)
@@ -268,6 +268,7 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
             print(f"{name:16} {seconds[name]:6.1f} s, status {process.returncode}", flush=True)
             if process.returncode not in (0, 1, 3) or "Traceback" in said:
                 faults.append(f"{name}, not killed: status {process.returncode}: {said[-300:]}")
+                print(f"    {faults[-1]}")
         for number in range(arguments.kills):
             name = names[number % len(names)]
             folder = root / f"killed {number}"
@@ -291,6 +292,7 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
                 refused += "holds it" in said
                 if at_work and ended_by_itself and process.poll() is None and "holds it" not in said:
                     faults.append(f"{number} {name}: the second command was not refused: {said[-300:]}")
+                    print(f"    {faults[-1]}", flush=True)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout=max(0.0, until - time.perf_counter()))
             ended = process.poll() is not None
@@ -318,14 +320,14 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
                 if list((folder / STATE).glob(f"{NEW}*")):
                     found.append("begun files were not cleared")
             faults += [f"{number} {name} at {moment:.2f} s: {fault}" for fault in found]
+            for fault in found:
+                print(f"    {number} {name} at {moment:.2f} s{' (two)' if beside else ''}: {fault}", flush=True)
             shutil.rmtree(folder)
             if number % 20 == 19:
                 print(f"{number + 1} kills, {late} after the end, {refused} second commands refused, {completed} "
                       f"completed, {len(faults)} faults", flush=True)
     print(f"{arguments.kills} kills, {late} after the end, {refused} second commands refused, {completed} completed, "
           f"{len(faults)} faults")
-    for fault in faults:
-        print(f"    {fault}")
     kept.add(f"faults of {arguments.kills} kills", len(faults), "1")
 
 
