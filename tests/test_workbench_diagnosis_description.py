@@ -73,7 +73,7 @@ def resonator(off: Any = 0.0) -> Any:
 
 
 def state(name: str, *regions: str, fluid: Any = None) -> Any:
-    return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, resonator()), noise=NOISE, fluid=fluid,
+    return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, resonator()), noise=NOISE, fluid=fluid, findings=(),
                            observation=None, data=2,
                            materials=dict.fromkeys(regions, SimpleNamespace(name="a")))
 

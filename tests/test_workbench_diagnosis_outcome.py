@@ -50,6 +50,7 @@ def impedance(off: float = 0.0) -> Any:
 
 def state(name: str) -> Any:
     return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, impedance()), noise=NOISE, observation=None, data=2,
+                           findings=(),
                            materials={})
 
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
-from scipy.linalg import lstsq
 
 from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
@@ -302,7 +301,7 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
     local, values = local[inside], values[inside]
     degree = [min(FIT_DEGREE, len(np.unique(local[:, axis])) - 1) for axis in (0, 1)]
     design = legvander2d(local[:, 0], local[:, 1], degree)
-    fitted = lstsq(design, values, lapack_driver="gelsy")[0].reshape(degree[0] + 1, degree[1] + 1)
+    fitted = np.linalg.lstsq(design, values, rcond=None)[0].reshape(degree[0] + 1, degree[1] + 1)
 
     def derivative(along_r: int, along_z: int, at: FloatArray) -> float:
         polynomial = legder(legder(fitted, along_r, axis=0), along_z, axis=1)

@@ -67,32 +67,10 @@ def in_order(
     if len(frequency) < 2:
         where = lines[0] if lines else len(text.lines)
         raise text.error(where, None, f"{len(frequency)} rows of numbers", "at least 2; the file may be cut short")
-    lost = np.any(np.isnan([*cells, *([] if uncertainty is None else [uncertainty])]), axis=0)
-    nowhere = np.isnan(frequency) & ~lost
-    if np.any(nowhere):
-        line = lines[int(np.argmax(nowhere))]
-        raise text.error(line, column, "no number", "a finite frequency; if the analyser had none there, take the "
-                         f"{text.row} out of a copy of the file")
-    if np.any(lost):
-        named = [line for line, out in zip(lines, lost, strict=True) if out]
-        words = (f"{rows_in_words(named, text.row)}: no value (9.9e37 or more, or a word such as OVLD or nan, which is "
-                 "written for overload or for nothing measured)")
-        if len(lines) - len(named) < 2:
-            raise InputError(text.path, "rows", words, "at least 2 rows with values")
-        found.append(Finding("no_value", f"{words}: left out, {len(named)} of {len(lines)} rows"))
-        lines = [line for line, out in zip(lines, lost, strict=True) if not out]
-        frequency, impedance = frequency[~lost], impedance[~lost]
-        uncertainty = None if uncertainty is None else uncertainty[~lost]
-    if np.any(frequency < 0.0):
-        index = int(np.argmax(frequency < 0.0))
-        raise text.error(lines[index], column, float(frequency[index]), "a frequency above zero")
-    idle = frequency == 0.0
-    if np.any(idle):
-        named = [line for line, out in zip(lines, idle, strict=True) if out]
-        found.append(Finding("idle", f"{rows_in_words(named, text.row)} without a frequency (zero): left out"))
-        lines = [line for line, out in zip(lines, idle, strict=True) if not out]
-        frequency, impedance = frequency[~idle], impedance[~idle]
-        uncertainty = None if uncertainty is None else uncertainty[~idle]
+    kept = _with_values(text, frequency, cells if uncertainty is None else [*cells, uncertainty], lines, column, found)
+    lines = [line for line, inside in zip(lines, kept, strict=True) if inside]
+    frequency, impedance = frequency[kept], impedance[kept]
+    uncertainty = None if uncertainty is None else uncertainty[kept]
     check_impedance(text, impedance, lines)
     if len(frequency) == 0 or np.ptp(frequency) == 0.0:
         raise text.error(lines[0] if lines else len(text.lines), column, f"{len(frequency)} points at one frequency",
@@ -133,6 +111,38 @@ def in_order(
         origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: said})
     return Recorded(Spectrum(frequency, impedance, uncertainty, origin, shared_uncertainty), tuple(found),
                     Rows(tuple(rows.tolist()), text.row))
+
+
+def _with_values(
+    text: RecordingText, frequency: NDArray[np.float64], cells: Sequence[NDArray[np.float64]], lines: Sequence[int],
+    column: int, found: list[Finding]
+) -> NDArray[np.bool_]:
+    """Mask (n,) of the points that have values and a frequency; findings on the others are added to those `found`.
+
+    Raises:
+        InputError: fewer than two points with values, a frequency that is negative, or none beside values.
+    """
+    lost = np.any(np.isnan(cells), axis=0) if len(cells) else np.zeros(len(frequency), dtype=bool)
+    nowhere = np.isnan(frequency) & ~lost
+    if np.any(nowhere):
+        raise text.error(lines[int(np.argmax(nowhere))], column, "no number", "a finite frequency; if the analyser had "
+                         f"none there, take the {text.row} out of a copy of the file")
+    if np.any(lost):
+        named = [line for line, out in zip(lines, lost, strict=True) if out]
+        words = (f"{rows_in_words(named, text.row)}: no value (9.9e37 or more, or a word such as OVLD or nan, which is "
+                 "written for overload or for nothing measured)")
+        if len(lines) - len(named) < 2:
+            raise InputError(text.path, "rows", words, "at least 2 rows with values")
+        found.append(Finding("no_value", f"{words}: left out, {len(named)} of {len(lines)} rows"))
+    below = ~lost & (frequency < 0.0)
+    if np.any(below):
+        index = int(np.argmax(below))
+        raise text.error(lines[index], column, float(frequency[index]), "a frequency above zero")
+    idle = ~lost & (frequency == 0.0)
+    if np.any(idle):
+        named = [line for line, out in zip(lines, idle, strict=True) if out]
+        found.append(Finding("idle", f"{rows_in_words(named, text.row)} without a frequency (zero): left out"))
+    return ~lost & ~idle
 
 
 def _cut_off(text: RecordingText, lines: Sequence[int]) -> Finding | None:
