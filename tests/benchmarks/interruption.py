@@ -301,6 +301,9 @@ def kills(arguments: argparse.Namespace, kept: Measurements) -> None:
             process.communicate()
             late += ended
             complete = ended and process.returncode in (0, 1, 3)
+            if not ended and not (folder / MARK).exists():
+                # Killed on its way out: all that an undisturbed run writes is there.
+                complete = set(visible_files(root / f"whole {name}")) <= set(visible_files(folder))
             # A second command that began after the first one had ended, and was killed, leaves a mark of its own.
             found = faults_in(folder, ended=None if beside and not ended_by_itself else complete)
             points = {file: content for file, content in visible_files(folder).items() if file.startswith("points/")}
