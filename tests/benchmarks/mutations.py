@@ -323,10 +323,30 @@ def _read_run(path: Path) -> None:
     read_run(path)
 
 
-def _read_step(path: Path) -> None:
-    from geometry.step_file import step_parts
+#: A chip whose substrate is a part of a STEP file beside it.
+STEP_CHIP = """
+[chip]
+name = "chip"
+band = ["0.95 MHz", "1.15 MHz"]
+[[layers]]
+role = "transducer"
+material = "pzt4/acevedo_2026_fitted"
+thickness = "1 mm"
+radius = "10 mm"
+[[layers]]
+role = "substrate"
+material = "pmma"
+profile = { step = "STEP", part = "substrate" }
+"""
 
-    step_parts(path, 1e-3, str(hash(path.read_bytes())))
+
+def _read_step(path: Path) -> None:
+    """Read the file as every command does: as a layer of a chip, in a process of the kernel's own."""
+    from geometry.chip import read_chip
+
+    chip = path.with_suffix(".toml")
+    chip.write_text(STEP_CHIP.replace("STEP", path.name))
+    read_chip(chip)
 
 
 KINDS: dict[str, Kind] = {
