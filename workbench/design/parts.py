@@ -56,7 +56,7 @@ class Models(Protocol):
 
     def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> Evaluator:
         """The model of a part, which can be pickled: the one in the file `path`, which is made first if need be. Files
-        beside it, called alike, may keep what is known on the way."""
+        beside it, called alike, may keep its stages."""
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
         """The figures at one point (numbers of the study,) of a part, by full solves."""
