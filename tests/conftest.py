@@ -196,7 +196,6 @@ def _rows(operators: FullOperators, region: str, *components: str) -> NDArray[np
 def _pencil(operators: FullOperators, values: Mapping[str, complex]) -> dict[int, csc_matrix]:
     """The model as real matrices by their power of w: A(w) = sum of w**power times a matrix (losses left out)."""
     import numpy as np
-    from scipy import sparse
 
     from workbench.physics.term import Monomial
 
@@ -204,11 +203,9 @@ def _pencil(operators: FullOperators, values: Mapping[str, complex]) -> dict[int
     powers = [int(c.omega_power) for c in monomials if isinstance(c, Monomial)]
     constants = [c.constant(values) for c in monomials if isinstance(c, Monomial)]
     assert len(powers) == len(monomials), "a coefficient that is no power of w"
-    pattern = operators.pattern
     found = {}
     for power in sorted(set(powers)):
-        entries = operators.matrix(np.where(np.array(powers) == power, constants, 0.0)).real
-        found[power] = sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+        found[power] = operators.matrix(np.where(np.array(powers) == power, constants, 0.0)).real.tocsc()
     return found
 
 

@@ -28,8 +28,8 @@ from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.acoustics.nodal import NodalMesh, mesh_of
 from workbench.commands.terminal import table_parts
 from workbench.design.uncertainty import Uncertainty
-from workbench.fem.operators import FullOperators
-from workbench.fem.solve import Solution, System
+from workbench.fem.operators import FullOperators, pair_of
+from workbench.fem.solve import Solution
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import Number
@@ -160,6 +160,13 @@ def plate_below_a_layer(
     return np.array(found)
 
 
+def forms_by_cell(operators: FullOperators, states: NDArray[np.complex128]) -> list[NDArray[np.complex128]]:
+    """The forms states^T A_q states of every integral, cell by cell of its place: (cells, n) each."""
+    pairs = dict(operators.pair_forms(states, states))
+    return [np.asarray(sum(p.weight * pairs[i.domain][*pair_of(p), i.radial] for p in i.products))
+            for i in operators.integrals]
+
+
 def fluid_modes(
     operators: FullOperators, values: Mapping[str, complex], pressure: NDArray[np.int64], omega: float
 ) -> NDArray[np.complex128]:
@@ -169,8 +176,7 @@ def fluid_modes(
                            for i in operators.integrals])
     blocks = []
     for constants in (np.where(compressed, 0.0, g), np.where(compressed, g, 0.0)):
-        whole = System(operators, values).matrix(1e6)
-        whole.data = operators.matrix(constants)
+        whole = operators.matrix(constants)
         blocks.append(np.asarray(whole[pressure][:, pressure].toarray()))
     return np.asarray(scipy.linalg.eigvals(blocks[0] * omega**2, -blocks[1]), dtype=np.complex128)
 

@@ -16,6 +16,7 @@ from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
 from workbench.fem.capacitance import METER_FREQUENCY, Capacitance, capacitance
 from workbench.fem.operators import assemble
+from workbench.fem.solve import System
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.problem import Problem, build, fill
 
@@ -26,7 +27,7 @@ PLATE = VACUUM_PERMITTIVITY * Registry().load("pic255").eps33.real * math.pi * 4
 
 def of_chip(chip: Chip, state: str | None) -> Capacitance:
     problem = build(fill(chip, state), accuracy=2e-2)
-    return capacitance(assemble(problem.mesh, problem.terms), problem.values)
+    return capacitance(System(assemble(problem.mesh, problem.terms), problem.values))
 
 
 def test_three_reports_of_one_disc_give_one_capacitance() -> None:
@@ -46,7 +47,7 @@ def test_a_bare_disc_has_the_capacitance_of_its_plate_clamped_and_free(
     chip = stacked([("transducer", 2e-3, 3e-3, None)], band=(300e3, 700e3))
     materials = reference_materials("free_disc_fitted_rho7500")
     problem = meshed(chip, materials, elements_per_wavelength=4.0)
-    found = capacitance(assemble(problem.mesh, problem.terms), problem.values)
+    found = capacitance(System(assemble(problem.mesh, problem.terms), problem.values))
     disc = materials["transducer"]
     assert isinstance(disc, Piezoelectric)
     assert found.clamped == pytest.approx(disc.absolute_eps33.real * math.pi * 3e-3**2 / 2e-3, rel=1e-6, abs=0.0)

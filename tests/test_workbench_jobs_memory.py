@@ -157,15 +157,15 @@ def test_a_factorisation_without_memory_is_not_called_singular(monkeypatch: pyte
         raise RuntimeError("SUPERLU_MALLOC fails for expanders")
 
     with pytest.raises(RuntimeError, match="SUPERLU_MALLOC"):
-        solve.factorise(sparse.eye_array(3, format="csr") * 1.0, 1e6, fails)
+        solve.factorise(sparse.eye_array(3, format="csc") * 1.0, 1e6, fails)
     monkeypatch.setattr(memory, "address_limit", lambda: 1e9)
     monkeypatch.setattr(factorisation, "PLANNED", 1e12)
     from workbench.fem.factorisation import Ldlt
 
     pytest.importorskip("rslab")
-    made = Ldlt(sparse.csc_matrix(sparse.eye_array(3)))
+    made = Ldlt(sparse.eye_array(3, format="csc"))
     with pytest.raises(MemoryError, match="of address space were not there for a factorisation"):
-        made(sparse.eye_array(3, format="csr").data.astype(complex))
+        made(sparse.eye_array(3, format="csc").data.astype(complex))
 
 
 def test_a_process_that_cannot_be_begun_is_one(monkeypatch: pytest.MonkeyPatch) -> None:

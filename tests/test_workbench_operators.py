@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import sparse
+from support import forms_by_cell
 
 from geometry.chip import Chip
 from geometry.chip_section import volumes
@@ -32,16 +33,12 @@ def columns(filled_operators: FullOperators) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module")
-def matrices(filled_operators: FullOperators) -> list[sparse.csc_matrix]:
+def matrices(filled_operators: FullOperators) -> list[sparse.csr_array]:
     """Every A_q as a matrix of its own."""
-    pattern = filled_operators.pattern
-    return [
-        sparse.csc_matrix((filled_operators.matrix(unit), pattern.indices, pattern.indptr), shape=pattern.shape)
-        for unit in np.eye(len(filled_operators.integrals), dtype=complex)
-    ]
+    return [filled_operators.matrix(unit) for unit in np.eye(len(filled_operators.integrals), dtype=complex)]
 
 
-def test_every_matrix_is_real_symmetric_and_not_empty(matrices: list[sparse.csc_matrix]) -> None:
+def test_every_matrix_is_real_symmetric_and_not_empty(matrices: list[sparse.csr_array]) -> None:
     for matrix in matrices:
         size = abs(matrix).max()
         assert size > 0.0
@@ -50,7 +47,7 @@ def test_every_matrix_is_real_symmetric_and_not_empty(matrices: list[sparse.csc_
 
 
 def test_quadratic_forms_are_those_of_the_matrices(
-    filled_operators: FullOperators, matrices: list[sparse.csc_matrix], columns: NDArray[np.float64]
+    filled_operators: FullOperators, matrices: list[sparse.csr_array], columns: NDArray[np.float64]
 ) -> None:
     left, right = columns.astype(np.complex128), (columns[:, ::-1] + 1j * columns).astype(np.complex128)
     found = filled_operators.quadratic(left, right)
@@ -60,7 +57,7 @@ def test_quadratic_forms_are_those_of_the_matrices(
 
 
 def test_images_are_those_of_the_matrices(
-    filled_operators: FullOperators, matrices: list[sparse.csc_matrix], columns: NDArray[np.float64]
+    filled_operators: FullOperators, matrices: list[sparse.csr_array], columns: NDArray[np.float64]
 ) -> None:
     """Of no sum, of one and of several, of all integrals and of few."""
     state = (columns[:, 0] + 1j * columns[:, 1]).astype(np.complex128)
@@ -76,7 +73,7 @@ def test_images_are_those_of_the_matrices(
 
 def test_element_forms_add_up_to_the_whole(filled_operators: FullOperators, columns: NDArray[np.float64]) -> None:
     states = columns.astype(np.complex128)
-    parts = filled_operators.element_quadratic(states, states)
+    parts = forms_by_cell(filled_operators, states)
     whole = filled_operators.quadratic(states, states)
     for q, (part, integral) in enumerate(zip(parts, filled_operators.integrals, strict=True)):
         assert part.shape == (filled_operators.places[integral.place].elements.size, 3)
@@ -84,7 +81,7 @@ def test_element_forms_add_up_to_the_whole(filled_operators: FullOperators, colu
 
 
 def test_projections_are_those_of_the_matrices(
-    filled_operators: FullOperators, matrices: list[sparse.csc_matrix], columns: NDArray[np.float64]
+    filled_operators: FullOperators, matrices: list[sparse.csr_array], columns: NDArray[np.float64]
 ) -> None:
     further = np.random.default_rng(2).standard_normal((filled_operators.size, 2))
     whole = np.column_stack([columns, further])

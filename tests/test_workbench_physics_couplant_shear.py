@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.integrate import solve_ivp
 from skfem import Basis, ElementQuad2
+from support import forms_by_cell
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh, mesh_section
@@ -186,16 +186,15 @@ def test_every_wall_moves_and_couples_as_the_formula_says(operators: FullOperato
 
 def test_the_uses_of_the_declaration_agree(operators: FullOperators) -> None:
     columns = np.random.default_rng(1).standard_normal((operators.size, 3))
-    pattern = operators.pattern
     states = columns.astype(np.complex128)
     forms, projected = operators.quadratic(states, states), operators.project(columns)
     each = np.eye(len(operators.integrals), dtype=complex)
-    parts, images = operators.element_quadratic(states, states), operators.images(states[:, 0], each).T
+    parts, images = forms_by_cell(operators, states), operators.images(states[:, 0], each).T
     assert len(mine(operators)) == len(SLIP) + 1
     for q in mine(operators):
         unit = np.zeros(len(operators.integrals), dtype=complex)
         unit[q] = 1.0
-        matrix = sparse.csc_matrix((operators.matrix(unit), pattern.indices, pattern.indptr), shape=pattern.shape)
+        matrix = operators.matrix(unit)
         size = np.abs(columns.T @ (matrix @ columns)).max()
         assert abs(matrix - matrix.T).max() <= 1e-14 * abs(matrix).max()
         assert np.abs(np.diag(columns.T @ (matrix @ columns)) - forms[:, q]).max() < 1e-11 * size

@@ -223,12 +223,10 @@ def test_matrices_forms_projections_and_images_agree_under_any_measure(flexed: F
     random = np.random.default_rng(2)
     columns = random.standard_normal((operators.size, 2))
     states = (columns @ np.array([[1.0, 0.3], [0.5j, 1.0]])).astype(complex)
-    pattern = operators.pattern
     forms, projected = operators.quadratic(states, states), operators.project(columns)
     images = operators.images(states[:, 0], np.eye(len(operators.integrals), dtype=complex))
     for q, unit in enumerate(np.eye(len(operators.integrals), dtype=complex)):
-        matrix = pattern.copy().astype(complex)
-        matrix.data = operators.matrix(unit)
+        matrix = operators.matrix(unit)
         # Sums of products of either sign: rounding of the sum of their sizes.
         whole = float((np.abs(states).T @ (abs(matrix) @ np.abs(states))).max())
         assert whole > 0.0

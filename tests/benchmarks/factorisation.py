@@ -40,6 +40,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.fem.factorisation import KNOWN  # noqa: E402
 from workbench.fem.operators import FullOperators, assemble  # noqa: E402
 from workbench.fem.solve import System, one_thread  # noqa: E402
+from workbench.fem.sparsity import mirrored  # noqa: E402
 from workbench.model.discretisation import ACCURACY, discretisation  # noqa: E402
 from workbench.model.problem import Problem, build, fill  # noqa: E402
 
@@ -58,12 +59,13 @@ LARGEST_COLAMD = 60_000
 class Colamd:
     """SuperLU as scipy calls it by default: columns ordered by COLAMD, partial pivoting, nothing kept."""
 
-    def __init__(self, pattern: sparse.csc_matrix) -> None:
-        self._pattern = pattern
+    def __init__(self, triangle: sparse.csc_array) -> None:
+        self._triangle = triangle
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
-        pattern = self._pattern
-        factor = splu(sparse.csc_matrix((data, pattern.indices, pattern.indptr), shape=pattern.shape))
+        triangle = self._triangle
+        upper = sparse.csc_array((data, triangle.indices, triangle.indptr), shape=triangle.shape)
+        factor = splu(mirrored(upper).tocsc())
 
         def solve(right: Complex) -> Complex:
             return np.asarray(factor.solve(right))
@@ -83,15 +85,9 @@ class Found:
     residual: float
 
 
-def scaled(problem: Problem, operators: FullOperators, frequency: float) -> sparse.csc_matrix:
-    """What a solve at a frequency (Hz) factorises."""
-    inner = operators.free
-    entries = System(operators, problem.values).matrix(frequency).data[inner.entries]
-    pattern = inner.pattern
-    matrix = sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
-    scale = 1.0 / np.sqrt(np.abs(matrix.diagonal()))
-    entries = entries * scale[pattern.indices] * np.repeat(scale, np.diff(pattern.indptr))
-    return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+def scaled(problem: Problem, operators: FullOperators, frequency: float) -> sparse.csc_array:
+    """The upper triangle of what a solve at a frequency (Hz) factorises."""
+    return System(operators, problem.values).factored(frequency)[1].triangle
 
 
 def made(factor: float) -> tuple[Problem, FullOperators]:
@@ -113,7 +109,7 @@ def factor_for(size: int) -> float:
     return factor
 
 
-def measured(kind: Callable[[sparse.csc_matrix], Any], matrices: list[sparse.csc_matrix], repeat: int) -> Found:
+def measured(kind: Callable[[sparse.csc_array], Any], matrices: list[sparse.csc_array], repeat: int) -> Found:
     """One factorisation on two matrices of one pattern."""
     random = np.random.default_rng(3)
     right = random.normal(size=(matrices[0].shape[0], TOGETHER)) + 1j * random.normal(
@@ -133,7 +129,7 @@ def measured(kind: Callable[[sparse.csc_matrix], Any], matrices: list[sparse.csc
         taken[:] = np.diff(marks)
     factor = inspect.getclosurevars(solve).nonlocals["factor"]
     entries = factor.nnz if hasattr(factor, "nnz") else factor.factor_nnz
-    residual = float(np.linalg.norm(right[:, 0] - matrices[1] @ one) / np.linalg.norm(right[:, 0]))
+    residual = float(np.linalg.norm(right[:, 0] - mirrored(matrices[1]) @ one) / np.linalg.norm(right[:, 0]))
     first, second, alone, many = seconds.min(axis=0)
     return Found(first, second, alone, many, entries, residual)
 

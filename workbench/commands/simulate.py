@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -34,7 +34,7 @@ from workbench.report.simulation import (
 )
 from workbench.results.spectrum import write_spectrum
 from workbench.simulation.gathering import gathering
-from workbench.simulation.run import Simulation
+from workbench.simulation.run import DrawnState, Simulation
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -52,20 +52,23 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     folder = output_folder(options, simulation_outputs(chip, states))
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
+    wants = Wanted(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
-    with _solid_model(chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
+    with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
         for run in _simulated(chip, states, model, show, folder, unfinished):
-            pictures[run.state] = []
-            if not options.no_pictures:
+            runs.append(run)
+            if options.vtu:
+                write_fields(run, folder)
+            if wants.pictures and len(runs) < len(states):
+                beside.draw(run)
+            elif wants.pictures:
                 from workbench.render.gallery import draw_state
 
                 show(run.state, "pictures", SIMULATED)
                 pictures[run.state] = draw_state(run, folder)
-            if options.vtu:
-                write_fields(run, folder)
             show(run.state, "done", 1.0)
-            runs.append(run)
-        solids = parts()
+        pictures.update(beside.pictures())
+        solid_view = beside.solid_view()
     # The last state is the one the device works in: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for found in map(gathering, runs) if found is not None]
@@ -74,12 +77,8 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         "states": {run.state: simulation_record(run) for run in runs},
         "gathering": gathering_record(answers),
     })
-    solid_view: list[Picture] = []
-    if solids and not options.no_pictures:
-        from workbench.render.gallery import draw_chip
-
-        solid_view.append(draw_chip(chip, solids, folder / "cad.png"))
-    write_simulation_report(chip, runs, answers, pictures, solid_view, folder)
+    write_simulation_report(chip, runs, answers, {run.state: pictures.get(run.state, []) for run in runs}, solid_view,
+                            folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         discard(path)
@@ -122,9 +121,14 @@ def _simulated(
             raise Stopped
         show(state, activity, fraction)
 
+    def solved(name: str) -> Simulation:
+        run = run_state(chip, name, model, heard, spectrum=files[name])
+        getattr(run, "resonances")  # noqa: B009 - fitted here, beside the other state
+        return run
+
     pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, model))
     try:
-        jobs = [pool.submit(run_state, chip, name, model, heard, spectrum=files[name]) for name in states]
+        jobs = [pool.submit(solved, name) for name in states]
         for job in jobs:
             yield job.result()
     finally:
@@ -139,27 +143,63 @@ def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     return 2 if room is None or sum(state_sizes(chip, states, model)[-2:]) <= room.size else 1
 
 
-@contextmanager
-def _solid_model(chip: Chip, folder: Path, *, wanted: bool) -> Iterator[Callable[[], dict[str, Path]]]:
-    """The solids of ``workbench export`` made on the second core while the first one solves.
+@dataclass(frozen=True)
+class Wanted:
+    """The files that a user wants: those of the solid model, and pictures."""
 
-    Call the result to wait for it and get the STL files by part.
+    cad: bool
+    pictures: bool
+
+
+class _Beside:
+    """A process that makes the solid model while this one solves, and then draws states while this one draws the last.
 
     Raises:
         RuntimeError: the export failed.
     """
-    if not wanted:
-        yield dict
-        return
-    with closing(Processes(1, words=Path(os.devnull))) as workers:
-        made = workers.submit(partial(export_solids, chip, folder))
 
-        def parts() -> dict[str, Path]:
-            try:
-                return made.result()[1]
-            except Exception as error:
-                raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({error})") from error
+    def __init__(self, chip: Chip, folder: Path, wants: Wanted) -> None:
+        self._folder, self._wants = folder, wants
+        self._drawn: dict[str, Future[list[Picture]]] = {}
+        self._solids: Future[list[Picture]] | None = None
+        if wants.cad or wants.pictures:
+            self._worker = Processes(1, words=Path(os.devnull))
+            self._solids = self._worker.submit(partial(_solid_model, chip, folder, wants))
 
-        yield parts
+    def __enter__(self) -> _Beside:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._solids is not None:
+            self._worker.close()
+
+    def draw(self, run: Simulation) -> None:
+        """Let the process draw a state."""
+        self._drawn[run.state] = self._worker.submit(partial(_drawn, run.drawn, self._folder))
+
+    def pictures(self) -> dict[str, list[Picture]]:
+        """The pictures of the states that the process draws, once they are there."""
+        return {state: drawn.result() for state, drawn in self._drawn.items()}
+
+    def solid_view(self) -> list[Picture]:
+        """The picture of the solid model, once it and the files of the model are there."""
+        try:
+            return [] if self._solids is None else self._solids.result()
+        except Exception as error:
+            raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({error})") from error
 
 
+def _solid_model(chip: Chip, folder: Path, wants: Wanted) -> list[Picture]:
+    """Write the solids of a chip and draw them; whatever pictures need is loaded by then."""
+    solids = export_solids(chip, folder)[1] if wants.cad else {}
+    if not wants.pictures:
+        return []
+    from workbench.render import gallery, plots, profiles, sections  # noqa: F401
+
+    return [gallery.draw_chip(chip, solids, folder / "cad.png")] if solids else []
+
+
+def _drawn(state: DrawnState, folder: Path) -> list[Picture]:
+    from workbench.render.gallery import draw_state
+
+    return draw_state(state, folder)

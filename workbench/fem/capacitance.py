@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 from workbench.fem.operators import FullOperators
-from workbench.fem.solve import NotConverged, solve_full
+from workbench.fem.solve import NotConverged, System, solve_full
 from workbench.physics.term import Values
 
 #: Hz at which LCR meters measure capacitors. A first mode at ten times that would add 1 % to the reading.
@@ -32,11 +32,12 @@ class Capacitance:
     low_frequency: float | None
 
 
-def capacitance(operators: FullOperators, values: Values) -> Capacitance:
+def capacitance(system: System) -> Capacitance:
     """The capacitance of a model: one electrostatic solve and one full solve."""
+    operators, values = system.operators, system.values
     at = np.array([METER_FREQUENCY])
     try:
-        low = float(solve_full(operators, at, values).charge[0].real)
+        low = float(solve_full(operators, at, values, system=system).charge[0].real)
     except NotConverged:
         low = None
     return Capacitance(clamped_capacitance(operators, values, METER_FREQUENCY), low)
@@ -51,8 +52,7 @@ def clamped_capacitance(operators: FullOperators, values: Values, frequency: flo
     electrode = operators.size - 1
     numbers = np.unique(operators.numbering["phi"])
     inner = numbers[(numbers >= 0) & (numbers < electrode)]
-    whole = operators.pattern.astype(float)
-    whole.data = np.ascontiguousarray(operators.matrix(operators.coefficients(omega, values)[0]).real)
+    whole = operators.matrix(operators.coefficients(omega, values)[0]).real
     live = whole[:, [electrode]].toarray().ravel()
     potential = splu(whole[inner][:, inner].tocsc()).solve(-live[inner])
     return float(-(live[electrode] + live[inner] @ potential))

@@ -47,8 +47,9 @@ class Factorisation(Protocol):
     """A pattern, ready to be factorised with one set of values after the other."""
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
-        """Factorise the matrix of these stored entries (nnz,); the result solves for (n,) or (n, k), in the shape
-        given.
+        """Factorise the symmetric matrix of these entries (nnz,) of the upper triangle.
+
+        The result solves for (n,) or (n, k), in the shape given.
 
         Raises:
             RuntimeError: the matrix is singular.
@@ -59,8 +60,11 @@ class SuperLU:
     """SuperLU with threshold pivoting on the diagonal (0.01), in a minimum-degree order found from the pattern alone.
     """
 
-    def __init__(self, pattern: sparse.csc_matrix) -> None:
-        self._pattern = pattern
+    def __init__(self, triangle: sparse.csc_array) -> None:
+        number = sparse.csc_array((np.arange(1, triangle.nnz + 1), triangle.indices, triangle.indptr),
+                                  shape=triangle.shape)
+        #: Both triangles, with the index of each entry in the upper one, from one.
+        self._pattern = sparse.csc_array(number + sparse.triu(number, 1).T)
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
         order, entries, indices, indptr = self._ordered
@@ -85,9 +89,7 @@ class SuperLU:
         found = splu(sparse.csc_matrix((dominant, pattern.indices, pattern.indptr), shape=pattern.shape),
                      permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         order = np.argsort(found.perm_c)
-        number = sparse.csc_matrix((np.arange(1, pattern.nnz + 1), pattern.indices, pattern.indptr),
-                                   shape=pattern.shape)
-        ordered = number[order][:, order].tocsc()
+        ordered = pattern[order][:, order].tocsc()
         ordered.sort_indices()
         return order, ordered.data - 1, ordered.indices, ordered.indptr
 
@@ -95,19 +97,21 @@ class SuperLU:
 class Ldlt:
     """The LDL^T factorisation of `rslab`: Bunch-Kaufman pivots within supernodes, multifrontal."""
 
-    def __init__(self, pattern: sparse.csc_matrix) -> None:
+    def __init__(self, triangle: sparse.csc_array) -> None:
         rslab = _lasting_rslab()
-        column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-        self._lower = np.flatnonzero(pattern.indices >= column)
-        ones = sparse.csc_matrix((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
+        # By rows the upper triangle is the lower one by columns, which it takes.
+        number = sparse.csc_array((np.arange(triangle.nnz), triangle.indices, triangle.indptr), shape=triangle.shape)
+        lower = number.tocsr()
+        self._lower = lower.data
+        ones = sparse.csc_matrix((np.ones(lower.nnz), lower.indices, lower.indptr), shape=lower.shape)
         # Each of its threads maps a stack of 1 or 2 GB if it can.
-        with confined(ANALYSIS + ANALYSIS_OF_ENTRY * pattern.nnz):
+        with confined(ANALYSIS + 2.0 * ANALYSIS_OF_ENTRY * triangle.nnz):
             self._analysis = rslab.analyze(ones, path="ldlt", ordering="amd")
         self._peak = PLANNED * self._analysis.memory_plan(dtype="complex128", threads=1)["peak_bytes"]
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
         require(self._peak, "a factorisation")  # It ends the program where an allocation fails.
-        factor = self._analysis.factor(np.ascontiguousarray(data[self._lower]), threads=1)
+        factor = self._analysis.factor(data[self._lower], threads=1, scaling="identity")
 
         def solve(right: Complex) -> Complex:
             right = np.asarray(right, dtype=complex)
@@ -143,7 +147,7 @@ def _lasting_rslab() -> ModuleType:
 
 
 #: Classes by the name of the package that they need.
-KNOWN: Mapping[str, Callable[[sparse.csc_matrix], Any]] = {"superlu": SuperLU, "rslab": Ldlt}
+KNOWN: Mapping[str, Callable[[sparse.csc_array], Any]] = {"superlu": SuperLU, "rslab": Ldlt}
 
 
 def chosen() -> str:
@@ -162,7 +166,7 @@ def chosen() -> str:
     return name
 
 
-def factorisation(pattern: sparse.csc_matrix) -> Factorisation:
-    """The factorisation in use, for a symmetric pattern (n, n) with both triangles stored and sorted indices."""
-    found: Factorisation = KNOWN[chosen()](pattern)
+def factorisation(triangle: sparse.csc_array) -> Factorisation:
+    """The factorisation in use, for the pattern of an upper `triangle` (n, n) with sorted indices."""
+    found: Factorisation = KNOWN[chosen()](triangle)
     return found

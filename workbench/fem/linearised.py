@@ -189,7 +189,7 @@ class FullSystem:
             electrode, factor = self._system.factored(frequency)
             x, residual = factor.solve(-electrode[free])
             state = np.append(x, 1.0)
-            images = np.stack([matrix.times(state[:, None])[:, 0] for matrix in self._system.group_matrices])
+            images = np.stack([group.times(state) for group in self._system.groups])
             slopes, change = slope_columns(operators, frequency, self.values, names)
             by_parameter, by_both = np.split(operators.images(state, np.hstack([slopes, change])), 2, axis=1)
             forces = _Forces(first @ images, second @ images, by_parameter, by_both)

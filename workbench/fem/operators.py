@@ -23,9 +23,9 @@ from geometry.names import parent_place
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.dense import Span
 from workbench.fem.elements import Lagrange
-from workbench.fem.factorisation import factorisation
+from workbench.fem.factorisation import Factorisation, factorisation
 from workbench.fem.places import Place, place_of
-from workbench.fem.sparsity import FreeUnknowns, Kind, Pattern, Stack, real_product
+from workbench.fem.sparsity import Kind, Pattern, SplitMatrix, Stack, mirrored, real_product
 from workbench.fem.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
@@ -129,14 +129,6 @@ class FullOperators(Brief):
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
         acting = np.flatnonzero(constants.any(axis=0))
         return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
-
-    def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
-        """Forms left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
-        result: dict[int, Complex] = {}
-        for place_name, forms in self.pair_forms(left, right):
-            for integral in self.by_place[place_name]:
-                result[self._index[id(integral)]] = _form(integral, forms)
-        return tuple(result[q] for q in range(len(self.integrals)))
 
     def pair_forms(self, left: Complex, right: Complex) -> Iterator[tuple[str, dict[Pair, Complex]]]:
         """The symmetric forms of pairs of operators that all integrals are sums of, cell by cell.
@@ -267,31 +259,23 @@ class FullOperators(Brief):
             first = int(touched[0] < 0)  # no unknown
             result[touched[first:]] += real_product(gather, force.reshape(at.size, -1))[first:]
 
-    def summed(self, constants: Complex) -> Complex:
-        """Entries (upper, k) of sum_q constants_qk A_q in the upper triangle of the pattern (`sparsity.Pattern`), for
-        `constants` (number of integrals, k)."""
-        return self._stack.summed(constants)
+    def split(self, constants: Complex) -> SplitMatrix:
+        """The matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
+        return SplitMatrix.of(self.sparsity, self._stack.summed(constants.real), self._stack.summed(constants.imag))
 
-    def matrix(self, constants: Complex) -> NDArray[np.complex128]:
-        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`, for `constants`
-        (number of integrals,)."""
-        return self.summed(constants[:, None])[:, 0][self.sparsity.mirror]
+    def triangle(self, constants: Complex) -> sparse.csc_array:
+        """The upper triangle (size, size) of sum_q constants_q A_q, complex, for `constants` (number of integrals,)."""
+        return self.sparsity.triangle(self._stack.summed(constants.real) + 1j * self._stack.summed(constants.imag))
 
-    @property
-    def pattern(self) -> sparse.csc_matrix:
-        """The symmetric sparsity pattern (size, size) with all ones and sorted indices."""
-        return self.sparsity.matrix
+    def matrix(self, constants: Complex) -> sparse.csr_array:
+        """The complex symmetric matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
+        return mirrored(self.triangle(constants))
 
     @cached_property
-    def free(self) -> FreeUnknowns:
-        """The part of :attr:`pattern` without the electrode, which every solve factorises."""
-        whole, last = self.pattern, self.size - 1
-        column = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(whole.indptr))
-        entries = np.flatnonzero((whole.indices < last) & (column < last))
-        starts = np.concatenate([[0], np.cumsum(np.bincount(column[entries], minlength=last))]).astype(np.int32)
-        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), whole.indices[entries], starts),
-                                    shape=(last, last))
-        return FreeUnknowns(pattern, self.sparsity.mirror[entries], factorisation(pattern))
+    def factorisation(self) -> Factorisation:
+        """The factorisation of all unknowns but the electrode's voltage, which every solve holds."""
+        triangle = self.sparsity.triangle(np.ones(self.sparsity.keys.size, dtype=np.int8), self.size - 1)
+        return factorisation(triangle)
 
     def _components(self, group: Iterable[Integral]) -> list[str]:
         used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}

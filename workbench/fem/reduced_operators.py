@@ -46,10 +46,9 @@ class ReducedOperators(Brief):
         summed = self.by_form(constants)
         parts = np.concatenate([summed.real, summed.imag])
         acting = np.flatnonzero(parts.any(axis=1))
-        # Most rows are the derivative by one parameter, which appears in few forms.
-        upper = np.asarray(sparse.csr_array(parts[acting]) @ self._upper)
         forms = np.zeros((states.shape[1], len(parts)), dtype=complex)
-        matrices = self._whole(upper)
+        # Most rows are the derivative by one parameter, which appears in few forms.
+        matrices = self._summed(sparse.csr_array(parts[acting]))
         if span is None:
             forms[:, acting] = bilinear(matrices, states, states)
         else:
@@ -60,37 +59,15 @@ class ReducedOperators(Brief):
     def combinations(self, constants: Complex) -> Complex:
         """Matrices sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
         summed = self.by_form(constants)
-        acting = summed.any(axis=0)
-        upper = self._upper if acting.all() else self._upper[acting]
-        parts = np.concatenate([summed.real, summed.imag])[:, acting] @ upper
-        return np.asarray(self._whole(parts[: len(constants)] + 1j * parts[len(constants) :]))
+        real, imaginary = (self._summed(sparse.csr_array(part)) for part in (summed.real, summed.imag))
+        return np.asarray(real + 1j * imaginary)
 
-    def _whole(self, upper: NDArray[np.inexact]) -> NDArray[np.inexact]:
-        """Symmetric matrices (k, r, r) from upper triangles (k, r(r+1)/2) in the convention of :attr:`_upper`."""
-        return np.take(upper * self._halved, self._mirror, axis=1)
-
-    @cached_property
-    def _mirror(self) -> NDArray[np.int64]:
-        """Index in the upper triangle of each entry (r, r) of a symmetric matrix."""
-        row, column = np.triu_indices(self.size)
-        found = np.empty((self.size, self.size), dtype=np.int64)
-        found[row, column] = found[column, row] = np.arange(row.size)
-        return found
-
-    @cached_property
-    def _halved(self) -> Real:
-        """Factors (r(r+1)/2,) that turn entries of :attr:`_upper` into entries of the matrix."""
-        row, column = np.triu_indices(self.size)
-        return np.where(row == column, 1.0, 0.5)
+    def _summed(self, weights: sparse.csr_array) -> Real:
+        """Sums (k, r, r) of the matrices with `weights` (k, forms)."""
+        flat = self.matrices.reshape(len(self.matrices), self.size**2)
+        return np.asarray(weights @ flat).reshape(-1, self.size, self.size)
 
     @cached_property
     def _gather(self) -> sparse.csr_array:
         count = self.forms.size
         return sparse.csr_array((np.ones(count), (np.arange(count), self.forms)), shape=(count, len(self.matrices)))
-
-    @cached_property
-    def _upper(self) -> Real:
-        """The upper triangles of the matrices, row by row, off-diagonal entries doubled: (forms, r(r+1)/2)."""
-        rank = self.size
-        row, column = np.triu_indices(rank)
-        return np.ascontiguousarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))

@@ -25,8 +25,8 @@ from workbench.fem.dense import Span, solve_dense
 from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
-from workbench.fem.sparsity import SplitMatrix
-from workbench.jobs.memory import is_shortage, reserve_buffers
+from workbench.fem.sparsity import SplitMatrix, diagonal, mirrored
+from workbench.jobs.memory import is_shortage, keep_freed_memory, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
 
@@ -35,6 +35,9 @@ Complex = NDArray[np.complex128]
 
 #: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
 RESIDUAL_LIMIT = 1e-10
+
+#: Scaled residual that no refinement makes much smaller: rounding leaves 1e-15 to 9e-14 in a first solve.
+ROUNDING = 1e-13
 
 
 #: Relative step of a difference quotient by frequency. The functions it is used on have no resonance: with the step
@@ -161,6 +164,7 @@ def _threads() -> ThreadpoolController:
         MemoryError: their buffers find no room in a limited address space.
     """
     reserve_buffers()
+    keep_freed_memory()
     return ThreadpoolController()
 
 
@@ -194,10 +198,10 @@ def one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised, symmetrically scaled system at one frequency, with the matrix that refines a solve."""
+    """A factorised, symmetrically scaled system at one frequency, with the upper triangle that refines a solve."""
 
     frequency: float
-    matrix: sparse.csr_matrix
+    triangle: sparse.csc_array
     scale: Real
     solve_scaled: Callable[[Complex], Complex]
 
@@ -212,9 +216,9 @@ class Factor:
         x = self.solve_scaled(scaled)
         residual = np.inf
         for _ in range(4):
-            remainder = scaled - self.matrix @ x
+            remainder = scaled - _symmetric_product(self.triangle, x)
             previous, residual = residual, float(np.linalg.norm(remainder)) / norm
-            if residual < 1e-14 or residual > 0.5 * previous:
+            if residual < ROUNDING or residual > 0.5 * previous:
                 break
             x = x + self.solve_scaled(remainder)
         limit = RESIDUAL_LIMIT if limit is None else limit
@@ -231,37 +235,40 @@ class System:
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
-        groups = operators.coefficients.groups(np.ones(1), values)
-        #: Entries (groups, upper) of the upper triangle of every group.
-        self.upper = np.ascontiguousarray(operators.summed(np.array([constants for _, constants in groups]).T).T)
-        self._latest: tuple[float, Complex] = (np.nan, self.upper[:0])
+        #: Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g.
+        self.groups = [operators.split(constants) for _, constants in operators.coefficients.groups(np.ones(1), values)]
+        self._latest: tuple[float, Complex] = (np.nan, np.zeros(0, dtype=complex))
 
     def factors(self, frequencies: Real) -> Complex:
         """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
         groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
-    @cached_property
-    def group_matrices(self) -> list[SplitMatrix]:
-        """Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
-        return [SplitMatrix.of(self.operators.sparsity, upper) for upper in self.upper]
-
     def matrix(self, frequency: float) -> sparse.csr_array:
         """The matrix A(w) (size, size), complex symmetric, electrode included."""
-        return self.operators.sparsity.whole(self._at(frequency))
+        return mirrored(self.operators.sparsity.triangle(self.entries(frequency)))
 
     def charge(self, frequency: float, state: Complex) -> complex:
         """The charge -x^T A x of a state (size,)."""
-        pattern, upper = self.operators.sparsity, self._at(frequency)
-        triangle = sparse.csc_array((upper, pattern.rows, pattern.starts), shape=(pattern.size,) * 2)
+        triangle = self.operators.sparsity.triangle(self.entries(frequency))
         # Large terms cancel within a row: the form of one triangle alone would keep their rounding.
-        return -complex(state @ (triangle @ state + triangle.T @ state - triangle.diagonal() * state))
+        return -complex(state @ _symmetric_product(triangle, state))
 
-    def _at(self, frequency: float) -> Complex:
-        """The entries (upper,) of A(w) in the upper triangle; those of the last frequency are kept."""
+    def entries(self, frequency: float) -> Complex:
+        """The entries (upper,) of A(w) in the upper triangle of the pattern; those of the last frequency are kept."""
         if self._latest[0] != frequency:
-            self._latest = frequency, self.factors(np.array([frequency]))[:, 0] @ self.upper
+            parts = self.summed(self.factors(np.array([frequency]))[:, 0])
+            found = np.empty(parts[0].size, dtype=complex)
+            found.real, found.imag = parts
+            self._latest = frequency, found
         return self._latest[1]
+
+    def summed(self, factors: Complex) -> tuple[Real, Real]:
+        """Real and imaginary parts of the entries (upper,) of the sum of the groups times `factors`."""
+        real, imaginary = np.zeros((2, self.operators.sparsity.keys.size))
+        for factor, group in zip(factors, self.groups, strict=True):
+            group.add_to(real, imaginary, factor)
+        return real, imaginary
 
     def factored(self, frequency: float) -> tuple[Complex, Factor]:
         """The last column (size,) of A(w), which is the electrode's, and the factorised part without it.
@@ -269,62 +276,48 @@ class System:
         Raises:
             NotConverged: the matrix is singular.
         """
-        upper, inner, pattern = self._at(frequency), self.operators.free, self.operators.sparsity
-        held = sparse.csr_matrix((upper[inner.entries], inner.pattern.indices, inner.pattern.indptr),
-                                 shape=inner.pattern.shape)
+        entries, pattern, last = self.entries(frequency), self.operators.sparsity, self.operators.size - 1
         electrode = np.zeros(pattern.size, dtype=complex)
-        electrode[pattern.rows[pattern.starts[-2]:]] = upper[pattern.starts[-2]:]
-        return electrode, factorise(held, frequency, inner.factorisation)
+        electrode[pattern.rows[pattern.starts[last]:]] = entries[pattern.starts[last]:]
+        return electrode, factorise(pattern.triangle(entries, last), frequency, self.operators.factorisation)
 
     def solve(self, frequency: float) -> tuple[Complex, float]:
         """The state (size,) at unit electrode voltage, and its scaled residual."""
-        states, residual = self.krylov(frequency, 1)
+        _, states, residual = self.neighbours(frequency, 1)
         return states[:, 0], residual
-
-    def krylov(
-        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
-    ) -> tuple[Complex, float]:
-        """The state at `frequency`, `count` - 1 further vectors that span the states nearby, and `tangents`.
-
-        With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
-        close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
-        neighbourhood, whatever the coefficients' dependence on frequency. This factorisation also gives the derivative
-        of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`.
-
-        Returns:
-            (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
-        """
-        return self.neighbours(frequency, count, step=step, tangents=tangents)[1:]
 
     def neighbours(
         self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = (),
         moves: Real | None = None,
     ) -> tuple[Factor, Complex, float]:
-        """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`.
+        """The state at `frequency`, `count` - 1 further vectors that span the states nearby, and `tangents`.
 
-        With `moves` (len(tangents), k), the derivatives are taken along these directions of parameters, not by each
-        parameter.
+        With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
+        close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
+        neighbourhood, whatever the coefficients' dependence on frequency. This factorisation also gives the derivative
+        of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`, or along the directions `moves`
+        (len(tangents), k) of these parameters.
+
+        Returns:
+            the factorisation, (size, count + k) the state first, and the scaled residual of the state itself.
         """
         electrode, factor = self.factored(frequency)
         free = electrode.size - 1
         x, residual = factor.solve(-electrode[:-1])
         along = np.eye(len(tangents)) if moves is None else moves
-        states = np.zeros((free + 1, count + along.shape[1]), dtype=complex)
-        states[:, 0] = np.append(x, 1.0)
+        states = np.zeros((free + 1, count + along.shape[1]), dtype=complex, order="F")
+        states[:free, 0], states[-1, 0] = x, 1.0
         if count > 1:
             here, there = self.factors(np.array([frequency, frequency * (1.0 + step)])).T
-            change = [(moved, matrix) for moved, matrix in zip(there - here, self.group_matrices, strict=True) if moved]
-            vector = states[:, 0]
-            directions = np.zeros((free, 0), dtype=complex)
+            change = SplitMatrix.of(self.operators.sparsity, *self.summed(there - here))
+            directions = np.empty((free, count - 1), dtype=complex, order="F")
             for k in range(1, count):
-                image = sum(moved * matrix.times(vector[:, None])[:, 0] for moved, matrix in change)
-                found = factor.solve_scaled(factor.scale * image[:free])
+                image, before = change.times(states[:, k - 1])[:free], directions[:, : k - 1]
+                found = factor.solve_scaled(factor.scale * image)
                 for _ in range(2):
-                    found = found - directions @ (directions.conj().T @ found)
-                found = found / np.linalg.norm(found)
-                directions = np.column_stack([directions, found])
-                vector = np.append(factor.scale * found, 0.0)
-                states[:, k] = vector
+                    found = found - before @ (before.conj().T @ found)
+                directions[:, k - 1] = found / np.linalg.norm(found)
+                states[:free, k] = factor.scale * directions[:, k - 1]
         if tangents:
             changes = self._changes(frequency, states[:, 0], tangents, along)[:free]
             states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
@@ -341,47 +334,51 @@ class System:
         return self.operators.images(state, np.asarray(slopes @ moves, dtype=complex))
 
 
-def factorise(
-    matrix: sparse.csc_matrix | sparse.csr_matrix, frequency: float, factorisation: Factorisation | None = None
-) -> Factor:
-    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it, with `factorisation` if it knows the pattern.
+def factorise(triangle: sparse.csc_array, frequency: float, factorisation: Factorisation | None = None) -> Factor:
+    """Scale a symmetric matrix (n, n), given by its upper `triangle`, to unit diagonal and factorise it.
 
-    The diagonal scaling brings displacement, potential and pressure to one size; without it energy does not close.
+    With a `factorisation` that knows the pattern. The scaling brings displacement, potential and pressure to one size;
+    without it energy does not close.
 
     Raises:
         NotConverged: the matrix is singular.
         RuntimeError, MemoryError: memory was not enough.
     """
-    diagonal = np.abs(matrix.diagonal())
-    if not (diagonal > 0.0).all():
-        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
-    scale = 1.0 / np.sqrt(diagonal)
-    data = matrix.data * (scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr)))
-    scaled = sparse.csr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    size = np.abs(diagonal(triangle))
+    if not (size > 0.0).all():
+        raise NotConverged(frequency, np.inf, np.zeros(size.size, dtype=complex))
+    scale = 1.0 / np.sqrt(size)
+    data = triangle.data * (scale[triangle.indices] * np.repeat(scale, np.diff(triangle.indptr)))
+    scaled = sparse.csc_array((data, triangle.indices, triangle.indptr), shape=triangle.shape)
     try:
         with one_thread():
-            solve = (SuperLU(matrix) if factorisation is None else factorisation)(data)
+            solve = (SuperLU(triangle) if factorisation is None else factorisation)(data)
     except RuntimeError as error:
         if is_shortage(error):
             raise
-        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex)) from error
+        raise NotConverged(frequency, np.inf, np.zeros(size.size, dtype=complex)) from error
     return Factor(frequency, scaled, scale, solve)
+
+
+def _symmetric_product(triangle: sparse.csc_array, x: Complex) -> Complex:
+    """The product (n,) of the symmetric matrix with this upper triangle and x (n,)."""
+    return np.asarray(triangle @ x + triangle.T @ x - diagonal(triangle) * x)
 
 
 def sweep(
     operators: FullOperators, frequencies: Real, values: Values, *,
-    failed: Callable[[NotConverged], None] | None = None,
+    failed: Callable[[NotConverged], None] | None = None, system: System | None = None,
 ) -> Iterator[Solution]:
     """Solve the full model at one frequency after the other, and yield each solution at once, so that a stop loses
     none.
 
     If there is a function `failed`, it is called for a frequency at which the solve does not converge, and that
-    frequency is left out.
+    frequency is left out. The `system` of these values is not made again if it is given.
 
     Raises:
         NotConverged: a solve does not converge, and there is no such function.
     """
-    system = System(operators, values)
+    system = system or System(operators, values)
     for frequency in np.asarray(frequencies, dtype=float):
         try:
             with one_thread():
@@ -396,9 +393,11 @@ def sweep(
         yield Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
 
 
-def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
+def solve_full(
+    operators: FullOperators, frequencies: Real, values: Values, *, system: System | None = None
+) -> Solution:
     """Solve the full model at a few frequencies, with all states kept. For long spectra see :func:`sweep`."""
-    parts = list(sweep(operators, frequencies, values))
+    parts = list(sweep(operators, frequencies, values, system=system))
     frequency = np.concatenate([p.frequency for p in parts])
     return Solution(operators, frequency, operators.coefficients.groups(2.0 * np.pi * frequency, values),
                     np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.charge for p in parts]),

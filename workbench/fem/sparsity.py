@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from workbench.fem.factorisation import Factorisation
 from workbench.physics.term import MeasureFactor, Part
 
 Real = NDArray[np.float64]
@@ -51,44 +50,88 @@ class Pattern:
         """The column of every entry (upper,)."""
         return np.repeat(np.arange(self.size, dtype=np.int32), np.diff(self.starts))
 
-    @cached_property
-    def _both(self) -> tuple[sparse.csc_matrix, NDArray[np.int32]]:
-        number, off = np.arange(1, self.keys.size + 1, dtype=np.int32), self.rows != self.columns
-        both = sparse.coo_matrix((np.concatenate([number, number[off]]),
-                                  (np.concatenate([self.rows, self.columns[off]]),
-                                   np.concatenate([self.columns, self.rows[off]]))), shape=(self.size,) * 2).tocsc()
-        both.sort_indices()
-        mirror = both.data - 1
-        both.data = np.ones(mirror.size, dtype=np.float32)
-        return both, mirror
-
-    @property
-    def matrix(self) -> sparse.csc_matrix:
-        """Both triangles with all ones and sorted indices."""
-        return self._both[0]
-
-    @property
-    def mirror(self) -> NDArray[np.int32]:
-        """The index in the upper triangle of each entry of :attr:`matrix`."""
-        return self._both[1]
-
     def position(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Indices in the upper triangle of entries (k,) of either triangle."""
         wanted = np.maximum(rows, columns).astype(np.int64) * self.size + np.minimum(rows, columns)
         return np.searchsorted(self.keys, wanted)
 
-    def whole(self, upper: NDArray[np.inexact]) -> sparse.csr_array:
-        """The symmetric matrix with these entries (upper,). By rows it is the same as by columns, and products are
-        faster by rows."""
-        whole = self.matrix
-        return sparse.csr_array((upper[self.mirror], whole.indices, whole.indptr), shape=whole.shape)
+    def triangle(self, upper: NDArray[np.inexact], size: int | None = None) -> sparse.csc_array:
+        """The upper triangle with these entries (upper,), or that of the first `size` unknowns; nothing is copied."""
+        size = self.size if size is None else size
+        count = self.starts[size]
+        return sparse.csc_array((upper[:count], self.rows[:count], self.starts[: size + 1]), shape=(size, size))
 
-    def nonzero(self, upper: Real) -> sparse.csr_array | None:
-        """The symmetric matrix of the entries (upper,) that are not zero; None if all are."""
-        kept = np.flatnonzero((upper != 0.0)[self.mirror])
-        starts = np.searchsorted(kept, self.matrix.indptr).astype(np.int32)
-        return sparse.csr_array((upper[self.mirror[kept]], self.matrix.indices[kept], starts),
-                                shape=self.matrix.shape) if kept.size else None
+
+def diagonal(triangle: sparse.csc_array) -> NDArray[np.inexact]:
+    """The diagonal (n,) of an upper triangle with sorted indices: each entry there is the last one of its column."""
+    last = triangle.indptr[1:] - 1
+    return np.where(triangle.indices[last] == np.arange(last.size), triangle.data[last], 0.0)
+
+
+def mirrored(triangle: sparse.csc_array) -> sparse.csr_array:
+    """The symmetric matrix with this upper triangle, whose indices are sorted."""
+    last = triangle.indptr[1:] - 1
+    below = triangle.data.copy()
+    below[last[triangle.indices[last] == np.arange(last.size)]] = 0.0
+    return triangle.tocsr() + sparse.csr_array((below, triangle.indices, triangle.indptr), shape=triangle.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetric:
+    """A real symmetric matrix (size, size) of some entries of a pattern.
+
+    ``positions`` are their indices in the upper triangle of the pattern, ``triangle`` holds them.
+    """
+
+    positions: NDArray[np.int64] | slice
+    triangle: sparse.csc_array
+
+    @classmethod
+    def of(cls, pattern: Pattern, upper: Real) -> Symmetric | None:
+        """The matrix of those entries (upper,) that are not zero; None if all are."""
+        kept = np.flatnonzero(upper)
+        if not kept.size:
+            return None
+        if kept.size == upper.size:
+            return cls(slice(None), pattern.triangle(upper))
+        starts = np.searchsorted(kept, pattern.starts).astype(np.int32)
+        return cls(kept, sparse.csc_array((upper[kept], pattern.rows[kept], starts), shape=(pattern.size,) * 2))
+
+    @cached_property
+    def whole(self) -> sparse.csr_array:
+        """Both triangles. By rows a matrix is the same as by columns, and products are faster by rows."""
+        return mirrored(self.triangle)
+
+
+@dataclass(frozen=True, eq=False)
+class SplitMatrix:
+    """A complex symmetric matrix (size, size) as its real and its imaginary part; None is a part that is zero."""
+
+    real: Symmetric | None
+    imaginary: Symmetric | None
+
+    @classmethod
+    def of(cls, pattern: Pattern, real: Real, imaginary: Real) -> SplitMatrix:
+        """The matrix with these parts of its entries (upper,) in the upper triangle of a pattern."""
+        return cls(Symmetric.of(pattern, real), Symmetric.of(pattern, imaginary))
+
+    @property
+    def parts(self) -> list[tuple[complex, Symmetric]]:
+        """The parts that are not zero, each with 1 or i before it."""
+        return [(turn, part) for turn, part in ((1.0, self.real), (1j, self.imaginary)) if part is not None]
+
+    def times(self, columns: NDArray[np.inexact]) -> Complex:
+        """The product with real or complex `columns` (size, k) or (size,)."""
+        return np.asarray(sum((turn * real_product(part.whole, columns) for turn, part in self.parts),
+                              np.zeros(columns.shape, dtype=complex)))
+
+    def add_to(self, real: Real, imaginary: Real, factor: complex) -> None:
+        """Add the matrix times a factor to the parts of entries (upper,) of the upper triangle of its pattern."""
+        for turn, part in self.parts:
+            scale = turn * factor
+            for into, number in ((real, scale.real), (imaginary, scale.imag)):
+                if number != 0.0:
+                    into[part.positions] += number * part.triangle.data
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,54 +145,19 @@ class Stack:
     entries: sparse.csc_array
     mixing: sparse.csr_array
 
-    def summed(self, constants: Complex) -> Complex:
-        """Entries (upper, k) of the matrices sum_q constants_qk A_q, for `constants` (integrals, k)."""
+    def summed(self, constants: Real) -> Real:
+        """Entries (upper,) of the matrix sum_q constants_q A_q, for real `constants` (integrals,)."""
         weights = self.mixing @ constants
-        acting = np.flatnonzero(weights.any(axis=1))
-        return real_product(self.entries[:, acting], weights[acting])
-
-
-@dataclass(frozen=True, eq=False)
-class SplitMatrix:
-    """A complex symmetric matrix (size, size) as its real and its imaginary part; None is a part that is zero."""
-
-    real: sparse.csr_array | None
-    imaginary: sparse.csr_array | None
-
-    @classmethod
-    def of(cls, pattern: Pattern, upper: Complex) -> SplitMatrix:
-        """The matrix with these entries (upper,) in the upper triangle of a pattern."""
-        return cls(pattern.nonzero(upper.real), pattern.nonzero(upper.imag))
-
-    def times(self, columns: NDArray[np.inexact]) -> Complex:
-        """The product with real or complex `columns` (size, k)."""
-        found = np.zeros(columns.shape, dtype=complex)
-        if self.real is not None:
-            found += real_product(self.real, columns)
-        if self.imaginary is not None:
-            found += 1j * real_product(self.imaginary, columns)
-        return found
+        acting = np.flatnonzero(weights)
+        return np.asarray(self.entries[:, acting] @ weights[acting])
 
 
 def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> Any:
-    """The product (m, k) of a real sparse matrix (m, n) and real or complex columns (n, k).
+    """The product of a real sparse matrix (m, n) and real or complex columns (n, k), or one of them (n,).
 
     scipy would make a complex copy of the matrix first.
     """
     if not np.iscomplexobj(columns):
         return np.asarray(matrix @ columns)
-    parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
-    return np.ascontiguousarray(matrix @ parts).view(np.complex128)
-
-
-@dataclass(frozen=True, eq=False)
-class FreeUnknowns:
-    """The unknowns of a solve at given voltage: all but the last.
-
-    ``pattern`` is theirs, ``entries`` the index in the upper triangle of the whole pattern of each of its entries,
-    ``factorisation`` the method prepared for the pattern.
-    """
-
-    pattern: sparse.csc_matrix
-    entries: NDArray[np.int32]
-    factorisation: Factorisation
+    parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64).reshape(len(columns), -1)
+    return np.ascontiguousarray(matrix @ parts).view(np.complex128).reshape(-1, *columns.shape[1:])

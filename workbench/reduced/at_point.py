@@ -40,22 +40,10 @@ class NotEnriched(RuntimeError):
 
 
 def reduce(
-    operators: FullOperators,
-    frequencies: Real,
-    values: Values,
-    *,
-    tolerance: float = 1e-5,
-    tangents: Mapping[str, float] = NO_TANGENTS,
-    start: ReducedModel | None = None,
-    first: int = FIRST,
-    limit: int = 40,
-    depth: int = DEPTH,
-    confirmed: bool = True,
-    progress: Progress = no_progress,
+    operators: FullOperators, frequencies: Real, values: Values, *, tolerance: float = 1e-5, **settings: Any
 ) -> ReducedModel:
     """The model of :func:`reduced`, whose arguments these are."""
-    return reduced(operators, frequencies, values, tolerance=tolerance, tangents=tangents, start=start, first=first,
-                   limit=limit, depth=depth, confirmed=confirmed, progress=progress)[0]
+    return reduced(operators, frequencies, values, tolerance=tolerance, **settings)[0]
 
 
 def reduced(
@@ -72,6 +60,7 @@ def reduced(
     confirmed: bool = True,
     worst: float | None = None,
     skip_singular: bool = False,
+    system: System | None = None,
     progress: Progress = no_progress,
 ) -> tuple[ReducedModel, Solution]:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
@@ -81,7 +70,8 @@ def reduced(
     made for other parameter values is enriched for these. The basis also holds what the parameters in `tangents` change
     the states by when they move by so much. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
     frequency (Hz) at which `start` is off most, if that is known. With `skip_singular` a frequency is left out at which
-    a full solve does not converge but does beside it, or at which reduced and full model keep apart.
+    a full solve does not converge but does beside it, or at which reduced and full model keep apart. The `system` of
+    these values is not made again if it is given.
 
     Returns:
         the model, and what it gives at all frequencies but those left out.
@@ -100,7 +90,7 @@ def reduced(
         progress("reduced model", 1.0 - 0.7**spent)  # most models are done after six or seven solves
 
     with one_thread():
-        system = System(operators, values)
+        system = system or System(operators, values)
         while True:
             if wanted.size:
                 samples = list[Sample]()

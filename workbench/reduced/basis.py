@@ -10,7 +10,6 @@ the norm of the energy: the relative error of the charge, and so of Z, is at mos
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -29,10 +28,18 @@ def smallest_part(tolerance: float) -> float:
     return float(np.sqrt(tolerance))
 
 
-def without_lift(vectors: Complex, lift: Real) -> Real:
-    """Real and imaginary parts (size, 2 n) of vectors (size, n) without their share of the lift (size,)."""
-    apart = vectors - np.outer(lift, vectors[-1])
-    return np.column_stack([apart.real, apart.imag])
+def without_lift(vectors: NDArray[np.inexact], lift: Real) -> Real:
+    """Real and imaginary parts (size - 1, k) of `vectors` (size, n) without their share of the lift (size,).
+
+    The row of the electrode, in which nothing is left, is not among them; a part that is zero throughout is left out.
+    """
+    is_lifted = vectors[-1] != 0.0
+    parts = [part for part in ((vectors.real, vectors.imag) if np.iscomplexobj(vectors) else (vectors,)) if part.any()]
+    found = np.empty((len(vectors) - 1, len(parts) * vectors.shape[1]))
+    for apart, part in zip(np.split(found, max(len(parts), 1), axis=1), parts, strict=False):
+        apart[:] = part[:-1]
+        apart[:, is_lifted] -= np.outer(lift[:-1], part[-1, is_lifted])
+    return found
 
 
 def truncated(
@@ -77,15 +84,25 @@ def _orthonormal(vectors: Real, energy: Real) -> Real:
 def span(vectors: Real, energy: sparse.csr_matrix, basis: Real) -> Real:
     """Independent vectors (m, k) that span what `vectors` (m, n) have outside `basis` (m, r), however small.
 
-    Orthonormal in the norm of the diagonal of the energy, in which small differences of vectors are exact.
+    Nearly orthonormal in the norm of the diagonal of the energy, in which small differences of vectors are exact.
     """
+    if basis.shape[1]:
+        seen = energy @ basis
+        for _ in range(2):
+            vectors = vectors - basis @ (seen.T @ vectors)
     weights = np.sqrt(energy.diagonal())[:, None]
-    length = np.linalg.norm(weights * vectors, axis=0)
-    new = vectors[:, length > 0.0] / length[length > 0.0]
-    seen = energy @ basis
+    weighted = weights * vectors
+    # Products are many times as fast as a QR decomposition of long columns. They lose small directions to rounding,
+    # which are found once the large ones are taken out.
+    products = weighted.T @ weighted
+    length = np.sqrt(np.diag(products))
+    unit = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
+    squares, directions = np.linalg.eigh(unit[:, None] * products * unit)
+    large = squares > 1e-12 * squares.max(initial=0.0)
+    directions *= unit[:, None]
+    found, rest = weighted @ (directions[:, large] / np.sqrt(squares[large])), weighted @ directions[:, ~large]
     for _ in range(2):
-        new = new - basis @ (seen.T @ new)
-    # Pivoting is slow on long columns, so it follows on the small triangle.
-    new, small = scipy.linalg.qr(weights * new, mode="economic", overwrite_a=True, check_finite=False)
-    turned, triangle, _ = scipy.linalg.qr(small, mode="economic", pivoting=True)
-    return np.asarray(new @ turned[:, np.abs(np.diag(triangle)) > DEPENDENT] / weights)
+        rest -= found @ (found.T @ rest)
+    squares, directions = np.linalg.eigh(rest.T @ rest)
+    small = squares > DEPENDENT**2
+    return np.hstack([found, rest @ (directions[:, small] / np.sqrt(squares[small]))]) / weights

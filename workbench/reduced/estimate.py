@@ -28,6 +28,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from workbench.fem.solve import NotConverged, System
+from workbench.fem.sparsity import diagonal, mirrored
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -69,15 +70,15 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
     displacements, for potentials and for pressures. Couplings between these are left out.
     """
-    pattern, total = system.operators.sparsity, np.zeros(system.upper.shape[1])
-    # The last entry of each column of the upper triangle is the diagonal's.
-    on_diagonal = np.flatnonzero(pattern.rows == pattern.columns)
-    for factor, upper in zip(system.factors(np.array([frequency]))[:, 0], system.upper, strict=True):
-        entries, sign = (factor * upper).real, np.zeros(pattern.size)
-        sign[pattern.columns[on_diagonal]] = np.sign(entries[on_diagonal])
+    pattern = system.operators.sparsity
+    total = np.zeros(pattern.keys.size)
+    for factor, group in zip(system.factors(np.array([frequency]))[:, 0], system.groups, strict=True):
+        real, imaginary = np.zeros((2, total.size))
+        group.add_to(real, imaginary, factor)
+        sign = np.sign(diagonal(pattern.triangle(real)))
         row = sign[pattern.rows]
-        total += np.where(row == sign[pattern.columns], row * entries, 0.0)
-    return pattern.whole(total)[:-1, :-1]
+        total += np.where(row == sign[pattern.columns], row * real, 0.0)
+    return mirrored(pattern.triangle(total, pattern.size - 1))
 
 
 def estimated_error(residual: Complex, charge: Complex) -> Real:

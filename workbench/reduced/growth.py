@@ -132,7 +132,7 @@ class TrialBasis:
         """The trial with the states of `samples` among its candidates."""
         lift, energy = self.model.basis[:, -1:], self.model.energy
         before = np.column_stack([self.model.basis[:, :-1], self.columns])
-        vectors = without_lift(np.column_stack([each.states for each in samples]), lift[:, 0])[:-1]
+        vectors = without_lift(np.column_stack([each.states for each in samples]), lift[:, 0])
         if self.columns.shape[1]:
             own = self.columns[:-1]
             vectors = vectors - own @ np.linalg.solve(own.T @ (energy @ own), own.T @ (energy @ vectors))
@@ -141,7 +141,7 @@ class TrialBasis:
         left = np.column_stack([before, lift, new, self.model.test]).T
         old, count = before.shape[1], new.shape[1]
         order = np.r_[:old, old + 1 : old + 1 + count, old]
-        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.group_matrices])
+        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.groups])
         cross, own_part, seen = np.split(images, [old + 1, old + 1 + count], axis=1)
         inner = np.concatenate([np.concatenate([self.inner, cross], axis=2),
                                 np.concatenate([cross.transpose(0, 2, 1), own_part], axis=2)], axis=1)
@@ -162,7 +162,7 @@ class TrialBasis:
         remainder = sum((each @ found.states) * h for h, each in zip(self.factors, probed, strict=True))
         return found.states[:-1] / np.sqrt(np.abs(found.charge)), estimated_error(np.asarray(remainder), found.charge)
 
-    def needed(self, smallest: float, tolerance: float) -> tuple[Complex, float]:
+    def needed(self, smallest: float, tolerance: float) -> tuple[Real, float]:
         """Vectors (size, m) that the states at all frequencies need of the candidates, and the smallest part kept.
 
         That is `smallest` in the root of the energy, or less where all candidates together bring the estimated errors
@@ -177,7 +177,7 @@ class TrialBasis:
         while True:
             directions, sizes = truncated_coordinates(parts, energy, smallest)
             if not enough or smallest < DEEPEST * largest or self.states(directions)[1].max() <= tolerance:
-                return self.columns @ (directions * sizes).astype(complex), smallest
+                return self.columns @ (directions * sizes), smallest
             smallest *= TIGHTER
 
 
@@ -189,11 +189,10 @@ def _projected_image(left: Real, matrix: SplitMatrix, columns: Real) -> Complex:
     """left (n, size) times a complex matrix times real columns (size, k); only rows of the matrix that are not empty
     count."""
     found = np.zeros((len(left), columns.shape[1]), dtype=complex)
-    for part, turn in ((matrix.real, 1.0), (matrix.imaginary, 1j)):
-        if part is not None:
-            rows = np.flatnonzero(np.diff(part.indptr))
-            few = 2 * rows.size < len(columns)
-            found += turn * (left[:, rows] @ (part[rows] @ columns) if few else left @ (part @ columns))
+    for turn, part in matrix.parts:
+        rows = np.flatnonzero(np.diff(part.whole.indptr))
+        few = 2 * rows.size < len(columns)
+        found += turn * (left[:, rows] @ (part.whole[rows] @ columns) if few else left @ (part.whole @ columns))
     return found
 
 
@@ -206,7 +205,7 @@ def grow(
     Directions of which no state over the root of its charge has more than `smallest`, in the root of the energy, are
     left out; `tolerance` as in :meth:`TrialBasis.needed`.
     """
-    candidates = [trial.needed(smallest, tolerance) for trial in trials]
+    candidates: list[tuple[NDArray[np.inexact], float]] = [trial.needed(smallest, tolerance) for trial in trials]
     if changes is not None and changes.size:
         candidates.append((changes, smallest))
     return model.joined(candidates)

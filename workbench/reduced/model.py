@@ -77,7 +77,7 @@ class ReducedModel(Brief):
         """The model with a full solve more for each of the scaled residuals that they left."""
         return replace(self, solves=self.solves + len(residuals), residual=max((self.residual, *residuals)))
 
-    def joined(self, candidates: Iterable[tuple[Complex, float]]) -> ReducedModel:
+    def joined(self, candidates: Iterable[tuple[NDArray[np.inexact], float]]) -> ReducedModel:
         """The model that also spans vectors (size, n) of the full one, electrode included, over roots of charges.
 
         Of each of the `candidates`, one after the other, those directions are taken that it has more of outside the
@@ -87,7 +87,7 @@ class ReducedModel(Brief):
         basis, lift, sizes = self.basis[:-1, :-1], self.basis[:, -1:], self.sizes
         seen = self.energy @ basis
         for vectors, smallest in candidates:
-            new, found = truncated(without_lift(vectors, lift[:, 0])[:-1], self.energy, smallest, basis, seen)
+            new, found = truncated(without_lift(vectors, lift[:, 0]), self.energy, smallest, basis, seen)
             basis, sizes = np.column_stack([basis, new]), np.append(sizes, found)
             seen = np.column_stack([seen, self.energy @ new])
         if sizes.size == self.sizes.size:

@@ -14,7 +14,7 @@ from materials.kinds import Fluid
 from workbench.files.errors import InputError
 from workbench.render.canvas import Picture
 from workbench.simulation.gathering import GAS
-from workbench.simulation.run import Snapshot
+from workbench.simulation.run import DrawnState
 
 #: Fields that can be requested by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")
@@ -25,14 +25,14 @@ VISIBLE = 0.01
 _Pictures = list[Picture]
 
 
-def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
+def draw_state(shot: DrawnState, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
     """Write the pictures named by `only` (:data:`FIELDS`) to `folder`; by default all that exist for the state and are
     useful: the pressure in a gas is left out.
 
     Raises:
         InputError: a requested picture that does not exist for the state, with the reason.
     """
-    makers: Mapping[str, Callable[[Snapshot, Path], tuple[_Pictures, str]]] = {
+    makers: Mapping[str, Callable[[DrawnState, Path], tuple[_Pictures, str]]] = {
         "displacement": _displacement, "pressure": _pressure, "gorkov": _gorkov, "cutaway": _cutaway,
         "losses": _losses, "mesh": _mesh,
     }
@@ -47,18 +47,18 @@ def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None
     return pictures
 
 
-def _place(shot: Snapshot) -> str:
+def _place(shot: DrawnState) -> str:
     return f"{shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}"
 
 
-def _displacement(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _displacement(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import sections
 
     path = sections.draw_axial_displacement(shot.fields, folder / f"displacement_{shot.state}.png")
     return [Picture(path, f"{shot.state}: axial displacement in the solids at {_place(shot)}; fluids are white")], ""
 
 
-def _pressure(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _pressure(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     """The pressure close up in the cavity or, without fluid there, in the thickest fluid."""
     from workbench.render import sections
 
@@ -72,7 +72,7 @@ def _pressure(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
     return [Picture(path, f"{shot.state}: pressure in the {region} at {_place(shot)}")], ""
 
 
-def _gorkov(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _gorkov(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import profiles, sections
 
     if shot.traps is None:
@@ -86,7 +86,7 @@ def _gorkov(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
     return pictures, ""
 
 
-def _cutaway(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _cutaway(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import solids
 
     if not isinstance(shot.chip.measure, Axisymmetric):
@@ -95,7 +95,7 @@ def _cutaway(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
     return [Picture(path, f"{shot.state}: the chip cut open, coloured by the axial displacement at {_place(shot)}")], ""
 
 
-def _losses(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _losses(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import plots
 
     if not sum(shot.losses.values()) > 0.0:
@@ -108,7 +108,7 @@ def _losses(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
                     f"to {shot.closure:.0e}")], ""
 
 
-def _mesh(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+def _mesh(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import sections
 
     path = sections.draw_regions(shot.fields.mesh, folder / f"mesh_{shot.state}.png")

@@ -29,7 +29,7 @@ from workbench.fem.elements import Lagrange, gauss_lobatto
 from workbench.fem.factorisation import factorisation
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import Place
-from workbench.fem.solve import System, factorise, one_thread
+from workbench.fem.solve import factorise, one_thread
 from workbench.physics.term import Values
 from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
@@ -92,8 +92,9 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorE
     middle = float(np.median(frequency))
     residual = surplus.basis.T @ surplus.finer.images(surplus.embedding @ model.expand(solution), g.T)
     with one_thread():
-        matrix = System(surplus.operators, values).matrix(middle)
-        factor = factorise(matrix, middle, factorisation(matrix))
+        at_middle = surplus.operators.coefficients(np.array([2.0 * np.pi * middle]), values)[0]
+        triangle = surplus.operators.triangle(at_middle)
+        factor = factorise(triangle, middle, factorisation(triangle))
         added = factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * residual)
         right = model.basis[:, :-1].T @ (surplus.embedding.T @ surplus.finer.images(surplus.basis @ added, g.T))
         summed = model.operators.combinations(np.array([constants for _, constants in solution.groups]))

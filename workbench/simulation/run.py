@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 import warnings
@@ -29,7 +30,7 @@ from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import NotConverged, Solution, solve_full, sweep
+from workbench.fem.solve import NotConverged, Solution, System, solve_full, sweep
 from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
@@ -75,13 +76,11 @@ class MeshTooCoarse(UserWarning):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Snapshot(Brief):
-    """One state of a chip at one frequency under one drive.
+class DrawnState(Brief):
+    """One state of a chip at one frequency under one drive, with all that its pictures show.
 
     ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
-    ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
-    ``findings`` are sentences on assumptions about the materials, and on failed solves. ``solution`` is the full one
-    behind the fields, at 1 V.
+    ``traps`` is None without a fluid-filled cavity and a particle.
     """
 
     chip: Chip
@@ -91,9 +90,24 @@ class Snapshot(Brief):
     losses: Mapping[str, float]
     closure: float
     traps: TrapReport | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Snapshot(DrawnState):
+    """One state of a chip at one frequency under one drive, with the solve behind it.
+
+    ``residual`` is the scaled residual of the solve. ``findings`` are sentences on assumptions about the materials, and
+    on failed solves. ``solution`` is the full one behind the fields, at 1 V.
+    """
+
     residual: float
     findings: tuple[str, ...]
     solution: Solution
+
+    @property
+    def drawn(self) -> DrawnState:
+        """The part that pictures show, which is small and goes to another process."""
+        return DrawnState(**{each.name: getattr(self, each.name) for each in dataclasses.fields(DrawnState)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,14 +257,15 @@ def simulate(
     problem, error, of_mesh = build(device, band=span, accuracy=accuracy), 0.0, None
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
+    system = System(operators, problem.values)
     lap("assembly")
     if full:
         solved, impedance, solves, residual = _full_spectrum(
-            operators, frequencies, problem, known or {}, on_point, progress)
+            system, frequencies, known or {}, on_point, progress)
         lap("spectrum")
     else:
         model, solution = reduced(operators, frequencies, problem.values, tolerance=relative_error, skip_singular=True,
-                                  progress=progress)
+                                  system=system, progress=progress)
         solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
         lap("spectrum")
@@ -263,7 +278,7 @@ def simulate(
     merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
     progress("fields", 0.0)
-    shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
+    shot = _snapshot(device, problem, system, frequency, drive or VoltageDrive())
     lap("fields")
     left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
     progress("fields", 1.0)
@@ -271,7 +286,7 @@ def simulate(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
         no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
-        capacitance=capacitance(operators, problem.values), left_out=left_out, solution=shot.solution,
+        capacitance=capacitance(system), left_out=left_out, solution=shot.solution,
         findings=(*_left_out(device, left_out, frequencies.size), *_unresolved(spectrum, merit), *shot.findings),
     )
 
@@ -376,18 +391,18 @@ def snapshot(
     progress("mesh", 0.0)
     problem = build(device, band=band_of(chip, band), accuracy=accuracy)
     progress("fields", 0.5)
-    operators = assemble(problem.mesh, problem.terms)
-    found = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
+    system = System(assemble(problem.mesh, problem.terms), problem.values)
+    found = _snapshot(device, problem, system, frequency, drive or VoltageDrive())
     progress("fields", 1.0)
     return found
 
 
 def _snapshot(
-    device: FilledChip, problem: Problem, operators: FullOperators, frequency: float, drive: Drive
+    device: FilledChip, problem: Problem, system: System, frequency: float, drive: Drive
 ) -> Snapshot:
     check_mesh(problem, frequency)
-    solution = _solved_near(operators, frequency, problem)
-    found = fields(problem, operators, solution, drive)
+    solution = _solved_near(system, frequency)
+    found = fields(problem, system.operators, solution, drive)
     losses, closure = loss_budget(solution, abs(found.voltage))
     findings = device.findings
     if found.frequency != frequency:
@@ -397,25 +412,28 @@ def _snapshot(
                     float(solution.residual[0]), findings, solution)
 
 
-def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -> Solution:
+def _solved_near(system: System, frequency: float) -> Solution:
     """The full solution at `frequency` (Hz), or at the nearest of :data:`NEARBY` if it does not converge there.
 
     Raises:
         NotConverged: it converges at none of them.
     """
+    def solved(at: float) -> Solution:
+        return solve_full(system.operators, np.array([at]), system.values, system=system)
+
     try:
-        return solve_full(operators, np.array([frequency]), problem.values)
+        return solved(frequency)
     except NotConverged as error:
         for beside in NEARBY:
             try:
-                return solve_full(operators, np.array([frequency * (1.0 + beside)]), problem.values)
+                return solved(frequency * (1.0 + beside))
             except NotConverged:
                 continue
         raise error
 
 
 def _full_spectrum(
-    operators: FullOperators, frequencies: Real, problem: Problem, known: Mapping[float, complex],
+    system: System, frequencies: Real, known: Mapping[float, complex],
     on_point: Callable[[float, complex], None] | None, progress: Progress,
 ) -> tuple[Real, Complex, int, float]:
     """The frequencies (Hz) that were solved, the impedance (e^{-i w t}) there, the number of solves, and the largest
@@ -433,7 +451,7 @@ def _full_spectrum(
         if len(failed) > max(FAILED_PER_SOLVED * done, FAILED_ANYWAY):
             raise error
 
-    for solution in sweep(operators, frequencies[missing], problem.values, failed=leave_out):
+    for solution in sweep(system.operators, frequencies[missing], system.values, failed=leave_out, system=system):
         done += 1
         (index,) = np.flatnonzero(frequencies == solution.frequency[0])
         impedance[index] = solution.impedance[0]
