@@ -26,7 +26,7 @@ from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.sparsity import SplitMatrix, diagonal, mirrored
-from workbench.jobs.memory import is_shortage, keep_freed_memory, reserve_buffers
+from workbench.jobs.memory import is_shortage, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
 
@@ -164,7 +164,6 @@ def _threads() -> ThreadpoolController:
         MemoryError: their buffers find no room in a limited address space.
     """
     reserve_buffers()
-    keep_freed_memory()
     return ThreadpoolController()
 
 

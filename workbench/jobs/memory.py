@@ -6,7 +6,6 @@ a batch system), and the address space of each process (``ulimit -v``, RLIMIT_AS
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import mmap
 import os
@@ -63,26 +62,12 @@ PR_SET_PDEATHSIG = 1
 _CONFINED = Lock()
 
 
-#: Options of the C library's call `mallopt`: bytes free at the top of the heap above which it gives them back, and the
-#: number of blocks that it asks the system for one by one.
-M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
-
 @dataclass(frozen=True)
 class Room:
     """Free memory in bytes, and the ``limit`` that makes it so small, in words."""
 
     size: float
     limit: str
-
-
-def keep_freed_memory() -> None:
-    """Let the C library keep memory of large arrays for the next ones: asking the system anew takes up to a tenth of
-    the time of a simulation. Nothing is done under a limit of the address space, or by another C library."""
-    if address_limit() is None:
-        with suppress(OSError, AttributeError):
-            mallopt = ctypes.CDLL(None).mallopt
-            mallopt(M_MMAP_MAX, 0)
-            mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 def address_limit() -> float | None:
