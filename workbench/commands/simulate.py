@@ -23,7 +23,8 @@ from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
 from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
-from workbench.report.page import Picture
+from workbench.render.canvas import Picture
+from workbench.render.gallery import FIELDS, draw_chip, draw_state, load_libraries
 from workbench.report.resonances import resonances_table
 from workbench.report.simulation import (
     gathering_record,
@@ -34,7 +35,7 @@ from workbench.report.simulation import (
 )
 from workbench.results.spectrum import write_spectrum
 from workbench.simulation.gathering import gathering
-from workbench.simulation.run import DrawnState, Simulation
+from workbench.simulation.run import Simulation
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,24 +52,18 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         fill(chip, name, model.registry)
     folder = output_folder(options, simulation_outputs(chip, states))
     runs: list[Simulation] = []
-    pictures: dict[str, list[Picture]] = {}
     wants = Wanted(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
-        for run in _simulated(chip, states, model, show, folder, unfinished):
+        for run in _simulated(chip, states, model, show, folder, unfinished, wants):
             runs.append(run)
             if options.vtu:
                 write_fields(run, folder)
-            if wants.pictures and len(runs) < len(states):
-                beside.draw(run)
-            elif wants.pictures:
-                from workbench.render.gallery import draw_state
-
+            if wants.pictures:
                 show(run.state, "pictures", SIMULATED)
-                pictures[run.state] = draw_state(run, folder)
+                beside.draw(run, is_last=len(runs) == len(states))
             show(run.state, "done", 1.0)
-        pictures.update(beside.pictures())
-        solid_view = beside.solid_view()
+        pictures, solid_view = beside.pictures(), beside.solid_view()
     # The last state is the one the device works in: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for found in map(gathering, runs) if found is not None]
@@ -77,8 +72,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         "states": {run.state: simulation_record(run) for run in runs},
         "gathering": gathering_record(answers),
     })
-    write_simulation_report(chip, runs, answers, {run.state: pictures.get(run.state, []) for run in runs}, solid_view,
-                            folder)
+    write_simulation_report(chip, runs, answers, pictures, solid_view, folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         discard(path)
@@ -102,7 +96,8 @@ def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
 
 
 def _simulated(
-    chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path]
+    chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path],
+    wants: Wanted,
 ) -> Iterator[Simulation]:
     """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
     computed while what is made of this one is drawn, if there is memory for both.
@@ -129,6 +124,8 @@ def _simulated(
     pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, model))
     try:
         jobs = [pool.submit(solved, name) for name in states]
+        if wants.pictures:
+            load_libraries()
         for job in jobs:
             yield job.result()
     finally:
@@ -161,6 +158,7 @@ class _Beside:
     def __init__(self, chip: Chip, folder: Path, wants: Wanted) -> None:
         self._folder, self._wants = folder, wants
         self._drawn: dict[str, Future[list[Picture]]] = {}
+        self._own: list[Picture] = []
         self._solids: Future[list[Picture]] | None = None
         if wants.cad or wants.pictures:
             self._worker = Processes(1, words=Path(os.devnull))
@@ -173,13 +171,19 @@ class _Beside:
         if self._solids is not None:
             self._worker.close()
 
-    def draw(self, run: Simulation) -> None:
-        """Let the process draw a state."""
-        self._drawn[run.state] = self._worker.submit(partial(_drawn, run.drawn, self._folder))
+    def draw(self, run: Simulation, *, is_last: bool) -> None:
+        """Let the process draw a state; of the last one this process draws some pictures meanwhile."""
+        fields = FIELDS[len(FIELDS) // 2 :] if is_last else FIELDS
+        self._drawn[run.state] = self._worker.submit(partial(draw_state, run.drawn, self._folder, of=fields))
+        if is_last:
+            self._own = draw_state(run, self._folder, of=FIELDS[: len(FIELDS) // 2])
 
     def pictures(self) -> dict[str, list[Picture]]:
-        """The pictures of the states that the process draws, once they are there."""
-        return {state: drawn.result() for state, drawn in self._drawn.items()}
+        """The pictures by state, once they are there, the last state's at the end."""
+        found = {state: drawn.result() for state, drawn in self._drawn.items()}
+        for state in list(found)[-1:]:
+            found[state] = [*self._own, *found[state]]
+        return found
 
     def solid_view(self) -> list[Picture]:
         """The picture of the solid model, once it and the files of the model are there."""
@@ -194,12 +198,5 @@ def _solid_model(chip: Chip, folder: Path, wants: Wanted) -> list[Picture]:
     solids = export_solids(chip, folder)[1] if wants.cad else {}
     if not wants.pictures:
         return []
-    from workbench.render import gallery, plots, profiles, sections  # noqa: F401
-
-    return [gallery.draw_chip(chip, solids, folder / "cad.png")] if solids else []
-
-
-def _drawn(state: DrawnState, folder: Path) -> list[Picture]:
-    from workbench.render.gallery import draw_state
-
-    return draw_state(state, folder)
+    load_libraries()
+    return [draw_chip(chip, solids, folder / "cad.png")] if solids else []

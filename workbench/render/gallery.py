@@ -25,9 +25,11 @@ VISIBLE = 0.01
 _Pictures = list[Picture]
 
 
-def draw_state(shot: DrawnState, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
-    """Write the pictures named by `only` (:data:`FIELDS`) to `folder`; by default all that exist for the state and are
-    useful: the pressure in a gas is left out.
+def draw_state(
+    shot: DrawnState, folder: Path | str, *, only: Sequence[str] | None = None, of: Sequence[str] = FIELDS
+) -> list[Picture]:
+    """Write the pictures named by `only` (:data:`FIELDS`) to `folder`; by default all those `of` these names that exist
+    for the state and are useful: the pressure in a gas is left out.
 
     Raises:
         InputError: a requested picture that does not exist for the state, with the reason.
@@ -39,7 +41,7 @@ def draw_state(shot: DrawnState, folder: Path | str, *, only: Sequence[str] | No
     pictures: _Pictures = []
     fluid = shot.problem.materials.get(CAVITY)
     empty = isinstance(fluid, Fluid) and fluid.density < GAS
-    for name in [name for name in FIELDS if not (empty and name == "pressure")] if only is None else only:
+    for name in [name for name in of if not (empty and name == "pressure")] if only is None else only:
         made, missing = makers[name](shot, Path(folder))
         if missing and only is not None:
             raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another one: {missing}")
@@ -113,6 +115,11 @@ def _mesh(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
     path = sections.draw_regions(shot.fields.mesh, folder / f"mesh_{shot.state}.png")
     return [Picture(path, f"{shot.state}: regions and cells of the mesh")], ""
+
+
+def load_libraries() -> None:
+    """Load the libraries that draw, which takes a second, while others compute."""
+    from workbench.render import plots, profiles, sections, solids  # noqa: F401
 
 
 def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:

@@ -171,7 +171,7 @@ def write_simulation_report(
             blocks += [field_table(run.traps), traps_table(run.traps)]
         blocks += channel_tables(run)
         sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
-                         [*blocks, *pictures[run.state]]))
+                         [*blocks, *pictures.get(run.state, ())]))
     used = TextTable(("state", "region", "material", "source"), tuple(
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
     sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
