@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest relative residual of a sweep by eigenvectors. Above it, the sweep is refined once, and then every frequency
-#: is factorised. The error of the charge is the square of it, times the amplification at resonances.
+#: Largest relative residual of a sweep by eigenvectors. Above it, every frequency is factorised. The error of the charge
+#: is the square of it, times the amplification at resonances.
 PENCIL_RESIDUAL = 1e-9
 
 #: Smallest numbers of unknowns and of frequencies at which a system is projected before the sweep.
@@ -89,18 +89,12 @@ def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
 
 def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex) -> tuple[Complex, Complex]:
     """Solutions x (r, n) for right-hand sides `right` (r, n), the `factors` times `loads` (g, r), and remainders."""
-    pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
-    if pencil is not None:
-        norm = np.linalg.norm(right, axis=0)
-        x = pencil.solve(factors, loads.T)
-        for refined in (False, True):
-            remainder = right - pencil.product(x)
-            if (np.linalg.norm(remainder, axis=0) <= PENCIL_RESIDUAL * norm).all():
-                return x, remainder
-            if not refined:
-                x = x + pencil.solve(None, remainder)
-    x = solve_each(factors, matrices, right)
-    return x, right - _product(factors, matrices, x)
+    x = _swept(factors, matrices, loads)
+    remainder = right - _product(factors, matrices, x)
+    if (np.linalg.norm(remainder, axis=0) > PENCIL_RESIDUAL * np.linalg.norm(right, axis=0)).any():
+        x = solve_each(factors, matrices, right)
+        remainder = right - _product(factors, matrices, x)
+    return x, remainder
 
 
 def _product(factors: Complex, matrices: Complex, x: Complex) -> Complex:
@@ -159,7 +153,7 @@ def _projected(
 
 def _swept(factors: Complex, matrices: Complex, loads: Complex) -> Complex:
     """Solutions (k, n) of a small system for `loads` (g, k), with the pencil if it is one."""
-    pencil = Pencil.of(factors, matrices)
+    pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
     return solve_each(factors, matrices, loads.T @ factors) if pencil is None else pencil.solve(factors, loads.T)
 
 
@@ -208,8 +202,7 @@ class Pencil:
 
     def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
         """Diagonalise for `scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
-        self._scale, self._parts = scale, parts
-        self._powers = [np.ones(ratio.size), ratio, ratio**2][: len(parts)]
+        self._scale = scale
         middle = np.median(ratio.real)
         self._shift = ratio / middle - 1.0
         first, second = parts[0] + middle * parts[1], middle * parts[1]
@@ -239,13 +232,7 @@ class Pencil:
                 return cls(factors[a], factors[b] / factors[a], parts)
         return None
 
-    def solve(self, factors: Complex | None, loads: Complex) -> Complex:
-        """Solve the pencil times x (r, n) = loads (r, g) times factors (g, n), or = loads (r, n) without factors."""
-        inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False)
-        inside = inside if factors is None else inside @ factors
+    def solve(self, factors: Complex, loads: Complex) -> Complex:
+        """Solve the pencil times x (r, n) = loads (r, g) times factors (g, n)."""
+        inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False) @ factors
         return np.asarray(self._vectors @ (self._damped * (inside / self._scale)))
-
-    def product(self, x: Complex) -> Complex:
-        """Product (r, n) of the pencil and x (r, n)."""
-        return np.asarray(self._scale * sum(
-            (part @ x) * power for part, power in zip(self._parts, self._powers, strict=True)))

@@ -261,11 +261,11 @@ class FullOperators(Brief):
 
     def split(self, constants: Complex) -> SplitMatrix:
         """The matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
-        return SplitMatrix.of(self.sparsity, self._stack.summed(constants.real), self._stack.summed(constants.imag))
+        return self._stack.split(constants)
 
     def triangle(self, constants: Complex) -> sparse.csc_array:
         """The upper triangle (size, size) of sum_q constants_q A_q, complex, for `constants` (number of integrals,)."""
-        return self.sparsity.triangle(self._stack.summed(constants.real) + 1j * self._stack.summed(constants.imag))
+        return self.sparsity.triangle(self._stack.summed(constants))
 
     def matrix(self, constants: Complex) -> sparse.csr_array:
         """The complex symmetric matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
@@ -314,7 +314,7 @@ class FullOperators(Brief):
         starts = np.concatenate([[0], np.cumsum([each.size for each in positions])])
         stacked = sparse.csc_array((np.concatenate(entries), np.concatenate(positions), starts),
                                    shape=(self.sparsity.keys.size, len(entries)))
-        return Stack(stacked, sparse.csr_array(np.stack(mixing)))
+        return Stack(self.sparsity, stacked, sparse.csr_array(np.stack(mixing)))
 
     def _block(
         self, place: Place, components: tuple[str, str], kinds: list[Kind]

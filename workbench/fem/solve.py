@@ -234,8 +234,9 @@ class System:
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
+        self._constants = [constants for _, constants in operators.coefficients.groups(np.ones(1), values)]
         #: Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g.
-        self.groups = [operators.split(constants) for _, constants in operators.coefficients.groups(np.ones(1), values)]
+        self.groups = [operators.split(constants) for constants in self._constants]
         self._latest: tuple[float, Complex] = (np.nan, np.zeros(0, dtype=complex))
 
     def factors(self, frequencies: Real) -> Complex:
@@ -256,18 +257,19 @@ class System:
     def entries(self, frequency: float) -> Complex:
         """The entries (upper,) of A(w) in the upper triangle of the pattern; those of the last frequency are kept."""
         if self._latest[0] != frequency:
-            parts = self.summed(self.factors(np.array([frequency]))[:, 0])
-            found = np.empty(parts[0].size, dtype=complex)
-            found.real, found.imag = parts
+            real, imaginary = np.zeros((2, self.operators.sparsity.keys.size))
+            for factor, group in zip(self.factors(np.array([frequency]))[:, 0], self.groups, strict=True):
+                group.add_to(real, imaginary, factor)
+            found = np.empty(real.size, dtype=complex)
+            found.real, found.imag = real, imaginary
             self._latest = frequency, found
         return self._latest[1]
 
-    def summed(self, factors: Complex) -> tuple[Real, Real]:
-        """Real and imaginary parts of the entries (upper,) of the sum of the groups times `factors`."""
-        real, imaginary = np.zeros((2, self.operators.sparsity.keys.size))
-        for factor, group in zip(factors, self.groups, strict=True):
-            group.add_to(real, imaginary, factor)
-        return real, imaginary
+    def change(self, frequency: float, other: float) -> SplitMatrix:
+        """The change of A(w) from a frequency (Hz) to another one."""
+        here, there = self.factors(np.array([frequency, other])).T
+        moved = zip(there - here, self._constants, strict=True)
+        return self.operators.split(np.asarray(sum(factor * constants for factor, constants in moved if factor)))
 
     def factored(self, frequency: float) -> tuple[Complex, Factor]:
         """The last column (size,) of A(w), which is the electrode's, and the factorised part without it.
@@ -307,8 +309,7 @@ class System:
         states = np.zeros((free + 1, count + along.shape[1]), dtype=complex, order="F")
         states[:free, 0], states[-1, 0] = x, 1.0
         if count > 1:
-            here, there = self.factors(np.array([frequency, frequency * (1.0 + step)])).T
-            change = SplitMatrix.of(self.operators.sparsity, *self.summed(there - here))
+            change = self.change(frequency, frequency * (1.0 + step))
             directions = np.empty((free, count - 1), dtype=complex, order="F")
             for k in range(1, count):
                 image, before = change.times(states[:, k - 1])[:free], directions[:, : k - 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -77,30 +77,53 @@ def mirrored(triangle: sparse.csc_array) -> sparse.csr_array:
 
 
 @dataclass(frozen=True, eq=False)
-class Symmetric:
-    """A real symmetric matrix (size, size) of some entries of a pattern.
+class Entries:
+    """Some entries of a symmetric pattern, wherever the matrices of some kinds have one.
 
-    ``positions`` are their indices in the upper triangle of the pattern, ``triangle`` holds them.
+    ``positions`` (k,) are their indices in its upper triangle, where they lie in ``rows`` (k,) and in the columns that
+    begin at ``starts`` (size + 1,); ``kinds`` (k, kinds) the matrices.
     """
 
-    positions: NDArray[np.int64] | slice
-    triangle: sparse.csc_array
+    positions: NDArray[np.int64]
+    rows: NDArray[np.int32]
+    starts: NDArray[np.int32]
+    kinds: sparse.csr_array
 
     @classmethod
-    def of(cls, pattern: Pattern, upper: Real) -> Symmetric | None:
-        """The matrix of those entries (upper,) that are not zero; None if all are."""
-        kept = np.flatnonzero(upper)
-        if not kept.size:
-            return None
-        if kept.size == upper.size:
-            return cls(slice(None), pattern.triangle(upper))
-        starts = np.searchsorted(kept, pattern.starts).astype(np.int32)
-        return cls(kept, sparse.csc_array((upper[kept], pattern.rows[kept], starts), shape=(pattern.size,) * 2))
+    def of(cls, pattern: Pattern, kinds: sparse.csc_array) -> Entries:
+        """The entries of `kinds` (upper, kinds)."""
+        is_held = np.zeros(pattern.keys.size, dtype=bool)
+        is_held[kinds.indices] = True
+        positions = np.flatnonzero(is_held)
+        number = np.cumsum(is_held, dtype=np.int32) - 1
+        own = sparse.csc_array((kinds.data, number[kinds.indices], kinds.indptr),
+                               shape=(positions.size, kinds.shape[1]))
+        return cls(positions, pattern.rows[positions], np.searchsorted(positions, pattern.starts).astype(np.int32),
+                   own.tocsr())
+
+    @cached_property
+    def _mirror(self) -> sparse.csr_array:
+        """Both triangles, with the index of each entry from one."""
+        number = np.arange(1, self.rows.size + 1, dtype=np.int32)
+        return mirrored(sparse.csc_array((number, self.rows, self.starts), shape=(self.starts.size - 1,) * 2))
+
+    def whole(self, values: Real) -> sparse.csr_array:
+        """The symmetric matrix with these values (k,). By rows it is the same as by columns, and faster."""
+        found = self._mirror
+        return sparse.csr_array((values[found.data - 1], found.indices, found.indptr), shape=found.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetric:
+    """A real symmetric matrix (size, size): ``values`` (k,) of some ``entries`` of a pattern."""
+
+    entries: Entries
+    values: Real
 
     @cached_property
     def whole(self) -> sparse.csr_array:
-        """Both triangles. By rows a matrix is the same as by columns, and products are faster by rows."""
-        return mirrored(self.triangle)
+        """Both triangles."""
+        return self.entries.whole(self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +132,6 @@ class SplitMatrix:
 
     real: Symmetric | None
     imaginary: Symmetric | None
-
-    @classmethod
-    def of(cls, pattern: Pattern, real: Real, imaginary: Real) -> SplitMatrix:
-        """The matrix with these parts of its entries (upper,) in the upper triangle of a pattern."""
-        return cls(Symmetric.of(pattern, real), Symmetric.of(pattern, imaginary))
 
     @property
     def parts(self) -> list[tuple[complex, Symmetric]]:
@@ -131,25 +149,40 @@ class SplitMatrix:
             scale = turn * factor
             for into, number in ((real, scale.real), (imaginary, scale.imag)):
                 if number != 0.0:
-                    into[part.positions] += number * part.triangle.data
+                    into[part.entries.positions] += number * part.values
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
     """The real matrices that every matrix of a model is a sum of, one for each pair of parts and each measure.
 
-    ``entries`` (upper, kinds) of the upper triangle of a pattern; ``mixing`` (kinds, integrals) is the weight of each
-    kind in each integral.
+    ``entries`` (upper, kinds) of the upper triangle of a ``pattern``; ``mixing`` (kinds, integrals) is the weight of
+    each kind in each integral. ``known`` are the entries of some kinds, which all sums of them share.
     """
 
+    pattern: Pattern
     entries: sparse.csc_array
     mixing: sparse.csr_array
+    known: dict[tuple[int, ...], Entries] = field(default_factory=dict)
 
-    def summed(self, constants: Real) -> Real:
-        """Entries (upper,) of the matrix sum_q constants_q A_q, for real `constants` (integrals,)."""
-        weights = self.mixing @ constants
+    def split(self, constants: Complex) -> SplitMatrix:
+        """The matrix sum_q constants_q A_q, for `constants` (integrals,)."""
+        return SplitMatrix(*(self._part(self.mixing @ each) for each in (constants.real, constants.imag)))
+
+    def summed(self, constants: Complex) -> Complex:
+        """Entries (upper,) of the matrix sum_q constants_q A_q, for `constants` (integrals,)."""
+        found = np.empty(self.pattern.keys.size, dtype=complex)
+        found.real, found.imag = (self.entries @ (self.mixing @ each) for each in (constants.real, constants.imag))
+        return found
+
+    def _part(self, weights: Real) -> Symmetric | None:
         acting = np.flatnonzero(weights)
-        return np.asarray(self.entries[:, acting] @ weights[acting])
+        if not acting.size:
+            return None
+        key = tuple(acting.tolist())
+        if key not in self.known:
+            self.known[key] = Entries.of(self.pattern, self.entries[:, acting])
+        return Symmetric(self.known[key], self.known[key].kinds @ weights[acting])
 
 
 def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> Any:
