@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest relative residual of a sweep by eigenvectors. Above it, every frequency is factorised. The error of the charge
-#: is the square of it, times the amplification at resonances.
+#: Largest relative residual of a sweep by eigenvectors. Above it, every frequency is factorised. The error of the
+#: charge is the square of it, times the amplification at resonances.
 PENCIL_RESIDUAL = 1e-9
 
 #: Smallest numbers of unknowns and of frequencies at which a system is projected before the sweep.
