@@ -17,6 +17,7 @@ from geometry.chip_tables import read_band, read_layers, read_ports, read_states
 from geometry.dimension import Dimension
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
+from geometry.operating_point import OPERATING_POINT, check_operating_point, read_operating_point
 from geometry.parts import (
     ElectrodeDisc,
     Electrodes,
@@ -44,7 +45,8 @@ class Chip:
     ``unusual`` lists names whose values are meant although they look like a slip (`geometry.plausible`): a gel of 2 mm,
     a wide band. ``measure`` is that of the section: discs and rings about an axis, or the cross-section of what is
     straight; radii are then half widths, from the middle. A cavity that ``is_open`` is a well: nothing covers it, and
-    the liquid has a free surface.
+    the liquid has a free surface. ``operating_point`` is the frequency (Hz) that it is driven at, or a word for it
+    (`geometry.operating_point`).
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -62,6 +64,7 @@ class Chip:
     unusual: tuple[str, ...] = ()
     measure: Measure = ABOUT_AXIS
     is_open: bool = False
+    operating_point: float | str | None = None
 
     def __post_init__(self) -> None:
         checks.check_names(self.name, self.layers, self.states, self.file)
@@ -75,6 +78,7 @@ class Chip:
         checks.check_shared_electrodes(self.layers, self.electrodes, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file, self.measure)
+        check_operating_point(self.operating_point, self.band, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
                                   measure=self.measure, is_open=self.is_open)
 
@@ -258,7 +262,8 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
     """
     root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
     head = root.table("chip").only(
-        ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry"))
+        ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry",
+         OPERATING_POINT))
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure, scripts=scripts)
     cavity = root.table("cavity").only(("ports", "open", "fill"))
@@ -277,4 +282,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
         measure=measure,
         is_open=is_open,
         unusual=unusual,
+        operating_point=read_operating_point(head),
     )

@@ -177,6 +177,11 @@ class Fluid:
         object.__setattr__(self, "values", _still_true(stated, known))
 
     @property
+    def is_gas(self) -> bool:
+        """Whether it is lighter than 100 kg/m^3: no liquid is lighter than 400, no gas at a bench denser than 20."""
+        return self.density < 100.0
+
+    @property
     def compressibility(self) -> float:
         """Isentropic compressibility (1/Pa): 1 / (density sound_speed^2)."""
         return 1.0 / (self.density * self.sound_speed**2)

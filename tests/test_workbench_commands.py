@@ -83,11 +83,15 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     state = record["states"]["filled"]
     lowest = filled.frequency[np.argmin(filled.magnitude)]
     assert abs(state["f0_hz"] - lowest) < 150e3 / 40
+    # One of the states holds a liquid: it is driven where that has most energy.
+    assert state["operating_point"]["frequency_hz"] == state["fields"]["frequency_hz"]
+    assert state["energy_peaks"][0]["frequency_hz"] == state["fields"]["frequency_hz"]
+    assert record["states"]["empty"]["energy_peaks"] == []
     assert state["particles"]["traps"]
     assert state["particles"]["pressure_amplitude_pa"] > 0.0
     assert sum(state["losses_w"].values()) == pytest.approx(state["fields"]["power_w"], rel=1e-9)
     pictures = {path.stem for path in out.glob("*.png")}
-    assert pictures == {"cad", "impedance", "pressure_filled", "gorkov_filled", "profiles_filled",
+    assert pictures == {"cad", "impedance", "energy", "pressure_filled", "gorkov_filled", "profiles_filled",
                         *(f"{kind}_{s}" for kind in ("displacement", "cutaway", "losses", "mesh")
                           for s in ("empty", "filled"))}
     text = check_report(out / "report.html")

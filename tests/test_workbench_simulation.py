@@ -75,16 +75,17 @@ def test_a_spectrum_is_passive_and_says_where_it_is_from(reduced: Simulation, fu
     assert full.spectrum.origin.settings["method"] == "full solves"
 
 
-def test_the_fields_are_those_of_f0_and_the_losses_close(reduced: Simulation) -> None:
+def test_the_fields_are_those_of_the_operating_point_and_the_losses_close(reduced: Simulation) -> None:
     assert reduced.figures is not None
-    assert reduced.fields.frequency == reduced.figures.f0
+    assert reduced.fields.frequency == reduced.operating.frequency == reduced.operating.peaks[0].frequency
     assert reduced.closure < 1e-9
     assert sum(reduced.losses.values()) == pytest.approx(reduced.fields.power, rel=1e-9)
     assert reduced.traps is not None
-    assert reduced.traps.excitation.frequency == reduced.figures.f0
+    assert reduced.traps.excitation.frequency == reduced.operating.frequency
     assert abs(reduced.fields.voltage) == 5.0
-    # The spectrum and the fields, solved apart, are one model: |V / I| is |Z(f0)|, here taken off the interpolant.
-    assert abs(reduced.fields.voltage / reduced.fields.current) == pytest.approx(reduced.figures.z_min, rel=1e-3)
+    # The spectrum and the fields, solved apart, are one model: V / I is Z, here taken off the interpolant.
+    assert abs(reduced.fields.voltage / reduced.fields.current) == pytest.approx(
+        abs(reduced.spectrum.interpolant()(np.array([reduced.operating.frequency]))[0]), rel=1e-3)
 
 
 def test_the_last_state_is_the_default_and_an_empty_cavity_has_no_traps(cell: Chip, reduced: Simulation) -> None:

@@ -90,6 +90,7 @@ if TYPE_CHECKING:
     from workbench.simulation.liquid_motion import liquid_motion as liquid_motion
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
+    from workbench.simulation.run import energy_spectrum as energy_spectrum
     from workbench.simulation.run import simulate as simulate
     from workbench.simulation.run import snapshot as snapshot
     from workbench.simulation.streaming import streaming as streaming
@@ -155,6 +156,7 @@ PUBLIC = {
     "read_goal": "workbench.design.goal",
     "read_recording": "workbench.readers",
     "read_study": "workbench.design.plan",
+    "energy_spectrum": "workbench.simulation.run",
     "simulate": "workbench.simulation.run",
     "snapshot": "workbench.simulation.run",
     "stated_uncertainty": "workbench.design.input_uncertainty",

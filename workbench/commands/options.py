@@ -119,7 +119,8 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--full", action="store_true",
                      help="solve every frequency instead of a reduced model (default); may be interrupted and "
                      "continued")
-    sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the fields, or \"energy\" or \"f0\"; by default the "
+                     "chip's operating point, or the largest peak of the energy in the cavity under the drive")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     sub.add_argument("--relative-error", type=float, default=1e-4, metavar="ERROR",
                      help="relative error of the reduced model's impedance (default 0.0001)")
@@ -172,7 +173,7 @@ def _render(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_state(sub)
     _with_model(sub)
-    sub.add_argument("--at", metavar="FREQ", required=True, help="frequency of the fields")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default as of simulate)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     sub.add_argument("--field", action="append", metavar="NAME", help="displacement, pressure, gorkov, cutaway, "
                      "losses or mesh (may be repeated; default all)")
@@ -186,7 +187,7 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     _with_model(sub)
     sub.add_argument("--drive", default=None,
                      help=f"{DRIVE_HELP.replace(' (default)', '')} (no default: the times depend on it)")
-    sub.add_argument("--at", metavar="FREQ", help="frequency of the field (default f0)")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the field (default as of simulate)")
     sub.add_argument("--minutes", type=float, default=30.0, metavar="M", help="time to follow them for (default 30)")
     sub.add_argument("--count", type=int, default=200, metavar="N", help="number of particles (default 200)")
     sub.add_argument("--seed", type=int, default=0, metavar="N", help="of their start points (default 0)")

@@ -33,7 +33,7 @@ from workbench.report.particles import (
 )
 from workbench.simulation.beads import carrier_of, trajectories, with_particle
 from workbench.simulation.liquid_motion import LiquidMotion, liquid_motion
-from workbench.simulation.run import Snapshot, snapshot
+from workbench.simulation.run import Simulation, Snapshot, snapshot
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -75,6 +75,8 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
                                            "findings": list(shot.findings)})
     write_particles_report(shot, found, moving, pictures, files, folder)
     print_table(chip.name, captures_table(capture_statistics(found)))
+    if isinstance(shot, Simulation):
+        print_paragraph(str(shot.operating))
     print_paragraph(motion_answer(found))
     print_paragraph(flow_answer(moving))
     for text in shot.findings:
@@ -83,11 +85,11 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
 
 
 def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
-    """The field at the requested frequency, or at f0 of the spectrum; where there is none, in the middle of the band,
-    which a finding says."""
-    if model.at is None:
+    """The field at the requested frequency, or at the operating point of the spectrum; where that is the middle of the
+    band, a finding says so."""
+    if not isinstance(model.at, float):
         run = run_state(chip, name, model, show)
-        return run if run.figures is not None else replace(run, findings=(
+        return run if run.figures is not None or run.operating.peaks else replace(run, findings=(
             f"the field is that of {run.fields.frequency / 1e6:.6g} MHz, the middle of the band, because there is no "
             f"f0: {run.no_resonance}. State the frequency of the generator by --at", *run.findings))
     return snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
 from workbench.commands.parsed_options import model_options, output_folder
-from workbench.commands.states import SIMULATED, field_files, simulated, write_fields
+from workbench.commands.states import SIMULATED, field_files, run_state, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import choose
 from workbench.files.ownership import Outputs
 from workbench.simulation.run import snapshot
 
@@ -26,14 +26,12 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
         choose(name, FIELDS, source="command line", field="--field")
     chip = read_chip(options.chip)
     model, name = model_options(options, chip), chip.state(options.state).name
-    if model.at is None:
-        raise InputError("command line", "--at", None, "the frequency of the fields")
     # One field after the other may be drawn into a folder.
     folder = output_folder(options, Outputs("render", field_files(name), kept=tuple(field_files("*"))))
     with progress_bars(console) as show:
         shot = snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
-                        accuracy=model.accuracy,
-                        progress=partial(simulated, show, name))
+                        accuracy=model.accuracy, progress=partial(simulated, show, name)) \
+            if isinstance(model.at, float) else run_state(chip, name, model, show)
         show(name, "pictures", SIMULATED)
         paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]
         if options.vtu:

@@ -23,10 +23,11 @@ from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
 from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
+from workbench.render import gallery
 from workbench.render.canvas import Picture
-from workbench.render.gallery import FIELDS, draw_chip, draw_state, load_libraries
 from workbench.report.resonances import resonances_table
 from workbench.report.simulation import (
+    ENERGY_PICTURE,
     gathering_record,
     simulated_figures_table,
     simulation_record,
@@ -35,7 +36,7 @@ from workbench.report.simulation import (
 )
 from workbench.results.spectrum import write_spectrum
 from workbench.simulation.gathering import gathering
-from workbench.simulation.run import Simulation
+from workbench.simulation.run import DrawnState, Simulation
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,6 +79,9 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         discard(path)
     print_table(chip.name, simulated_figures_table(chip, runs))
     print_table("", resonances_table({run.state: run.resonances for run in runs}))
+    for run in reversed(runs):
+        if run.energy is not None:
+            print_paragraph(str(run.operating))
     for answer in reversed(answers):
         print_paragraph(str(answer))
     for text in dict.fromkeys(text for run in runs for text in run.findings):
@@ -90,7 +94,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
 def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
     """The files of `simulate` for some states of a chip."""
     return Outputs("simulate", working=("unfinished_*.csv",), names=(
-        "report.html", "merit.json", "spectrum.csv", "impedance.png", "cad.png", *solid_names(chip),
+        "report.html", "merit.json", "spectrum.csv", "impedance.png", ENERGY_PICTURE, "cad.png", *solid_names(chip),
         *(name for state in states for name in (f"spectrum_{state}.csv", f"unfinished_{state}.csv",
                                                 *field_files(state)))))
 
@@ -125,7 +129,7 @@ def _simulated(
     try:
         jobs = [pool.submit(solved, name) for name in states]
         if wants.pictures:
-            load_libraries()
+            gallery.load_libraries()
         for job in jobs:
             yield job.result()
     finally:
@@ -158,7 +162,7 @@ class _Beside:
     def __init__(self, chip: Chip, folder: Path, wants: Wanted) -> None:
         self._folder, self._wants = folder, wants
         self._drawn: dict[str, Future[list[Picture]]] = {}
-        self._own: list[Picture] = []
+        self._own: dict[str, list[Picture]] = {}
         self._solids: Future[list[Picture]] | None = None
         if wants.cad or wants.pictures:
             self._worker = Processes(1, words=Path(os.devnull))
@@ -172,18 +176,15 @@ class _Beside:
             self._worker.close()
 
     def draw(self, run: Simulation, *, is_last: bool) -> None:
-        """Let the process draw a state; of the last one this process draws some pictures meanwhile."""
-        fields = FIELDS[len(FIELDS) // 2 :] if is_last else FIELDS
-        self._drawn[run.state] = self._worker.submit(partial(draw_state, run.drawn, self._folder, of=fields))
-        if is_last:
-            self._own = draw_state(run, self._folder, of=FIELDS[: len(FIELDS) // 2])
+        """Let the process draw a state, or half of the last one, whose other half this process draws."""
+        halfway = len(gallery.FIELDS) // 2 if is_last else 0
+        self._drawn[run.state] = self._worker.submit(
+            partial(_drawn, run.drawn, self._folder, gallery.FIELDS[halfway:]))
+        self._own[run.state] = gallery.draw_state(run, self._folder, of=gallery.FIELDS[:halfway])
 
     def pictures(self) -> dict[str, list[Picture]]:
-        """The pictures by state, once they are there, the last state's at the end."""
-        found = {state: drawn.result() for state, drawn in self._drawn.items()}
-        for state in list(found)[-1:]:
-            found[state] = [*self._own, *found[state]]
-        return found
+        """The pictures by state, once they are there."""
+        return {state: [*self._own[state], *drawn.result()] for state, drawn in self._drawn.items()}
 
     def solid_view(self) -> list[Picture]:
         """The picture of the solid model, once it and the files of the model are there."""
@@ -198,5 +199,9 @@ def _solid_model(chip: Chip, folder: Path, wants: Wanted) -> list[Picture]:
     solids = export_solids(chip, folder)[1] if wants.cad else {}
     if not wants.pictures:
         return []
-    load_libraries()
-    return [draw_chip(chip, solids, folder / "cad.png")] if solids else []
+    gallery.load_libraries()
+    return [gallery.draw_chip(chip, solids, folder / "cad.png")] if solids else []
+
+
+def _drawn(state: DrawnState, folder: Path, fields: Sequence[str]) -> list[Picture]:
+    return gallery.draw_state(state, folder, of=fields)

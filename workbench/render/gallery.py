@@ -13,7 +13,6 @@ from geometry.names import CAVITY, role_of
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
 from workbench.render.canvas import Picture
-from workbench.simulation.gathering import GAS
 from workbench.simulation.run import DrawnState
 
 #: Fields that can be requested by name.
@@ -40,7 +39,7 @@ def draw_state(
     }
     pictures: _Pictures = []
     fluid = shot.problem.materials.get(CAVITY)
-    empty = isinstance(fluid, Fluid) and fluid.density < GAS
+    empty = isinstance(fluid, Fluid) and fluid.is_gas
     for name in [name for name in of if not (empty and name == "pressure")] if only is None else only:
         made, missing = makers[name](shot, Path(folder))
         if missing and only is not None:

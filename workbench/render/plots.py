@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from workbench.simulation.energy import EnergySpectrum
+
 #: Distinct in hue and in grey, and to colour-blind eyes (Okabe & Ito 2008).
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
@@ -84,6 +86,38 @@ def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, 
     figure.align_ylabels()
     figure.tight_layout()
     return save_figure(figure, path)
+
+
+def draw_energy(
+    energy: Mapping[str, EnergySpectrum], peaks: Mapping[str, Sequence[float]], path: Path | str, *, title: str = ""
+) -> Path:
+    """Draw |Z| over the mean energy density in the cavity per Vpp^2, both logarithmic, on one axis of frequency.
+
+    The `peaks` (Hz) of each label are marked, the first ones with their frequency. Writes `path`.
+    """
+    figure = new_figure(8.0, 6.5)
+    above, below = figure.subplots(2, 1, sharex=True)
+    for index, (label, each) in enumerate(energy.items()):
+        colour, megahertz = LINE_COLOURS[index % len(LINE_COLOURS)], each.frequency / 1e6
+        above.plot(megahertz, np.abs(each.impedance), color=colour, linewidth=1.5, label=label)
+        below.plot(megahertz, each.per_square_volt, color=colour, linewidth=1.5)
+        for number, frequency in enumerate(peaks[label]):
+            height = float(np.interp(frequency, each.frequency, each.per_square_volt))
+            for axes in (above, below):
+                axes.axvline(frequency / 1e6, color=colour, linewidth=0.8, linestyle=":" if number else "--", zorder=1)
+            below.annotate(f"{frequency / 1e6:.4f} MHz", (frequency / 1e6, height), textcoords="offset points",
+                           xytext=(4, 2), fontsize=8, color=colour)
+    above.set_ylabel("|Z| (Ω)")
+    above.set_title(title)
+    above.legend(frameon=False)
+    below.set_ylabel("mean E_ac (J/m³ per Vpp²)")
+    below.set_xlabel("frequency (MHz)")
+    for axes in (above, below):
+        axes.set_yscale("log")
+        tidy(axes, both=True)
+    figure.align_ylabels()
+    figure.tight_layout()
+    return save_figure(figure, Path(path))
 
 
 def draw_residuals(

@@ -16,7 +16,7 @@ from materials.kinds import Fluid
 from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
 from workbench.model.numbers import ParameterName
 from workbench.model.particles import net_weight
-from workbench.render.plots import draw_spectra
+from workbench.render.plots import draw_energy, draw_spectra
 from workbench.report.figures import (
     MODEL_COLUMNS,
     capacitance_cells,
@@ -31,8 +31,15 @@ from workbench.report.resonances import (
     single_fits_record,
 )
 from workbench.simulation.channel import ChannelFigures, channel_figures
+from workbench.simulation.energy import EnergySpectrum
 from workbench.simulation.gathering import Gathering
 from workbench.simulation.run import Simulation, Snapshot
+
+#: Peaks of the energy at most in a table and in a picture, the highest ones.
+MOST_PEAKS, MOST_MARKED = 4, 2
+
+#: Name of the picture of energy over frequency.
+ENERGY_PICTURE = "energy.png"
 
 
 def field_table(report: TrapReport) -> TextTable:
@@ -131,6 +138,17 @@ def without_resonance(runs: Sequence[Simulation]) -> list[str]:
     return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
 
 
+def energy_table(runs: Sequence[Simulation]) -> TextTable:
+    """The peaks of the energy in the cavity, of every state with a liquid, under its drive."""
+    rows = []
+    for run in runs:
+        for peak in run.operating.peaks[:MOST_PEAKS]:
+            rows.append((run.state, f"{peak.frequency / 1e6:.4f}", "" if peak.q is None else number_text(peak.q, 3),
+                         number_text(peak.energy_density, 3), number_text(peak.per_square_volt, 3),
+                         number_text(peak.per_watt, 3)))
+    return TextTable(("state", "peak of the energy (MHz)", "Q", "mean E_ac (J/m^3)", "per Vpp^2", "per W"), tuple(rows))
+
+
 def _findings(runs: Sequence[Simulation]) -> list[Note]:
     """Findings of all runs, each once with the states that it holds in."""
     found: dict[str, list[str]] = {}
@@ -158,6 +176,9 @@ def write_simulation_report(
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     found = {run.state: run.resonances for run in runs}
     sections: list[tuple[str, list[Block]]] = []
+    driven = _driven(chip, runs, folder)
+    if driven:
+        sections.append(("At which frequency?", driven))
     if answers:
         # That of the last state first: it is the one the device works in.
         sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
@@ -176,6 +197,21 @@ def write_simulation_report(
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
     sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
     return write_report(folder / "report.html", chip.name, sections)
+
+
+def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]:
+    """The operating points of states with a liquid, the peaks of their energy, and a picture; nothing without one."""
+    energy, peaks = dict[str, EnergySpectrum](), dict[str, list[float]]()
+    for run in runs:
+        if run.energy is not None:
+            energy[run.state] = run.energy
+            peaks[run.state] = [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
+    if not energy:
+        return []
+    picture = draw_energy(energy, peaks, folder / ENERGY_PICTURE, title=chip.name)
+    return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy),
+            energy_table(runs), Picture(picture, "impedance, and the energy of the sound in the cavity per square of "
+                                        "the voltage; its peaks are marked")]
 
 
 def _resolution(runs: Sequence[Simulation]) -> str:
@@ -211,6 +247,12 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
     }
     record["fields"] = {"frequency_hz": run.fields.frequency, "drive": run.fields.drive,
                         "voltage_amplitude_v": abs(run.fields.voltage), "power_w": run.fields.power}
+    record["operating_point"] = {
+        "frequency_hz": run.operating.frequency, "words": str(run.operating)}
+    record["energy_peaks"] = [
+        {"frequency_hz": peak.frequency, "q": peak.q, "mean_energy_density_j_m3": peak.energy_density,
+         "per_square_vpp_j_m3_v2": peak.per_square_volt, "per_watt_j_m3_w": peak.per_watt}
+        for peak in run.operating.peaks]
     record["losses_w"] = dict(run.losses)
     if run.traps is not None:
         excitation = run.traps.excitation

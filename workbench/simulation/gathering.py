@@ -24,8 +24,6 @@ LEAST_SHARE = 0.05
 SLOW = 60.0
 #: Barrier in J below which thermal motion carries a particle out of a trap: ten times k T at 25 degC.
 THERMAL = 10.0 * 1.380649e-23 * 298.15
-#: Density in kg/m^3 below which a fluid is a gas. No liquid is lighter than 400, no gas at a bench denser than 20.
-GAS = 100.0
 #: Step, as a factor of the voltage, and largest factor of the search for a voltage that holds particles. Finer steps
 #: would promise more than the accuracy of a bench's drive, and no amplifier of a bench has more.
 VOLTAGE_STEP, LARGEST_FACTOR = 1.2, 15.0
@@ -50,7 +48,7 @@ def gathering(shot: Snapshot) -> Gathering | None:
     if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
-    if not isinstance(fluid, Fluid) or fluid.density < GAS:
+    if not isinstance(fluid, Fluid) or fluid.is_gas:
         return Gathering(state, None, (f"In state {state} the cavity holds no liquid: there are no particles to "
                                        "gather.",))
     if shot.traps is None:

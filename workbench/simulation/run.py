@@ -45,8 +45,10 @@ from workbench.results.merit import Figures, NoResonance, figures
 from workbench.results.notebook import Shown, Summary
 from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
+from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
+from workbench.simulation.operating_point import OperatingPoint, operating_point
 
 if TYPE_CHECKING:
     import xarray
@@ -112,13 +114,15 @@ class Snapshot(DrawnState):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Snapshot, Shown):
-    """One state of a chip, simulated over a band; the snapshot is at f0, or at the requested frequency.
+    """One state of a chip, simulated over a band; the snapshot is at its operating point.
 
     ``figures`` is None if the band has no resonance, and ``no_resonance`` gives the reason. ``error`` is the largest
     estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
     (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual`` the
     largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step. ``left_out`` (Hz) are the
-    requested frequencies that the spectrum lacks, because the solve there did not converge.
+    requested frequencies that the spectrum lacks, because the solve there did not converge. ``energy`` of the sound in
+    the cavity over the band is None without a liquid there and after full solves; ``operating`` is the point that the
+    fields are at, and why.
     """
 
     operators: FullOperators
@@ -130,6 +134,8 @@ class Simulation(Snapshot, Shown):
     solves: int
     capacitance: Capacitance
     seconds: Mapping[str, float]
+    operating: OperatingPoint
+    energy: EnergySpectrum | None = None
     left_out: tuple[float, ...] = ()
 
     @property
@@ -147,7 +153,8 @@ class Simulation(Snapshot, Shown):
         merit = self.figures
         rows = [("f0, Z_min, Q", self.no_resonance if merit is None else
                  f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
-                ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
+                ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}"),
+                ("operating point", str(self.operating))]
         if self.traps is not None:
             rows += [("trap", f"{trap.measure.symbol} {1e3 * trap.radius:.3g} mm, "
                       f"{1e3 * trap.above_floor:.3g} mm above the floor, barrier "
@@ -215,7 +222,7 @@ def simulate(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     points: int = 481,
-    at: float | None = None,
+    at: float | str | None = None,
     full: bool = False,
     relative_error: float = 1e-4,
     drive: Drive | None = None,
@@ -232,7 +239,9 @@ def simulate(
     Args:
         state: name of the state; the last one of the file if not given.
         band: two frequencies (Hz); the chip's own if not given. The mesh is made for its upper end.
-        at: frequency (Hz) of the fields; f0 if not given, the middle of the band if there is no resonance.
+        at: frequency (Hz) of the fields, or "energy" or "f0" for it; if not given, the chip's own, or else the largest
+            peak of the energy of sound in the cavity under the drive, f0 without one, and the middle of the band
+            without either.
         full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         relative_error: of the reduced model's impedance.
@@ -247,14 +256,16 @@ def simulate(
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
-    _check_operation(chip, at, drive, source="simulate", field="at")
+    _check_operation(chip, None if isinstance(at, str) else at, drive, source="simulate", field="at")
+    at, drive = at if at is None or isinstance(at, str) else float(at), drive or VoltageDrive()
     lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem, error, of_mesh = build(device, band=span, accuracy=accuracy), 0.0, None
+    problem, error = build(device, band=span, accuracy=accuracy), 0.0
+    of_mesh, energy = None, None
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     system = System(operators, problem.values)
@@ -268,6 +279,8 @@ def simulate(
                                   system=system, progress=progress)
         solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
+        if is_wet(device):
+            energy = energy_spectrum_of(model, solution, problem.values)
         lap("spectrum")
         on_spectrum(Spectrum.from_solver(solved, impedance, origin=_origin(device, _reduced_to(error))))
         of_mesh = _mesh_error(model, solved, problem, accuracy, progress)
@@ -276,9 +289,10 @@ def simulate(
     spectrum = Spectrum.from_solver(solved, impedance, origin=_origin(device, method))
     on_spectrum(spectrum)
     merit, reason = _merit(spectrum)
-    frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
+    operating = operating_point(at, chip.operating_point, merit, 0.5 * (span[0] + span[1]), energy, drive,
+                                source="simulate")
     progress("fields", 0.0)
-    shot = _snapshot(device, problem, system, frequency, drive or VoltageDrive())
+    shot = _snapshot(device, problem, system, operating.frequency, drive)
     lap("fields")
     left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
     progress("fields", 1.0)
@@ -287,8 +301,45 @@ def simulate(
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
         no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
         capacitance=capacitance(system), left_out=left_out, solution=shot.solution,
+        energy=energy, operating=operating,
         findings=(*_left_out(device, left_out, frequencies.size), *_unresolved(spectrum, merit), *shot.findings),
     )
+
+
+def energy_spectrum(
+    chip: Chip,
+    state: str | None = None,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 481,
+    relative_error: float = 1e-4,
+    accuracy: float | Discretisation = ACCURACY,
+    inviscid: bool = False,
+    progress: Progress = no_progress,
+) -> EnergySpectrum:
+    """The mean energy density of sound in the cavity of a chip over a band, with its peaks. See :func:`simulate`.
+
+    Raises:
+        InputError: a mistake in the chip, its materials or the arguments; a state without a liquid in its cavity.
+        NotConverged, NotEnriched: as of :func:`simulate`.
+    """
+    expect(chip, Chip, reader="read_chip", source="energy_spectrum", field="chip")
+    _check_relative_error(relative_error)
+    device = fill(chip, state, _assuming(registry, True, inviscid))
+    if not is_wet(device):
+        raise InputError("energy_spectrum", "state", device.state.name, "a state with a liquid in its cavity")
+    frequencies = frequency_grid(band_of(chip, band), points)
+    problem = build(device, band=(float(frequencies[0]), float(frequencies[-1])), accuracy=accuracy)
+    model, solution = reduced(assemble(problem.mesh, problem.terms), frequencies, problem.values,
+                              tolerance=relative_error, skip_singular=True, progress=progress)
+    return energy_spectrum_of(model, solution, problem.values)
+
+
+def is_wet(device: FilledChip) -> bool:
+    """Whether the cavity of a device holds a liquid."""
+    fluid = device.materials.get(CAVITY)
+    return isinstance(fluid, Fluid) and not fluid.is_gas
 
 
 def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:

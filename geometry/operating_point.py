@@ -1,0 +1,44 @@
+"""The operating point that a chip file states: the frequency that the chip is driven at."""
+
+from __future__ import annotations
+
+from workbench.files.errors import InputError, choose
+from workbench.files.tables import FileTable
+
+#: The largest peak of the energy in the cavity, and the frequency of the smallest |Z|.
+AT_ENERGY, AT_F0 = "energy", "f0"
+
+#: Words for an operating point; a frequency is another.
+OPERATING_POINTS = (AT_ENERGY, AT_F0)
+
+
+#: The key of a chip file.
+OPERATING_POINT = "operating_point"
+
+
+def check_operating_point(stated: float | str | None, band: tuple[float, float], file: str) -> None:
+    """See that a stated frequency (Hz) lies in the `band` of the chip, or that the word for it is known.
+
+    Raises:
+        InputError: it does not, or is not.
+    """
+    field = f"chip.{OPERATING_POINT}"
+    if isinstance(stated, str):
+        choose(stated, OPERATING_POINTS, source=file, field=field)
+    elif stated is not None and not band[0] <= stated <= band[1]:
+        raise InputError(file, field, f"{stated:g} Hz", f"a frequency within the band of the chip, {band[0]:g} to "
+                         f"{band[1]:g} Hz")
+
+
+def read_operating_point(head: FileTable) -> float | str | None:
+    """The key ``operating_point`` of a chip: a frequency in Hz, a word of :data:`OPERATING_POINTS`, None if absent.
+
+    Raises:
+        InputError: neither a frequency with its unit nor such a word.
+    """
+    text = head.optional_text(OPERATING_POINT)
+    if text is None or text in OPERATING_POINTS:
+        return text
+    if not text.strip()[:1].isdigit():
+        return choose(text, OPERATING_POINTS, source=head.source, field=head.at(OPERATING_POINT))
+    return head.quantity(OPERATING_POINT, "frequency")

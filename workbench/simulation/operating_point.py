@@ -1,0 +1,87 @@
+"""The frequency that a state is driven at, and the reason for it.
+
+Something happens in a liquid where its sound has a peak. The default is therefore the largest peak of the energy in the
+cavity under the drive; a chip file, or whoever simulates it, may state f0 or a frequency instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geometry.operating_point import AT_ENERGY, AT_F0, OPERATING_POINTS
+from workbench.files.errors import InputError, choose
+from workbench.model.drive import Drive
+from workbench.results.merit import Figures
+from workbench.simulation.energy import EnergyPeak, EnergySpectrum
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """The ``frequency`` (Hz) of the fields, and the ``reason`` for it in words.
+
+    ``here`` are the figures of the energy there, and ``at_f0`` those at ``f0`` (Hz), None where the cavity holds no
+    sound or the band no f0; ``peaks`` are those of the energy under the drive, the largest first.
+    """
+
+    frequency: float
+    reason: str
+    here: EnergyPeak | None = None
+    peaks: tuple[EnergyPeak, ...] = ()
+    f0: float | None = None
+    at_f0: EnergyPeak | None = None
+
+    def __str__(self) -> str:
+        found = f"The fields are those at {self.frequency / 1e6:.4f} MHz, {self.reason}"
+        if self.here is None:
+            return f"{found}."
+        peak = self.peaks[0] if self.peaks else None
+        figures = peak if peak is not None and peak.frequency == self.frequency else self.here
+        found += f": {figures.words}."
+        if peak is not None and peak is not figures:
+            found += (f" The energy is largest at {peak.frequency / 1e6:.4f} MHz, "
+                      f"{peak.energy_density / self.here.energy_density:.3g} times as large.")
+        elif self.at_f0 is not None and self.f0 is not None:
+            found += (f" At f0, {self.f0 / 1e6:.4f} MHz, it is "
+                      f"{_less(figures.energy_density / self.at_f0.energy_density)}.")
+        return found
+
+
+def _less(ratio: float) -> str:
+    return f"{ratio:.3g} times smaller" if ratio >= 1.0 else f"{1.0 / ratio:.3g} times larger"
+
+
+def operating_point(
+    asked: float | str | None, stated: float | str | None, merit: Figures | None, middle: float,
+    energy: EnergySpectrum | None, drive: Drive, *, source: str,
+) -> OperatingPoint:
+    """The operating point that was `asked` for, or else `stated` by the chip, or else the default.
+
+    `asked` and `stated` are a frequency (Hz) or one of `geometry.operating_point.OPERATING_POINTS`. The default is the
+    peak of the `energy` under the `drive`, f0 of the figures of `merit` without one, and the `middle` (Hz) of the band
+    without either.
+
+    Raises:
+        InputError: a peak of the energy is asked for, or stated, and there is none; a word that is none of these.
+    """
+    wanted = stated if asked is None else asked
+    peaks = () if energy is None else energy.peaks(drive)
+    peak, f0 = (peaks[0] if peaks else None), (None if merit is None else merit.f0)
+    if isinstance(wanted, str):
+        choose(wanted, OPERATING_POINTS, source=source, field="at")
+    if wanted == AT_ENERGY and peak is None:
+        raise InputError(source, "at", AT_ENERGY, "a frequency or f0: " + (
+            "the cavity holds no liquid with sound in it" if energy is None
+            else "the energy in the cavity has no peak in the band"))
+    if isinstance(wanted, float):
+        frequency, reason = wanted, "as stated"
+    elif peak is not None and wanted != AT_F0:
+        frequency, reason = peak.frequency, f"where the sound in the cavity has most energy under {drive}"
+    elif f0 is not None:
+        frequency, reason = f0, "f0, the smallest |Z|" + ("" if wanted == AT_F0 or energy is None else
+                                                         ", because the energy has no peak in the band")
+    else:
+        frequency, reason = middle, "the middle of the band, which has no f0"
+    if energy is None:
+        return OperatingPoint(frequency, reason, f0=f0)
+    return OperatingPoint(frequency, reason, energy.at(frequency, drive), peaks, f0,
+                          None if f0 is None else energy.at(f0, drive))
