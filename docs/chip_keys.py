@@ -30,6 +30,8 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "description": "what it is, in words",
         "source": "where the description comes from",
         "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
+        "operating_point": "the frequency that the chip is driven at: `energy` (if not given), `f0`, or a frequency "
+                           "such as `1.94 MHz`",
         "unusual": "names of sizes that are meant although no such part has them, such as `[\"couplant.thickness\"]`; "
                    "see below",
         "geometry": "`axisymmetric` (if not given): discs and rings about one axis; or `straight`: plates with a "
@@ -174,7 +176,7 @@ TAKES: Mapping[str, str] = {
     **dict.fromkeys(("geometry", "symmetry"), "text"),
     "length": f"text with a unit: {', '.join(dict.fromkeys(UNITS['length']))}",
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
-    "band": "a list of two frequencies", "unusual": "a list of names",
+    "band": "a list of two frequencies", "operating_point": "text", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
     "profile": "a table", "points": "a list of points",

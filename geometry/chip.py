@@ -17,7 +17,7 @@ from geometry.chip_tables import read_band, read_layers, read_ports, read_states
 from geometry.dimension import Dimension
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
-from geometry.operating_point import OPERATING_POINT, check_operating_point, read_operating_point
+from geometry.operating_point import check_operating_point, read_operating_point
 from geometry.parts import (
     ElectrodeDisc,
     Electrodes,
@@ -263,7 +263,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
     root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
     head = root.table("chip").only(
         ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry",
-         OPERATING_POINT))
+         "operating_point"))
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure, scripts=scripts)
     cavity = root.table("cavity").only(("ports", "open", "fill"))

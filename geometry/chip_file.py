@@ -10,7 +10,6 @@ from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
 from geometry.measure import Straight
 from geometry.names import TRANSDUCER
-from geometry.operating_point import OPERATING_POINT
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
 from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Size, StepPart
 from geometry.scripts import Script, lies_below, script_bytes
@@ -47,7 +46,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head |= {"length": _length(chip.measure.length)} if isinstance(chip.measure, Straight) else {}
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     if chip.operating_point is not None:
-        head[OPERATING_POINT] = chip.operating_point if isinstance(chip.operating_point, str) else format_quantity(
+        head["operating_point"] = chip.operating_point if isinstance(chip.operating_point, str) else format_quantity(
             chip.operating_point, "frequency", ("MHz", "kHz", "Hz"))
     parts = [toml_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):

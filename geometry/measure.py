@@ -33,6 +33,10 @@ class Parity(Enum):
     NONE = "none"
 
 
+#: Length (m) of a straight section whose length is not stated.
+PER_METRE = 1.0
+
+
 @dataclass(frozen=True)
 class Axisymmetric:
     """The section turned about the axis r = 0, with the weight 2 pi r dr dz and the hoop strain u_r / r."""
@@ -120,7 +124,7 @@ class Straight:
         InputError: a length that is not above zero.
     """
 
-    length: float = 1.0
+    length: float = PER_METRE
     left: Parity = Parity.NONE
     right: Parity = Parity.NONE
 

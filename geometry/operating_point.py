@@ -12,17 +12,13 @@ AT_ENERGY, AT_F0 = "energy", "f0"
 OPERATING_POINTS = (AT_ENERGY, AT_F0)
 
 
-#: The key of a chip file.
-OPERATING_POINT = "operating_point"
-
-
 def check_operating_point(stated: float | str | None, band: tuple[float, float], file: str) -> None:
     """See that a stated frequency (Hz) lies in the `band` of the chip, or that the word for it is known.
 
     Raises:
         InputError: it does not, or is not.
     """
-    field = f"chip.{OPERATING_POINT}"
+    field = "chip.operating_point"
     if isinstance(stated, str):
         choose(stated, OPERATING_POINTS, source=file, field=field)
     elif stated is not None and not band[0] <= stated <= band[1]:
@@ -36,9 +32,9 @@ def read_operating_point(head: FileTable) -> float | str | None:
     Raises:
         InputError: neither a frequency with its unit nor such a word.
     """
-    text = head.optional_text(OPERATING_POINT)
+    text = head.optional_text("operating_point")
     if text is None or text in OPERATING_POINTS:
         return text
     if not text.strip()[:1].isdigit():
-        return choose(text, OPERATING_POINTS, source=head.source, field=head.at(OPERATING_POINT))
-    return head.quantity(OPERATING_POINT, "frequency")
+        return choose(text, OPERATING_POINTS, source=head.source, field=head.at("operating_point"))
+    return head.quantity("operating_point", "frequency")

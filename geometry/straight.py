@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, dimension_text, millimetres
 from geometry.limits import NOT_STRAIGHT
-from geometry.measure import Axisymmetric, Measure, Parity, Straight
+from geometry.measure import PER_METRE, Axisymmetric, Measure, Parity, Straight
 from geometry.parts import Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
@@ -42,7 +42,7 @@ def read_measure(head: FileTable) -> Measure:
         raise head.error("length", "a length above zero, that of the chip into the paper")
     symmetry = choose(head.text("symmetry", "even"), [each.value for each in Parity], source=head.source,
                       field=head.at("symmetry"))
-    return Straight(1.0 if length is None else length, Parity(symmetry))
+    return Straight(PER_METRE if length is None else length, Parity(symmetry))
 
 
 def refuse_round_keys(table: FileTable) -> None:

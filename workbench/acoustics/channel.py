@@ -102,9 +102,10 @@ class ChannelFigures(Brief):
         return float(np.ptp(self.up[:, 1]) / self.up[:, 1].mean())
 
     @property
-    def focus_time(self) -> float | None:
-        """Time (s) of a particle to the deepest of the lines."""
-        return self.lines[0].time if self.lines else None
+    def focus_time(self) -> float:
+        """Time (s) of a particle to the deepest of the lines, NaN where it does not get there."""
+        time = self.lines[0].time if self.lines else None
+        return math.nan if time is None else time
 
     def __str__(self) -> str:
         largest = 1e-3 * float(self.across[:, 1].max())

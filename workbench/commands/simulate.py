@@ -17,12 +17,14 @@ from workbench.commands.export import export_solids, solid_names
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import SIMULATED, field_files, run_state, state_sizes, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
+from workbench.fem.solve import NotConverged
 from workbench.files.ownership import Outputs, discard
 from workbench.files.writing import write_json
 from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
 from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
+from workbench.reduced.at_point import NotEnriched
 from workbench.render import gallery
 from workbench.render.canvas import Picture
 from workbench.report.resonances import resonances_table
@@ -52,11 +54,11 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     for name in states:
         fill(chip, name, model.registry)
     folder = output_folder(options, simulation_outputs(chip, states))
-    runs: list[Simulation] = []
+    runs, failed = list[Simulation](), dict[str, RuntimeError]()
     wants = Wanted(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
-        for run in _simulated(chip, states, model, show, folder, unfinished, wants):
+        for run in _simulated(chip, states, model, show, folder, unfinished, wants, failed):
             runs.append(run)
             if options.vtu:
                 write_fields(run, folder)
@@ -64,6 +66,8 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
                 show(run.state, "pictures", SIMULATED)
                 beside.draw(run, is_last=len(runs) == len(states))
             show(run.state, "done", 1.0)
+        if not runs:
+            raise _of_state(failed)
         pictures, solid_view = beside.pictures(), beside.solid_view()
     # The last state is the one the device works in: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
@@ -88,7 +92,15 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         say_finding(text, console)
     for text in without_resonance(runs):
         console.print(text, style="yellow", markup=False)
+    if failed:
+        raise _of_state(failed)
     return 0
+
+
+def _of_state(failed: Mapping[str, RuntimeError]) -> RuntimeError:
+    """The error of the first state that failed, with the name of the state."""
+    name, error = next(iter(failed.items()))
+    return RuntimeError(f"state {name}: {error}")
 
 
 def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
@@ -101,10 +113,11 @@ def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
 
 def _simulated(
     chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path],
-    wants: Wanted,
+    wants: Wanted, failed: dict[str, RuntimeError],
 ) -> Iterator[Simulation]:
     """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
-    computed while what is made of this one is drawn, if there is memory for both.
+    computed while what is made of this one is drawn, if there is memory for both. A state that cannot be solved is put
+    into `failed` with its error, and takes no other with it.
 
     Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
     """
@@ -130,8 +143,13 @@ def _simulated(
         jobs = [pool.submit(solved, name) for name in states]
         if wants.pictures:
             gallery.load_libraries()
-        for job in jobs:
-            yield job.result()
+        for name, job in zip(states, jobs, strict=True):
+            try:
+                run = job.result()
+            except (NotConverged, NotEnriched) as error:
+                failed[name] = error
+                continue
+            yield run
     finally:
         # Not waited for: what is in native code stops where it next says how far it is.
         stopped.set()

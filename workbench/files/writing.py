@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import tempfile
@@ -116,12 +117,27 @@ def write_atomic(path: Path, content: str | bytes) -> None:
         whole.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
+def _numbers(record: object, key: str = "") -> Iterator[tuple[str, float]]:
+    """The floating-point numbers of a record with their keys, such as ``states.filled.q``."""
+    if isinstance(record, float):
+        yield key, record
+    elif isinstance(record, Mapping):
+        for name, each in record.items():
+            yield from _numbers(each, f"{key}.{name}".lstrip("."))
+    elif isinstance(record, list | tuple):
+        for number, each in enumerate(record):
+            yield from _numbers(each, f"{key}[{number}]")
+
+
 def write_json(path: Path, record: Mapping[str, Any]) -> Path:
     """Write a record as JSON, whole or not at all.
 
     Raises:
-        ValueError: a number in it is infinite or none.
+        ValueError: a number in it is infinite or none; the error names its key.
         OSError: it cannot be written; the error names `path`.
     """
+    for key, value in _numbers(record):
+        if not math.isfinite(value):
+            raise ValueError(f"{path}: {key} is {value}, which JSON does not have")
     write_atomic(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
     return path

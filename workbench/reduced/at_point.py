@@ -28,12 +28,15 @@ FIRST = 7
 
 
 class NotEnriched(RuntimeError):
-    """The reduced model did not reach its tolerance. Carries the estimate reached."""
+    """The reduced model did not reach its tolerance. Carries the estimate reached, and in the process that made them
+    the model and its solution."""
 
-    def __init__(self, estimate: float, tolerance: float, solves: int) -> None:
+    def __init__(
+        self, estimate: float, tolerance: float, solves: int, found: tuple[ReducedModel, Solution] | None = None
+    ) -> None:
         super().__init__(f"the reduced model is at an estimated relative error of {estimate:.1e} after {solves} full "
                          f"solves, above the tolerance of {tolerance:.0e}; solve the full model, or narrow the band")
-        self.estimate, self.tolerance, self.solves = estimate, tolerance, solves
+        self.estimate, self.tolerance, self.solves, self.found = estimate, tolerance, solves, found
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (NotEnriched, (self.estimate, self.tolerance, self.solves))
@@ -114,7 +117,8 @@ def reduced(
             if believed and not confirmed:
                 break
             if spent >= limit:
-                raise NotEnriched(estimate, tolerance, model.solves)
+                whole = solution if looked_at.size == frequencies.size else model.solve(frequencies, values)
+                raise NotEnriched(estimate, tolerance, model.solves, (model, whole))
             if believed:
                 spent += 1
                 report()

@@ -282,7 +282,8 @@ def _channel_record(shot: Snapshot) -> dict[str, Any]:
         "channels": [{"left_m": each.left, "right_m": each.right, "mean_energy_density_j_m3": each.energy_density}
                      for each in found.channels],
         "across_m_pa": found.across.tolist(), "up_m_pa": found.up.tolist(),
-        "critical_diameter_m": found.critical_diameter, "focus_time_s": found.focus_time,
+        "critical_diameter_m": found.critical_diameter,
+        "focus_time_s": None if math.isnan(found.focus_time) else found.focus_time,
         "lines": [{"x_m": line.place, "depth_j": line.depth, "share_of_width": line.share, "at_side_wall": line.at_side,
                    "stiffness_n_m": line.stiffness, "focus_time_s": line.time} for line in found.lines]}}
 

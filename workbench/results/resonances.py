@@ -88,6 +88,8 @@ def fit_resonances(
     if count is not None and len(listed(found)) < count:
         raise ValueError(f"{count} resonances were asked for, {len(listed(found))} can be told apart"
                          + "".join(f"; {text}" for text in findings))
+    if not listed(found):
+        raise _nothing(seen)
     return found.fit(listed(found), tuple(findings))
 
 
@@ -100,8 +102,14 @@ def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
 
 
 def listed(found: SolvedCircuit) -> list[int]:
-    """The branches that are resonances of the band, by index: not those confined to frequencies beyond it."""
-    return [k for k in range(len(found.circuit.branches)) if k not in found.freedom.held]
+    """The branches that are resonances of the band, by index.
+
+    A branch beyond the band stands for modes there. One that is wider than its frequency is high is a resistor in
+    parallel: the loss of the capacitance, and of what lies beyond the band.
+    """
+    low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
+    return [k for k, (at, width) in enumerate(zip(found.circuit.frequencies, found.circuit.bandwidths, strict=True))
+            if k not in found.freedom.held and low < at < high and width < at]
 
 
 def unresolved(found: SolvedCircuit) -> str | None:
@@ -146,15 +154,20 @@ def _noise(spectrum: Spectrum) -> Real:
     return np.full(len(spectrum.frequency), scatter(spectrum))
 
 
+def _nothing(spectrum: Spectrum) -> NoResonance:
+    """The error that no resonance stands out."""
+    magnitude, lowest = spectrum.magnitude, int(np.argmin(spectrum.magnitude))
+    return NoResonance(
+        f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
+        f"{spectrum.frequency[-1]:.9g} Hz", frequency=float(spectrum.frequency[lowest]),
+        impedance=float(magnitude[lowest]))
+
+
 def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
     """A plain circuit of the peaks; its capacitances by linear least squares of the relative error of Y."""
     peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
     if not peaks:
-        magnitude, lowest = spectrum.magnitude, int(np.argmin(spectrum.magnitude))
-        raise NoResonance(
-            f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
-            f"{spectrum.frequency[-1]:.9g} Hz", frequency=float(spectrum.frequency[lowest]),
-            impedance=float(magnitude[lowest]))
+        raise _nothing(spectrum)
     static = float(np.median(np.abs(spectrum.admittance) / spectrum.frequency)) / (2.0 * np.pi)
     branches = [[math.log(at), math.log(q), math.log(guess), 0.0] for at, q, guess in peaks]
     start = BranchCircuit(np.array(branches), np.array([math.log(static), 0.0, 0.0]))
@@ -206,6 +219,8 @@ def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
     off = np.abs(np.log(circuit.impedance(spectrum.frequency) / spectrum.impedance))
     at = float(spectrum.frequency[int(np.argmax(np.convolve(off, np.ones(5), "same")))])
     places = listed(found)
+    if not places:
+        return None
     nearest = places[int(np.argmin(np.abs(circuit.frequencies[places] - at)))]
     centre, width = float(circuit.frequencies[nearest]), float(circuit.bandwidths[nearest])
     halves = circuit.branches.copy()
