@@ -58,7 +58,7 @@ def full(chip: Chip, values: dict[str, float], **options: object) -> Evaluation:
 
 def test_figures_of_a_full_evaluation_are_those_of_a_simulation(chip: Chip) -> None:
     found = full(chip, {}).figures
-    run = simulate(chip, "filled", accuracy=COARSE)
+    run = simulate(chip, "filled", accuracy=COARSE, at="f0")
     trap, excitation = run.traps.traps[0], run.traps.excitation
     # On the model, or on points of its spectrum: its interpolant is good to 1e-5.
     assert found["f0"] == pytest.approx(run.figures.f0, rel=1e-7)

@@ -36,7 +36,7 @@ def study(thermal: dict[str, Any], **options: Any) -> wb.Study:
 
 def test_heating_with_computed_resistances_is_the_temperature_of_the_part() -> None:
     drive = PowerDrive(0.05)
-    run = wb.simulate(small(), "filled", points=41, accuracy=COARSE, drive=drive)
+    run = wb.simulate(small(), "filled", points=41, accuracy=COARSE, drive=drive, at="f0")
     resistances = wb.thermal_resistances(run, part="cavity")
     found = full_evaluation(small(), "filled", {}, figures=("heating", "f0"), band=BAND, points=41, accuracy=COARSE,
                             operation=Operation(drive, thermal_resistance=resistances)).figures

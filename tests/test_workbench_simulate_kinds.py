@@ -22,6 +22,7 @@ from workbench.results.circuit import BranchCircuit, Freedom, SolvedCircuit
 from workbench.results.resonances import listed
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation import run as simulation
+from workbench.simulation import solved_spectrum
 
 ROOT = Path(__file__).resolve().parent.parent
 SMALL_CHIP = ROOT / "examples" / "small_campaign" / "chip.toml"
@@ -39,11 +40,11 @@ def nearly(estimate: float) -> object:
 
 def test_a_model_that_nearly_reached_its_tolerance_is_used_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
     chip = read_chip(SMALL_CHIP)
-    monkeypatch.setattr(simulation, "reduced", nearly(1.2e-4))
+    monkeypatch.setattr(solved_spectrum, "reduced", nearly(1.2e-4))
     found = wb.simulate(chip, "filled", points=41, accuracy=2e-2)
     assert found.error > 1e-4
     assert f"{found.error:.1e}, above the 1e-04 that was asked" in found.findings[0]
-    monkeypatch.setattr(simulation, "reduced", nearly(2e-3))
+    monkeypatch.setattr(solved_spectrum, "reduced", nearly(2e-3))
     with pytest.raises(NotEnriched):
         wb.simulate(chip, "filled", points=41, accuracy=2e-2)
 

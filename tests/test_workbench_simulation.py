@@ -15,7 +15,8 @@ from workbench.design.model import full_evaluation
 from workbench.fem.solve import NotConverged, System
 from workbench.files.errors import InputError
 from workbench.model.drive import PowerDrive
-from workbench.simulation.run import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot
+from workbench.simulation.run import MeshTooCoarse, Simulation, simulate, snapshot
+from workbench.simulation.solved_spectrum import frequency_grid
 
 POINTS, ELEMENTS = 41, 3.0
 DISC = {"role": "transducer", "material": "pzt4/acevedo_2026_initial", "thickness": "2 mm", "radius": "3 mm"}

@@ -40,7 +40,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.fem.factorisation import KNOWN  # noqa: E402
 from workbench.fem.operators import FullOperators, assemble  # noqa: E402
 from workbench.fem.solve import System, one_thread  # noqa: E402
-from workbench.fem.sparsity import mirrored  # noqa: E402
+from workbench.fem.sparsity import both_triangles  # noqa: E402
 from workbench.model.discretisation import ACCURACY, discretisation  # noqa: E402
 from workbench.model.problem import Problem, build, fill  # noqa: E402
 
@@ -65,7 +65,7 @@ class Colamd:
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
         triangle = self._triangle
         upper = sparse.csc_array((data, triangle.indices, triangle.indptr), shape=triangle.shape)
-        factor = splu(mirrored(upper).tocsc())
+        factor = splu(both_triangles(upper).tocsc())
 
         def solve(right: Complex) -> Complex:
             return np.asarray(factor.solve(right))
@@ -129,7 +129,7 @@ def measured(kind: Callable[[sparse.csc_array], Any], matrices: list[sparse.csc_
         taken[:] = np.diff(marks)
     factor = inspect.getclosurevars(solve).nonlocals["factor"]
     entries = factor.nnz if hasattr(factor, "nnz") else factor.factor_nnz
-    residual = float(np.linalg.norm(right[:, 0] - mirrored(matrices[1]) @ one) / np.linalg.norm(right[:, 0]))
+    residual = float(np.linalg.norm(right[:, 0] - both_triangles(matrices[1]) @ one) / np.linalg.norm(right[:, 0]))
     first, second, alone, many = seconds.min(axis=0)
     return Found(first, second, alone, many, entries, residual)
 

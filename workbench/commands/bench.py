@@ -35,7 +35,7 @@ from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduce
 from workbench.report.page import TextTable
 from workbench.results.spectrum import Spectrum
-from workbench.simulation.run import frequency_grid
+from workbench.simulation.solved_spectrum import frequency_grid
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -55,7 +55,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         fill(chip, name, model.registry)
     folder = output_folder(options, simulation_outputs(chip, states))
     runs, failed = list[Simulation](), dict[str, RuntimeError]()
-    wants = Wanted(cad=not options.no_cad, pictures=not options.no_pictures)
+    wants = WantedFiles(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
         for run in _simulated(chip, states, model, show, folder, unfinished, wants, failed):
@@ -113,7 +113,7 @@ def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
 
 def _simulated(
     chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path],
-    wants: Wanted, failed: dict[str, RuntimeError],
+    wants: WantedFiles, failed: dict[str, RuntimeError],
 ) -> Iterator[Simulation]:
     """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
     computed while what is made of this one is drawn, if there is memory for both. A state that cannot be solved is put
@@ -163,7 +163,7 @@ def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WantedFiles:
     """The files that a user wants: those of the solid model, and pictures."""
 
     cad: bool
@@ -177,7 +177,7 @@ class _Beside:
         RuntimeError: the export failed.
     """
 
-    def __init__(self, chip: Chip, folder: Path, wants: Wanted) -> None:
+    def __init__(self, chip: Chip, folder: Path, wants: WantedFiles) -> None:
         self._folder, self._wants = folder, wants
         self._drawn: dict[str, Future[list[Picture]]] = {}
         self._own: dict[str, list[Picture]] = {}
@@ -212,7 +212,7 @@ class _Beside:
             raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({error})") from error
 
 
-def _solid_model(chip: Chip, folder: Path, wants: Wanted) -> list[Picture]:
+def _solid_model(chip: Chip, folder: Path, wants: WantedFiles) -> list[Picture]:
     """Write the solids of a chip and draw them; whatever pictures need is loaded by then."""
     solids = export_solids(chip, folder)[1] if wants.cad else {}
     if not wants.pictures:

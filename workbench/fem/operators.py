@@ -25,7 +25,7 @@ from workbench.fem.dense import Span
 from workbench.fem.elements import Lagrange
 from workbench.fem.factorisation import Factorisation, factorisation
 from workbench.fem.places import Place, place_of
-from workbench.fem.sparsity import Kind, Pattern, SplitMatrix, Stack, mirrored, real_product
+from workbench.fem.sparsity import Kind, Pattern, SplitMatrix, Stack, both_triangles, real_product
 from workbench.fem.symmetry import conditions_at_ends
 from workbench.physics.term import (
     COMPONENTS,
@@ -269,7 +269,7 @@ class FullOperators(Brief):
 
     def matrix(self, constants: Complex) -> sparse.csr_array:
         """The complex symmetric matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
-        return mirrored(self.triangle(constants))
+        return both_triangles(self.triangle(constants))
 
     @cached_property
     def factorisation(self) -> Factorisation:

@@ -25,7 +25,7 @@ from workbench.fem.dense import Span, solve_dense
 from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
-from workbench.fem.sparsity import SplitMatrix, diagonal, mirrored
+from workbench.fem.sparsity import SplitMatrix, both_triangles, diagonal
 from workbench.jobs.memory import is_shortage, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
@@ -246,7 +246,7 @@ class System:
 
     def matrix(self, frequency: float) -> sparse.csr_array:
         """The matrix A(w) (size, size), complex symmetric, electrode included."""
-        return mirrored(self.operators.sparsity.triangle(self.entries(frequency)))
+        return both_triangles(self.operators.sparsity.triangle(self.entries(frequency)))
 
     def charge(self, frequency: float, state: Complex) -> complex:
         """The charge -x^T A x of a state (size,)."""

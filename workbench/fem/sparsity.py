@@ -68,7 +68,7 @@ def diagonal(triangle: sparse.csc_array) -> NDArray[np.inexact]:
     return np.where(triangle.indices[last] == np.arange(last.size), triangle.data[last], 0.0)
 
 
-def mirrored(triangle: sparse.csc_array) -> sparse.csr_array:
+def both_triangles(triangle: sparse.csc_array) -> sparse.csr_array:
     """The symmetric matrix with this upper triangle, whose indices are sorted."""
     last = triangle.indptr[1:] - 1
     below = triangle.data.copy()
@@ -105,7 +105,7 @@ class Entries:
     def _mirror(self) -> sparse.csr_array:
         """Both triangles, with the index of each entry from one."""
         number = np.arange(1, self.rows.size + 1, dtype=np.int32)
-        return mirrored(sparse.csc_array((number, self.rows, self.starts), shape=(self.starts.size - 1,) * 2))
+        return both_triangles(sparse.csc_array((number, self.rows, self.starts), shape=(self.starts.size - 1,) * 2))
 
     def whole(self, values: Real) -> sparse.csr_array:
         """The symmetric matrix with these values (k,). By rows it is the same as by columns, and faster."""

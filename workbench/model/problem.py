@@ -120,6 +120,12 @@ class FilledChip(Brief):
         """Chip and state, for messages."""
         return f"{self.chip.name}, {self.state.name}"
 
+    @property
+    def is_wet(self) -> bool:
+        """Whether the cavity holds a liquid."""
+        fluid = self.materials.get(CAVITY)
+        return isinstance(fluid, Fluid) and not fluid.is_gas
+
     @cached_property
     def section(self) -> Section | FreeSection:
         """The half section of the chip."""

@@ -73,8 +73,7 @@ def reduced(
     made for other parameter values is enriched for these. The basis also holds what the parameters in `tangents` change
     the states by when they move by so much. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
     frequency (Hz) at which `start` is off most, if that is known. With `skip_singular` a frequency is left out at which
-    a full solve does not converge but does beside it, or at which reduced and full model keep apart. The `system` of
-    these values is not made again if it is given.
+    a full solve does not converge but does beside it, or at which both models keep apart. A `system` is that of values.
 
     Returns:
         the model, and what it gives at all frequencies but those left out.
@@ -117,8 +116,7 @@ def reduced(
             if believed and not confirmed:
                 break
             if spent >= limit:
-                whole = solution if looked_at.size == frequencies.size else model.solve(frequencies, values)
-                raise NotEnriched(estimate, tolerance, model.solves, (model, whole))
+                raise NotEnriched(estimate, tolerance, model.solves, (model, model.solve(frequencies, values)))
             if believed:
                 spent += 1
                 report()

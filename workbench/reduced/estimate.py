@@ -28,7 +28,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from workbench.fem.solve import NotConverged, System
-from workbench.fem.sparsity import diagonal, mirrored
+from workbench.fem.sparsity import both_triangles, diagonal
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -78,7 +78,7 @@ def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
         sign = np.sign(diagonal(pattern.triangle(real)))
         row = sign[pattern.rows]
         total += np.where(row == sign[pattern.columns], row * real, 0.0)
-    return mirrored(pattern.triangle(total, pattern.size - 1))
+    return both_triangles(pattern.triangle(total, pattern.size - 1))
 
 
 def estimated_error(residual: Complex, charge: Complex) -> Real:

@@ -22,7 +22,7 @@ import geometry.mesh
 from geometry.chip import Chip
 from geometry.measure import PER_METRE, Straight
 from geometry.names import CAVITY
-from geometry.plausible import check_band, check_frequency
+from geometry.plausible import check_frequency
 from materials.assumed import is_lossless
 from materials.kinds import Fluid
 from materials.registry import Registry
@@ -31,14 +31,13 @@ from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import NotConverged, Solution, System, solve_full, sweep
+from workbench.fem.solve import NotConverged, Solution, System, solve_full
 from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
 from workbench.model.drive import Drive, VoltageDrive, check_drive
-from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip, Problem, build, fill
-from workbench.reduced.at_point import NotEnriched, reduced
+from workbench.reduced.at_point import reduced
 from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
 from workbench.results.circuit import CircuitFit
@@ -50,6 +49,7 @@ from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
+from workbench.simulation.solved_spectrum import band_of, frequency_grid, full_spectrum, not_reached, reduced_spectrum
 
 if TYPE_CHECKING:
     import xarray
@@ -64,13 +64,6 @@ RESOLVED = 2
 #: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
 #: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
 NEARBY = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
-
-#: Number of frequencies that may fail to converge for each one that does, and number in any case, before a spectrum is
-#: given up: a model that is singular everywhere is not held by anything. Doubled, the message takes twice as long.
-FAILED_PER_SOLVED, FAILED_ANYWAY = 0.5, 5
-#: Ratio of the error of a reduced model to the requested one up to which it is used, and said. Doubled, a spectrum may
-#: be off by 2e-3 where 1e-4 was asked; most models that miss their tolerance are off by less than three times it.
-NEARLY = 10.0
 
 #: Largest ratio of the error of a mesh to its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small
 #: example chip (one more order shows a part of the error of a singular corner). Used in the warning alone.
@@ -179,34 +172,6 @@ class Simulation(Snapshot, Shown):
         return found
 
 
-def frequency_grid(band: tuple[float, float], points: int) -> Real:
-    """Equally spaced frequencies (points,) in Hz over `band`, both ends included.
-
-    Raises:
-        InputError: fewer than 5 points, or a band that is not rising and positive.
-    """
-    low, high = band
-    if points < 5:
-        raise InputError("simulate", "points", points, "at least 5 frequencies")
-    check_points(points, source="simulate")
-    if not 0.0 < low < high < np.inf:
-        raise InputError("simulate", "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
-    return np.linspace(low, high, points)
-
-
-def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]:
-    """The requested band (Hz), or the chip's own.
-
-    Raises:
-        InputError: a band that nobody drives such a chip in, and that the chip does not list as unusual.
-    """
-    if band is None:
-        return chip.band
-    if 0.0 < band[0] < band[1] and "band" not in chip.unusual:
-        check_band(chip.layers, band, chip.file, "band")
-    return band
-
-
 class Laps:
     """Seconds spent on one step after the other, by name."""
 
@@ -244,9 +209,8 @@ def simulate(
     Args:
         state: name of the state; the last one of the file if not given.
         band: two frequencies (Hz); the chip's own if not given. The mesh is made for its upper end.
-        at: frequency (Hz) of the fields, or "energy" or "f0" for it; if not given, the chip's own, or else the largest
-            peak of the energy of sound in the cavity under the drive, f0 without one, and the middle of the band
-            without either.
+        at: frequency (Hz) of the fields, or "energy" or "f0"; if not given, the chip's operating point, or else the
+            largest peak of the energy in the cavity under the drive, f0 without one, the band's middle without either.
         full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         relative_error: of the reduced model's impedance.
@@ -267,48 +231,40 @@ def simulate(
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
-    span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem, error = build(device, band=span, accuracy=accuracy), 0.0
-    of_mesh, energy = None, None
+    span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
+    problem = build(device, band=span, accuracy=accuracy)
     lap("mesh")
-    operators = assemble(problem.mesh, problem.terms)
-    system = System(operators, problem.values)
+    system = System(assemble(problem.mesh, problem.terms), problem.values)
     lap("assembly")
-    if full:
-        solved, impedance, solves, residual = _full_spectrum(
-            system, frequencies, known or {}, on_point, progress)
-        lap("spectrum")
-    else:
-        model, solution = _reduced(system, frequencies, relative_error, progress)
-        solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
-        error = float(model.error(solution).max())
-        if is_wet(device):
-            energy = energy_spectrum_of(model, solution, problem.values)
-        lap("spectrum")
-        on_spectrum(Spectrum.from_solver(solved, impedance, origin=_origin(device, _reduced_to(error))))
-        of_mesh = _mesh_error(model, solved, problem, accuracy, progress)
+    found = full_spectrum(system, frequencies, known or {}, on_point, progress) if full else \
+        reduced_spectrum(system, frequencies, relative_error, progress)
+    lap("spectrum")
+    if found.model is not None and found.solution is not None:
+        on_spectrum(Spectrum.from_solver(found.frequency, found.impedance,
+                                         origin=_origin(device, _reduced_to(found.error))))
+        if device.is_wet:
+            energy = energy_spectrum_of(found.model, found.solution, problem.values)
+        of_mesh = _mesh_error(found.model, found.frequency, problem, accuracy, progress)
         lap("error of the mesh")
-    method = "full solves" if of_mesh is None else f"{_reduced_to(error)}, of its mesh {of_mesh.rms:.1e} rms"
-    spectrum = Spectrum.from_solver(solved, impedance, origin=_origin(device, method))
+    method = "full solves" if of_mesh is None else f"{_reduced_to(found.error)}, of its mesh {of_mesh.rms:.1e} rms"
+    spectrum = Spectrum.from_solver(found.frequency, found.impedance, origin=_origin(device, method))
     on_spectrum(spectrum)
     merit, reason = _merit(spectrum)
-    operating = operating_point(at, chip.operating_point, merit, 0.5 * (span[0] + span[1]), energy, drive,
-                                source="simulate")
+    operating = operating_point(at, chip.operating_point, merit, 0.5 * sum(span), energy, drive, source="simulate")
     progress("fields", 0.0)
     shot = _snapshot(device, problem, system, operating.frequency, drive)
     lap("fields")
-    left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
+    left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
     progress("fields", 1.0)
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
-        traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
-        capacitance=capacitance(system), left_out=left_out, solution=shot.solution,
-        energy=energy, operating=operating,
-        findings=(*_left_out(device, left_out, frequencies.size), *_not_reached(error, relative_error),
-                  *_unresolved(spectrum, merit), *shot.findings),
-    )
+        traps=shot.traps, residual=max(found.residual, shot.residual), operators=system.operators, spectrum=spectrum,
+        figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
+        seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
+        operating=operating, findings=(
+            *_left_out(device, left_out, frequencies.size), *not_reached(found.error, relative_error),
+            *_unresolved(spectrum, merit), *shot.findings))
 
 
 def energy_spectrum(
@@ -332,19 +288,13 @@ def energy_spectrum(
     expect(chip, Chip, reader="read_chip", source="energy_spectrum", field="chip")
     _check_relative_error(relative_error)
     device = fill(chip, state, _assuming(registry, True, inviscid))
-    if not is_wet(device):
+    if not device.is_wet:
         raise InputError("energy_spectrum", "state", device.state.name, "a state with a liquid in its cavity")
     frequencies = frequency_grid(band_of(chip, band), points)
     problem = build(device, band=(float(frequencies[0]), float(frequencies[-1])), accuracy=accuracy)
     model, solution = reduced(assemble(problem.mesh, problem.terms), frequencies, problem.values,
                               tolerance=relative_error, skip_singular=True, progress=progress)
     return energy_spectrum_of(model, solution, problem.values)
-
-
-def is_wet(device: FilledChip) -> bool:
-    """Whether the cavity of a device holds a liquid."""
-    fluid = device.materials.get(CAVITY)
-    return isinstance(fluid, Fluid) and not fluid.is_gas
 
 
 def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:
@@ -361,31 +311,6 @@ def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) ->
     listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
     return (f"{len(frequencies)} of {asked} frequencies are left out, because the solve there did not converge: "
             f"{listed} MHz. {_undamped(device)}",)
-
-
-def _reduced(
-    system: System, frequencies: Real, relative_error: float, progress: Progress
-) -> tuple[ReducedModel, Solution]:
-    """The reduced model and its solution; one that nearly reached its tolerance is better than none.
-
-    Raises:
-        NotEnriched: it is off by more than :data:`NEARLY` times the tolerance.
-    """
-    try:
-        return reduced(system.operators, frequencies, system.values, tolerance=relative_error, skip_singular=True,
-                       system=system, progress=progress)
-    except NotEnriched as error:
-        if error.found is None or error.estimate > NEARLY * relative_error:
-            raise
-        return error.found
-
-
-def _not_reached(error: float, asked: float) -> tuple[str, ...]:
-    """A finding that the reduced model is off by more than was asked."""
-    if error <= asked:
-        return ()
-    return (f"the reduced model is at an estimated relative error of {error:.1e}, above the {asked:.0e} that was "
-            "asked; --full solves every frequency, --from and --to narrow the band",)
 
 
 def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
@@ -519,39 +444,6 @@ def _solved_near(system: System, frequency: float) -> Solution:
             except NotConverged:
                 continue
         raise error
-
-
-def _full_spectrum(
-    system: System, frequencies: Real, known: Mapping[float, complex],
-    on_point: Callable[[float, complex], None] | None, progress: Progress,
-) -> tuple[Real, Complex, int, float]:
-    """The frequencies (Hz) that were solved, the impedance (e^{-i w t}) there, the number of solves, and the largest
-    residual.
-
-    Raises:
-        NotConverged: more frequencies than :data:`FAILED_PER_SOLVED` of them do not converge.
-    """
-    impedance = np.conj(np.array([known.get(float(f), 0.0) for f in frequencies], dtype=np.complex128))
-    missing = np.flatnonzero(impedance == 0.0)
-    residual, done, failed = 0.0, 0, list[NotConverged]()
-
-    def leave_out(error: NotConverged) -> None:
-        failed.append(error)
-        if len(failed) > max(FAILED_PER_SOLVED * done, FAILED_ANYWAY):
-            raise error
-
-    for solution in sweep(system.operators, frequencies[missing], system.values, failed=leave_out, system=system):
-        done += 1
-        (index,) = np.flatnonzero(frequencies == solution.frequency[0])
-        impedance[index] = solution.impedance[0]
-        residual = max(residual, float(solution.residual[0]))
-        if on_point is not None:
-            on_point(float(frequencies[index]), complex(np.conj(impedance[index])))
-        progress("full spectrum", (done + len(failed)) / missing.size)
-    if failed and missing.size < 2 + len(failed):
-        raise failed[-1]
-    solved = impedance != 0.0
-    return frequencies[solved], impedance[solved], done, residual
 
 
 def check_mesh(problem: Problem, frequency: float) -> None:
