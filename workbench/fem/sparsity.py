@@ -15,6 +15,10 @@ from workbench.physics.term import MeasureFactor, Part
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Matrices that are more than one part in so many of a model's are not kept a second time. Doubled, models take a tenth
+#: less memory, and small ones of many parameters a tenth more time.
+MUCH = 4
+
 #: Two parts of operators in order, and the further factor of the measure.
 Kind = tuple[Part, Part, MeasureFactor | None]
 
@@ -81,25 +85,23 @@ class Entries:
     """Some entries of a symmetric pattern, wherever the matrices of some kinds have one.
 
     ``positions`` (k,) are their indices in its upper triangle, where they lie in ``rows`` (k,) and in the columns that
-    begin at ``starts`` (size + 1,); ``kinds`` (k, kinds) the matrices.
+    begin at ``starts`` (size + 1,). ``kinds`` (k, kinds) are the matrices, None where they would be much of the model.
     """
 
     positions: NDArray[np.int64]
     rows: NDArray[np.int32]
     starts: NDArray[np.int32]
-    kinds: sparse.csr_array
+    kinds: sparse.csr_array | None
 
     @classmethod
-    def of(cls, pattern: Pattern, kinds: sparse.csc_array) -> Entries:
-        """The entries of `kinds` (upper, kinds)."""
+    def of(cls, pattern: Pattern, kinds: sparse.csc_array, *, kept: bool) -> Entries:
+        """The entries of `kinds` (upper, kinds), which are `kept` or not."""
         is_held = np.zeros(pattern.keys.size, dtype=bool)
         is_held[kinds.indices] = True
         positions = np.flatnonzero(is_held)
-        number = np.cumsum(is_held, dtype=np.int32) - 1
-        own = sparse.csc_array((kinds.data, number[kinds.indices], kinds.indptr),
-                               shape=(positions.size, kinds.shape[1]))
-        return cls(positions, pattern.rows[positions], np.searchsorted(positions, pattern.starts).astype(np.int32),
-                   own.tocsr())
+        number, shape = np.cumsum(is_held, dtype=np.int32) - 1, (positions.size, kinds.shape[1])
+        own = sparse.csc_array((kinds.data, number[kinds.indices], kinds.indptr), shape=shape).tocsr() if kept else None
+        return cls(positions, pattern.rows[positions], np.searchsorted(positions, pattern.starts).astype(np.int32), own)
 
     @cached_property
     def _mirror(self) -> sparse.csr_array:
@@ -181,8 +183,12 @@ class Stack:
             return None
         key = tuple(acting.tolist())
         if key not in self.known:
-            self.known[key] = Entries.of(self.pattern, self.entries[:, acting])
-        return Symmetric(self.known[key], self.known[key].kinds @ weights[acting])
+            kinds = self.entries[:, acting]
+            self.known[key] = Entries.of(self.pattern, kinds, kept=MUCH * kinds.nnz < self.entries.nnz)
+        held = self.known[key]
+        if held.kinds is not None:
+            return Symmetric(held, held.kinds @ weights[acting])
+        return Symmetric(held, (self.entries @ weights)[held.positions])
 
 
 def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> Any:

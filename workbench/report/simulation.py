@@ -35,8 +35,8 @@ from workbench.simulation.energy import EnergySpectrum
 from workbench.simulation.gathering import Gathering
 from workbench.simulation.run import Simulation, Snapshot
 
-#: Peaks of the energy at most in a table and in a picture, the highest ones.
-MOST_PEAKS, MOST_MARKED = 4, 2
+#: Peaks of the energy at most that a picture marks, the highest ones.
+MOST_MARKED = 2
 
 #: Name of the picture of energy over frequency.
 ENERGY_PICTURE = "energy.png"
@@ -142,7 +142,7 @@ def energy_table(runs: Sequence[Simulation]) -> TextTable:
     """The peaks of the energy in the cavity, of every state with a liquid, under its drive."""
     rows = []
     for run in runs:
-        for peak in run.operating.peaks[:MOST_PEAKS]:
+        for peak in run.operating.peaks:
             rows.append((run.state, f"{peak.frequency / 1e6:.4f}", "" if peak.q is None else number_text(peak.q, 3),
                          number_text(peak.energy_density, 3), number_text(peak.per_square_volt, 3),
                          number_text(peak.per_watt, 3)))

@@ -42,6 +42,9 @@ OF_SOUND = {product for integral in AcousticFluid("", "").integrals() for produc
 #: Least ratio of a peak to the deeper of the valleys beside it. Doubled, a shoulder of 1.5 dB is no peak.
 LEAST_RISE = 1.2
 
+#: Number of peaks of a band at most: nobody drives at the fifth.
+MOST = 4
+
 #: Relative tolerance of a peak's frequency. Energy is flat there: the frequency counts to a hundredth of a half width.
 CONVERGED = 1e-8
 
@@ -106,12 +109,12 @@ class EnergySpectrum(Brief):
                           float(one_volt[0]) / 4.0, float(_per_watt(one_volt, impedance)[0]))
 
     def peaks(self, drive: Drive | None = None) -> tuple[EnergyPeak, ...]:
-        """The peaks under a drive (10 Vpp if not given), the highest first."""
+        """The :data:`MOST` highest peaks under a drive (10 Vpp if not given), the highest first."""
         drive = drive or VoltageDrive()
         energy, last = self.under(drive), self.frequency.size - 1
         tops = [k for k in range(1, last) if energy[k - 1] < energy[k] >= energy[k + 1]]
-        found = [self._peak(drive, k) for k in tops if self._stands_out(energy, k)]
-        return tuple(sorted(found, key=lambda peak: -peak.energy_density))
+        found = sorted((k for k in tops if self._stands_out(energy, k)), key=lambda k: -energy[k])[:MOST]
+        return tuple(sorted((self._peak(drive, k) for k in found), key=lambda peak: -peak.energy_density))
 
     def _stands_out(self, energy: Real, top: int) -> bool:
         """Whether a peak rises above the valleys that part it from higher ones, or from the ends of the band."""
