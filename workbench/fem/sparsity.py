@@ -15,8 +15,8 @@ from workbench.physics.term import MeasureFactor, Part
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Matrices that are more than one part in so many of a model's are not kept a second time. Doubled, models take a tenth
-#: less memory, and small ones of many parameters a tenth more time.
+#: Matrices that are more than one part in so many of a model's are not kept a second time. Doubled, a model takes less
+#: memory, and a set of values more time.
 MUCH = 4
 
 #: Two parts of operators in order, and the further factor of the measure.
