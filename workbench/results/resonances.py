@@ -104,8 +104,8 @@ def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
 def listed(found: SolvedCircuit) -> list[int]:
     """The branches that are resonances of the band, by index.
 
-    A branch beyond the band stands for modes there. One that is wider than its frequency is high is a resistor in
-    parallel: the loss of the capacitance, and of what lies beyond the band.
+    A branch beyond the band stands for modes there. One whose bandwidth exceeds its frequency is a resistor in
+    parallel: the loss of the capacitance and of modes beyond the band.
     """
     low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
     return [k for k, (at, width) in enumerate(zip(found.circuit.frequencies, found.circuit.bandwidths, strict=True))

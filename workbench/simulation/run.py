@@ -423,7 +423,7 @@ def _of_one_metre(chip: Chip) -> tuple[str, ...]:
     if not isinstance(chip.measure, Straight) or chip.measure.length != PER_METRE:
         return ()
     return ('the chip states no length: Z, power, heat, and the voltage that a generator leaves are those of 1 m of '
-            'it; write length = "35 mm" or what it is under [chip]',)
+            'it; state its length under [chip], such as length = "35 mm"',)
 
 
 def _solved_near(system: System, frequency: float) -> Solution:
