@@ -116,8 +116,8 @@ def _simulated(
     wants: WantedFiles, failed: dict[str, RuntimeError],
 ) -> Iterator[Simulation]:
     """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
-    computed while this one is drawn, if there is memory for both. A state that cannot be solved goes to `failed` with its
-    error; the others are finished.
+    computed while this one is drawn, if there is memory for both. A state that cannot be solved goes to `failed` with
+    its error; the others are finished.
 
     Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
     """
