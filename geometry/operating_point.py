@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 
 #: The largest peak of the energy in the cavity, and the frequency of the smallest |Z|.
@@ -24,6 +25,20 @@ def check_operating_point(stated: float | str | None, band: tuple[float, float],
     elif stated is not None and not band[0] <= stated <= band[1]:
         raise InputError(file, field, f"{stated:g} Hz", f"a frequency within the band of the chip, {band[0]:g} to "
                          f"{band[1]:g} Hz")
+
+
+def parse_at(text: str) -> float | str:
+    """A frequency (Hz), or a word of :data:`OPERATING_POINTS`, as the option ``--at`` states it.
+
+    Raises:
+        InputError: neither.
+    """
+    if text in OPERATING_POINTS:
+        return text
+    if not text.strip()[:1].isdigit():
+        raise InputError("command line", "--at", text, 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
+                         nearest_names(text.lower(), OPERATING_POINTS))
+    return parse_quantity(text, "frequency", source="command line", field="--at")
 
 
 def read_operating_point(head: FileTable) -> float | str | None:

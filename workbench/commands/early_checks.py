@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from geometry.operating_point import OPERATING_POINTS
+from geometry.operating_point import parse_at
 from workbench.files.errors import InputError, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
@@ -51,7 +51,9 @@ def check_early(options: argparse.Namespace) -> None:
             raise InputError(str(path), "file", path.name, "an existing file", nearest_files(path, _of_kind(path)))
     for key, (field, dimension) in QUANTITIES.items():
         text = getattr(options, key, None)
-        if isinstance(text, str) and not (key == "at" and text in OPERATING_POINTS):
+        if isinstance(text, str) and key == "at":
+            parse_at(text)
+        elif isinstance(text, str):
             parse_quantity(text, dimension, source="command line", field=field)
     jobs = getattr(options, "jobs", None)
     if jobs is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geometry.operating_point import AT_ENERGY, AT_F0, OPERATING_POINTS
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import choose
 from workbench.model.drive import Drive
 from workbench.results.merit import Figures
 from workbench.simulation.energy import EnergyPeak, EnergySpectrum
@@ -61,24 +61,23 @@ def operating_point(
     without either.
 
     Raises:
-        InputError: a peak of the energy is asked for, or stated, and there is none; a word that is none of these.
+        InputError: a word that is none of these.
     """
     wanted = stated if asked is None else asked
     peaks = () if energy is None else energy.peaks(drive)
     peak, f0 = (peaks[0] if peaks else None), (None if merit is None else merit.f0)
     if isinstance(wanted, str):
         choose(wanted, OPERATING_POINTS, source=source, field="at")
-    if wanted == AT_ENERGY and peak is None:
-        raise InputError(source, "at", AT_ENERGY, "a frequency or f0: " + (
-            "the cavity holds no liquid with sound in it" if energy is None
-            else "the energy in the cavity has no peak in the band"))
     if isinstance(wanted, float):
         frequency, reason = wanted, "as stated"
     elif peak is not None and wanted != AT_F0:
         frequency, reason = peak.frequency, f"where the sound in the cavity has most energy under {drive}"
     elif f0 is not None:
-        frequency, reason = f0, "f0, the smallest |Z|" + ("" if wanted == AT_F0 or energy is None else
-                                                         ", because the energy has no peak in the band")
+        frequency, reason = f0, "f0, the smallest |Z|"
+        if energy is not None and wanted != AT_F0:
+            reason += ", because the energy in the cavity has no peak in the band"
+        elif wanted == AT_ENERGY:
+            reason += ", because the cavity holds no liquid"
     else:
         frequency, reason = middle, "the middle of the band, which has no f0"
     if energy is None:

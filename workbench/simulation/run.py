@@ -49,7 +49,7 @@ from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
-from workbench.simulation.solved_spectrum import band_of, frequency_grid, full_spectrum, not_reached, reduced_spectrum
+from workbench.simulation.solved_spectrum import band_of, findings_of, frequency_grid, full_spectrum, reduced_spectrum
 
 if TYPE_CHECKING:
     import xarray
@@ -263,7 +263,7 @@ def simulate(
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
         seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
         operating=operating, findings=(
-            *_left_out(device, left_out, frequencies.size), *not_reached(found.error, relative_error),
+            *_left_out(device, left_out, frequencies.size), *findings_of(found, relative_error, is_wet=device.is_wet),
             *_unresolved(spectrum, merit), *shot.findings))
 
 

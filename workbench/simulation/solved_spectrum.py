@@ -95,11 +95,15 @@ def reduced_spectrum(
                           float(model.error(solution).max()), model, solution)
 
 
-def not_reached(error: float, asked: float) -> tuple[str, ...]:
-    """A finding that the reduced model is off by more than was asked."""
-    if error <= asked:
+def findings_of(found: SolvedSpectrum, asked: float, *, is_wet: bool) -> tuple[str, ...]:
+    """Findings that the reduced model is off by more than was `asked`, or that without it the energy of the sound in a
+    liquid is not known over frequency."""
+    if found.model is None:
+        return ("full solves keep no states: the energy of the sound in the liquid is not known over frequency, and "
+                "the fields are not at its peak; --at states their frequency",) if is_wet else ()
+    if found.error <= asked:
         return ()
-    return (f"the reduced model is at an estimated relative error of {error:.1e}, above the {asked:.0e} that was "
+    return (f"the reduced model is at an estimated relative error of {found.error:.1e}, above the {asked:.0e} that was "
             "asked; --full solves every frequency, --from and --to narrow the band",)
 
 
