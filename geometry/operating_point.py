@@ -23,8 +23,7 @@ def check_operating_point(stated: float | str | None, band: tuple[float, float],
     if isinstance(stated, str):
         choose(stated, OPERATING_POINTS, source=file, field=field)
     elif stated is not None and not band[0] <= stated <= band[1]:
-        raise InputError(file, field, f"{stated:g} Hz", f"a frequency within the band of the chip, {band[0]:g} to "
-                         f"{band[1]:g} Hz")
+        raise InputError(file, field, f"{stated:g} Hz", f"a frequency within the band, {band[0]:g} to {band[1]:g} Hz")
 
 
 def parse_at(text: str) -> float | str:
@@ -51,5 +50,6 @@ def read_operating_point(head: FileTable) -> float | str | None:
     if text is None or text in OPERATING_POINTS:
         return text
     if not text.strip()[:1].isdigit():
-        return choose(text, OPERATING_POINTS, source=head.source, field=head.at("operating_point"))
+        raise head.error("operating_point", 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
+                         nearest_names(text.lower(), OPERATING_POINTS))
     return head.quantity("operating_point", "frequency")

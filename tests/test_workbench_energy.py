@@ -130,6 +130,23 @@ def test_without_a_liquid_it_is_f0_and_without_either_the_middle() -> None:
         operating_point("f1", None, None, 1e6, None, ONE_VPP, source="test")
 
 
+def test_a_peak_below_the_end_of_the_band_is_not_called_the_most() -> None:
+    spectrum = of_lines([(0.95e6, 60.0, 3.0), (1.2e6, 40.0, 400.0)])
+    found = operating_point(None, None, None, 1e6, spectrum, ONE_VPP, source="test")
+    assert found.frequency == pytest.approx(0.95e6, rel=1e-3)
+    assert "larger still towards an end of the band" in found.reason
+    without = operating_point(None, None, None, 1e6, of_lines([(1.2e6, 20.0, 1.0)]), ONE_VPP, source="test")
+    assert "no peak of the energy" in without.reason
+
+
+def test_a_stated_point_outside_a_narrower_band_is_refused_before_anything_is_solved() -> None:
+    chip = replace(read_chip(CHANNEL), operating_point=1.94e6)
+    with pytest.raises(InputError, match=r"chip.operating_point: received '1.94e\+06 Hz'.*within the band"):
+        wb.simulate(chip, "filled", band=(2.1e6, 2.2e6))
+    with pytest.raises(InputError, match="drive"):
+        of_lines([(1e6, 50.0, 2.0)]).peaks("1 Vpp")  # type: ignore[arg-type]
+
+
 def figures_at(f0: float) -> wb.Figures:
     return wb.Figures(f0=f0, z_min=5.0, q=80.0, f1=f0 - 5e3, f2=f0 + 5e3, q_step_change=0.0, antiresonance=None)
 
@@ -141,7 +158,7 @@ def test_a_chip_file_states_its_operating_point(small_chip: wb.Chip, tmp_path: P
         path.write_text(chip_text(replace(small_chip, operating_point=stated)), encoding="utf-8")
         assert read_chip(path).operating_point == stated
     content = read_toml(path)
-    for wrong, expected in (("F0", "one of energy, f0"), ("9 MHz", "within the band"), ("1.0 mm", "frequency")):
+    for wrong, expected in (("F0", "\"energy\" or \"f0\""), ("9 MHz", "within the band"), ("1.0 mm", "frequency")):
         with pytest.raises(InputError, match=f"chip.operating_point.*{expected}"):
             parse_chip({**content, "chip": {**content["chip"], "operating_point": wrong}}, source="chip.toml")
 

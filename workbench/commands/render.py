@@ -12,7 +12,7 @@ from workbench.commands.states import SIMULATED, field_files, run_state, simulat
 from workbench.commands.terminal import print_line, progress_bars
 from workbench.files.errors import choose
 from workbench.files.ownership import Outputs
-from workbench.simulation.run import snapshot
+from workbench.simulation.run import Simulation, snapshot
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,6 +39,8 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
         show(name, "done", 1.0)
     for path in paths:
         print_line(str(path))
+    if isinstance(shot, Simulation):
+        print_line(str(shot.operating))
     if shot.traps is not None:
         print_line(str(shot.traps))
     return 0

@@ -84,8 +84,8 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     print_table(chip.name, simulated_figures_table(chip, runs))
     print_table("", resonances_table({run.state: run.resonances for run in runs}))
     for run in reversed(runs):
-        if run.energy is not None:
-            print_paragraph(str(run.operating))
+        if run.energy is not None or options.at is not None:
+            print_paragraph(f"State {run.state}: {run.operating}")
     for answer in reversed(answers):
         print_paragraph(str(answer))
     for text in dict.fromkeys(text for run in runs for text in run.findings):

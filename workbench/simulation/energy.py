@@ -25,7 +25,7 @@ from workbench.fem.forms import bilinear
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, solve_reduced
-from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.drive import Drive, VoltageDrive, check_drive
 from workbench.physics.fluid import AcousticFluid
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
@@ -109,7 +109,12 @@ class EnergySpectrum(Brief):
                           float(one_volt[0]) / 4.0, float(_per_watt(one_volt, impedance)[0]))
 
     def peaks(self, drive: Drive | None = None) -> tuple[EnergyPeak, ...]:
-        """The :data:`MOST` highest peaks under a drive (10 Vpp if not given), the highest first."""
+        """The :data:`MOST` highest peaks under a drive (10 Vpp if not given), the highest first.
+
+        Raises:
+            InputError: the drive is none.
+        """
+        check_drive(drive, source="peaks")
         drive = drive or VoltageDrive()
         energy, last = self.under(drive), self.frequency.size - 1
         tops = [k for k in range(1, last) if energy[k - 1] < energy[k] >= energy[k + 1]]

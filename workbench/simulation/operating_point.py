@@ -14,6 +14,9 @@ from workbench.model.drive import Drive
 from workbench.results.merit import Figures
 from workbench.simulation.energy import EnergyPeak, EnergySpectrum
 
+#: Ratio to its largest peak above which energy elsewhere is larger: a peak lies between two points of a spectrum.
+HIGHER = 1.01
+
 
 @dataclass(frozen=True)
 class OperatingPoint:
@@ -38,7 +41,7 @@ class OperatingPoint:
         figures = peak if peak is not None and peak.frequency == self.frequency else self.here
         found += f": {figures.words}."
         if peak is not None and peak is not figures:
-            found += (f" The energy is largest at {peak.frequency / 1e6:.4f} MHz, "
+            found += (f" The largest peak of the energy is at {peak.frequency / 1e6:.4f} MHz, "
                       f"{peak.energy_density / self.here.energy_density:.3g} times as large.")
         elif self.at_f0 is not None and self.f0 is not None:
             found += (f" At f0, {self.f0 / 1e6:.4f} MHz, it is "
@@ -72,6 +75,9 @@ def operating_point(
         frequency, reason = wanted, "as stated"
     elif peak is not None and wanted != AT_F0:
         frequency, reason = peak.frequency, f"where the sound in the cavity has most energy under {drive}"
+        if energy is not None and float(energy.under(drive).max()) > HIGHER * peak.energy_density:
+            reason = (f"the largest peak of the energy in the cavity under {drive}, which is larger still towards an "
+                      "end of the band")
     elif f0 is not None:
         frequency, reason = f0, "f0, the smallest |Z|"
         if energy is not None and wanted != AT_F0:
@@ -79,7 +85,8 @@ def operating_point(
         elif wanted == AT_ENERGY:
             reason += ", because the cavity holds no liquid"
     else:
-        frequency, reason = middle, "the middle of the band, which has no f0"
+        frequency, reason = middle, "the middle of the band, which has no f0" + (
+            "" if energy is None else " and no peak of the energy: a wider band may have one")
     if energy is None:
         return OperatingPoint(frequency, reason, f0=f0)
     return OperatingPoint(frequency, reason, energy.at(frequency, drive), peaks, f0,

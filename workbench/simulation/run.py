@@ -22,6 +22,7 @@ import geometry.mesh
 from geometry.chip import Chip
 from geometry.measure import PER_METRE, Straight
 from geometry.names import CAVITY
+from geometry.operating_point import check_operating_point
 from geometry.plausible import check_frequency
 from materials.assumed import is_lossless
 from materials.kinds import Fluid
@@ -226,8 +227,8 @@ def simulate(
         NotEnriched: the reduced model did not reach its tolerance.
     """
     _check_operation(chip, None if isinstance(at, str) else at, drive, source="simulate", field="at")
-    at, drive = at if at is None or isinstance(at, str) else float(at), drive or VoltageDrive()
-    lap = Laps()
+    check_operating_point(chip.operating_point if at is None else None, band or chip.band, chip.file)
+    at, drive, lap = at if at is None or isinstance(at, str) else float(at), drive or VoltageDrive(), Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
