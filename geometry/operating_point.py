@@ -26,8 +26,8 @@ def check_operating_point(stated: float | str | None, band: tuple[float, float],
         raise InputError(file, field, f"{stated:g} Hz", f"a frequency within the band, {band[0]:g} to {band[1]:g} Hz")
 
 
-def parse_at(text: str) -> float | str:
-    """A frequency (Hz), or a word of :data:`OPERATING_POINTS`, as the option ``--at`` states it.
+def parse_operating_point(text: str, *, source: str = "command line", field: str = "--at") -> float | str:
+    """The frequency (Hz), or the word of :data:`OPERATING_POINTS`, that a text states.
 
     Raises:
         InputError: neither.
@@ -35,9 +35,9 @@ def parse_at(text: str) -> float | str:
     if text in OPERATING_POINTS:
         return text
     if not text.strip()[:1].isdigit():
-        raise InputError("command line", "--at", text, 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
+        raise InputError(source, field, text, 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
                          nearest_names(text.lower(), OPERATING_POINTS))
-    return parse_quantity(text, "frequency", source="command line", field="--at")
+    return parse_quantity(text, "frequency", source=source, field=field)
 
 
 def read_operating_point(head: FileTable) -> float | str | None:
@@ -47,9 +47,5 @@ def read_operating_point(head: FileTable) -> float | str | None:
         InputError: neither a frequency with its unit nor such a word.
     """
     text = head.optional_text("operating_point")
-    if text is None or text in OPERATING_POINTS:
-        return text
-    if not text.strip()[:1].isdigit():
-        raise head.error("operating_point", 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
-                         nearest_names(text.lower(), OPERATING_POINTS))
-    return head.quantity("operating_point", "frequency")
+    return None if text is None else parse_operating_point(
+        text, source=head.source, field=head.at("operating_point"))

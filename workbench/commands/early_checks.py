@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from geometry.operating_point import parse_at
+from geometry.operating_point import parse_operating_point
 from workbench.files.errors import InputError, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
@@ -18,7 +18,7 @@ FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "
 
 #: Options that hold a quantity, as the command line spells them, and its dimension.
 QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "low": ("--from", "frequency"), "high": ("--to", "frequency"), "at": ("--at", "frequency"),
+    "low": ("--from", "frequency"), "high": ("--to", "frequency"),
     "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"), "window": ("--window", "length"),
     "particle_radius": ("--particle-radius", "length"),
 }
@@ -51,10 +51,10 @@ def check_early(options: argparse.Namespace) -> None:
             raise InputError(str(path), "file", path.name, "an existing file", nearest_files(path, _of_kind(path)))
     for key, (field, dimension) in QUANTITIES.items():
         text = getattr(options, key, None)
-        if isinstance(text, str) and key == "at":
-            parse_at(text)
-        elif isinstance(text, str):
+        if isinstance(text, str):
             parse_quantity(text, dimension, source="command line", field=field)
+    if isinstance(getattr(options, "at", None), str):
+        parse_operating_point(options.at)
     jobs = getattr(options, "jobs", None)
     if jobs is not None:
         from workbench.jobs.workers import check_jobs

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
-from geometry.operating_point import parse_at
+from geometry.operating_point import parse_operating_point
 from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.files.errors import InputError
@@ -53,7 +53,7 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
             nobody can read.
     """
     band = band_option(options, chip)
-    at = None if options.at is None else parse_at(options.at)
+    at = None if options.at is None else parse_operating_point(options.at)
     if isinstance(at, float) and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")

@@ -135,7 +135,7 @@ def _simulated(
 
     def solved(name: str) -> Simulation:
         run = run_state(chip, name, model, heard, spectrum=files[name])
-        getattr(run, "resonances")  # noqa: B009 - fitted here, beside the other state
+        _ = run.resonances  # fitted here, beside the other state
         return run
 
     pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, model))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 from workbench.fem.operators import FullOperators
-from workbench.fem.solve import NotConverged, System, solve_full
+from workbench.fem.solve import NotConverged, System
 from workbench.physics.term import Values
 
 #: Hz at which LCR meters measure capacitors. A first mode at ten times that would add 1 % to the reading.
@@ -34,13 +34,11 @@ class Capacitance:
 
 def capacitance(system: System) -> Capacitance:
     """The capacitance of a model: one electrostatic solve and one full solve."""
-    operators, values = system.operators, system.values
-    at = np.array([METER_FREQUENCY])
     try:
-        low = float(solve_full(operators, at, values, system=system).charge[0].real)
+        low = float(system.solutions(np.array([METER_FREQUENCY])).charge[0].real)
     except NotConverged:
         low = None
-    return Capacitance(clamped_capacitance(operators, values, METER_FREQUENCY), low)
+    return Capacitance(clamped_capacitance(system.operators, system.values, METER_FREQUENCY), low)
 
 
 def clamped_capacitance(operators: FullOperators, values: Values, frequency: float) -> float:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from workbench.fem.sparsity import both_triangles
 from workbench.jobs.memory import address_limit, confined, require
 
 Complex = NDArray[np.complex128]
@@ -64,7 +65,7 @@ class SuperLU:
         number = sparse.csc_array((np.arange(1, triangle.nnz + 1), triangle.indices, triangle.indptr),
                                   shape=triangle.shape)
         #: Both triangles, with the index of each entry in the upper one, from one.
-        self._pattern = sparse.csc_array(number + sparse.triu(number, 1).T)
+        self._pattern = both_triangles(number).tocsc()
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
         order, entries, indices, indptr = self._ordered

@@ -287,6 +287,39 @@ class System:
         _, states, residual = self.neighbours(frequency, 1)
         return states[:, 0], residual
 
+    def sweep(
+        self, frequencies: Real, *, failed: Callable[[NotConverged], None] | None = None
+    ) -> Iterator[Solution]:
+        """Solve at one frequency after the other, and yield each solution at once, so that a stop loses none.
+
+        If there is a function `failed`, it is called for a frequency at which the solve does not converge, and that
+        frequency is left out.
+
+        Raises:
+            NotConverged: a solve does not converge, and there is no such function.
+        """
+        for frequency in np.asarray(frequencies, dtype=float):
+            try:
+                with one_thread():
+                    state, residual = self.solve(float(frequency))
+            except NotConverged as error:
+                if failed is None:
+                    raise
+                failed(error)
+                continue
+            groups = self.operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), self.values)
+            charge = np.array([self.charge(float(frequency), state)])
+            yield Solution(self.operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
+
+    def solutions(self, frequencies: Real) -> Solution:
+        """Solve at a few frequencies, with all states kept. For long spectra see :meth:`sweep`."""
+        parts = list(self.sweep(frequencies))
+        frequency = np.concatenate([p.frequency for p in parts])
+        return Solution(self.operators, frequency,
+                        self.operators.coefficients.groups(2.0 * np.pi * frequency, self.values),
+                        np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.charge for p in parts]),
+                        np.concatenate([p.residual for p in parts]))
+
     def neighbours(
         self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = (),
         moves: Real | None = None,
@@ -367,41 +400,15 @@ def _symmetric_product(triangle: sparse.csc_array, x: Complex) -> Complex:
 
 def sweep(
     operators: FullOperators, frequencies: Real, values: Values, *,
-    failed: Callable[[NotConverged], None] | None = None, system: System | None = None,
+    failed: Callable[[NotConverged], None] | None = None,
 ) -> Iterator[Solution]:
-    """Solve the full model at one frequency after the other, and yield each solution at once, so that a stop loses
-    none.
-
-    If there is a function `failed`, it is called for a frequency at which the solve does not converge, and that
-    frequency is left out. The `system` of these values is not made again if it is given.
-
-    Raises:
-        NotConverged: a solve does not converge, and there is no such function.
-    """
-    system = system or System(operators, values)
-    for frequency in np.asarray(frequencies, dtype=float):
-        try:
-            with one_thread():
-                state, residual = system.solve(float(frequency))
-        except NotConverged as error:
-            if failed is None:
-                raise
-            failed(error)
-            continue
-        groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), values)
-        charge = np.array([system.charge(float(frequency), state)])
-        yield Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
+    """Solve the full model at one frequency after the other; see :meth:`System.sweep`."""
+    return System(operators, values).sweep(frequencies, failed=failed)
 
 
-def solve_full(
-    operators: FullOperators, frequencies: Real, values: Values, *, system: System | None = None
-) -> Solution:
-    """Solve the full model at a few frequencies, with all states kept. For long spectra see :func:`sweep`."""
-    parts = list(sweep(operators, frequencies, values, system=system))
-    frequency = np.concatenate([p.frequency for p in parts])
-    return Solution(operators, frequency, operators.coefficients.groups(2.0 * np.pi * frequency, values),
-                    np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.charge for p in parts]),
-                    np.concatenate([p.residual for p in parts]))
+def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
+    """Solve the full model at a few frequencies; see :meth:`System.solutions`."""
+    return System(operators, values).solutions(frequencies)
 
 
 def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:

@@ -13,7 +13,7 @@ per watt.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,7 @@ from workbench.fem.forms import bilinear
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, solve_reduced
-from workbench.model.drive import Drive, VoltageDrive, check_drive
+from workbench.model.drive import Drive, PowerDrive, VoltageDrive, check_drive
 from workbench.physics.fluid import AcousticFluid
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
@@ -41,6 +41,9 @@ OF_SOUND = {product for integral in AcousticFluid("", "").integrals() for produc
 
 #: Least ratio of a peak to the deeper of the valleys beside it. Doubled, a shoulder of 1.5 dB is no peak.
 LEAST_RISE = 1.2
+
+#: The drive whose energy is that per watt.
+PER_WATT = PowerDrive(1.0)
 
 #: Number of peaks of a band at most: nobody drives at the fifth.
 MOST = 4
@@ -96,7 +99,7 @@ class EnergySpectrum(Brief):
     @property
     def per_watt(self) -> Real:
         """Energy density (n,) J/m^3 per W of electrical power."""
-        return _per_watt(self.at_one_volt, self.impedance)
+        return self.under(PER_WATT)
 
     def under(self, drive: Drive) -> Real:
         """Energy density (n,) J/m^3 under a drive."""
@@ -106,7 +109,7 @@ class EnergySpectrum(Brief):
         """The figures of :class:`EnergyPeak` at any `frequency` (Hz), without a quality factor."""
         one_volt, impedance = self.evaluate(np.array([frequency]))
         return EnergyPeak(frequency, None, float(_under(drive or VoltageDrive(), one_volt, impedance)[0]),
-                          float(one_volt[0]) / 4.0, float(_per_watt(one_volt, impedance)[0]))
+                          float(one_volt[0]) / 4.0, float(_under(PER_WATT, one_volt, impedance)[0]))
 
     def peaks(self, drive: Drive | None = None) -> tuple[EnergyPeak, ...]:
         """The :data:`MOST` highest peaks under a drive (10 Vpp if not given), the highest first.
@@ -139,8 +142,7 @@ class EnergySpectrum(Brief):
         sides = [self._half(drive, float(best), top, step, level) for step in (-1, 1)]
         low, high = sides
         q = None if low is None or high is None else float(best) / (high - low)
-        at = self.at(float(best), drive)
-        return EnergyPeak(at.frequency, q, at.energy_density, at.per_square_volt, at.per_watt)
+        return replace(self.at(float(best), drive), q=q)
 
     def _half(
         self, drive: Drive, best: float, top: int, step: int, level: Callable[[float], float]
@@ -159,10 +161,6 @@ class EnergySpectrum(Brief):
                 return None
             inner = float(self.frequency[k])
         return None
-
-
-def _per_watt(one_volt: Real, impedance: Complex) -> Real:
-    return np.asarray(one_volt / (0.5 * (1.0 / impedance).real))
 
 
 def _under(drive: Drive, one_volt: Real, impedance: Complex) -> Real:

@@ -32,7 +32,7 @@ from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import NotConverged, Solution, System, solve_full
+from workbench.fem.solve import NotConverged, Solution, System
 from workbench.files.errors import InputError, expect
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
@@ -433,15 +433,12 @@ def _solved_near(system: System, frequency: float) -> Solution:
     Raises:
         NotConverged: it converges at none of them.
     """
-    def solved(at: float) -> Solution:
-        return solve_full(system.operators, np.array([at]), system.values, system=system)
-
     try:
-        return solved(frequency)
+        return system.solutions(np.array([frequency]))
     except NotConverged as error:
         for beside in NEARBY:
             try:
-                return solved(frequency * (1.0 + beside))
+                return system.solutions(np.array([frequency * (1.0 + beside)]))
             except NotConverged:
                 continue
         raise error

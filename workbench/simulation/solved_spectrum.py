@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.plausible import check_band
-from workbench.fem.solve import NotConverged, Solution, System, sweep
+from workbench.fem.solve import NotConverged, Solution, System
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress
 from workbench.model.job_size import check_points
@@ -26,7 +26,7 @@ Complex = NDArray[np.complex128]
 FAILED_PER_SOLVED, FAILED_ANYWAY = 0.5, 5
 
 #: Ratio of the error of a reduced model to the requested one up to which it is used, and said. Doubled, a spectrum may
-#: be off by 2e-3 where 1e-4 was asked; most models that miss their tolerance are off by less than three times it.
+#: be off by 2e-3 where 1e-4 was asked.
 NEARLY = 10.0
 
 
@@ -126,7 +126,7 @@ def full_spectrum(
         if len(failed) > max(FAILED_PER_SOLVED * done, FAILED_ANYWAY):
             raise error
 
-    for solution in sweep(system.operators, frequencies[missing], system.values, failed=leave_out, system=system):
+    for solution in system.sweep(frequencies[missing], failed=leave_out):
         done += 1
         (index,) = np.flatnonzero(frequencies == solution.frequency[0])
         impedance[index] = solution.impedance[0]
