@@ -36,9 +36,10 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
                    "see below",
         "geometry": "`axisymmetric` (if not given): discs and rings about one axis; or `straight`: plates with a "
                     "channel along them, by their cross-section",
-        "length": "of a straight chip into the paper; 1 m if not given, so that all is per metre",
+        "length": "of a straight chip along its channel; without it Z, powers and heat are those of 1 m, a finding "
+                  "says so, and a generator, a power or a recording is refused",
         "symmetry": "of a straight chip about its middle, x = 0: `even` (if not given), `odd` for electrodes at +V and "
-                    "-V on both sides of a gap, or `none`: both halves are meshed",
+                    "-V on both sides of a gap, or `none`: both halves are meshed; a finding says that it is not given",
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
@@ -107,6 +108,10 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "live_inner_width": "twice `live_inner_half_width`, in place of it: the gap",
         "ground_width": "twice `ground_half_width`, in place of it",
         "ground_inner_width": "twice `ground_inner_half_width`, in place of it",
+        "halves": "signs of the left and the right half of a live electrode with a gap, each `\"+\"`, `\"-\"` or "
+                  "`\"0\"` (at ground); both `\"+\"` if not given, and opposite with symmetry `odd`",
+        "wiring": "of halves at opposite voltages: `transformer` (if not given), `two amplifiers` or `between the "
+                  "halves` ({ref}`wiring`)",
     },
     "`electrodes`, of the transducer's layer": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
@@ -179,7 +184,7 @@ TAKES: Mapping[str, str] = {
     "band": "a list of two frequencies", "operating_point": "text", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
-    "profile": "a table", "points": "a list of points",
+    "profile": "a table", "points": "a list of points", "halves": "a list of two signs", "wiring": "text",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "fill": "a length", "offset": "a length", "cavity_offset": "a length", "open": "`true` or `false`",

@@ -24,6 +24,7 @@ import chip_keys  # noqa: E402
 import file_keys  # noqa: E402
 import glossary_page  # noqa: E402
 import material_table  # noqa: E402
+import verdict_pictures  # noqa: E402
 
 _PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
@@ -85,6 +86,12 @@ def _generate(_app: object) -> None:
     (made / "glossary.md").write_text(glossary_page.page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
+    # A minute of diagnoses, made again only after a change of the program.
+    modules = [Path(verdict_pictures.__file__), *(ROOT / "workbench").rglob("*.py")]
+    changed = max(path.stat().st_mtime for path in modules)
+    old = {path.stem for path in made.glob("verdict_*.png") if path.stat().st_mtime > changed}
+    if missing := [name for name in verdict_pictures.CASES if f"verdict_{name}" not in old]:
+        list(verdict_pictures.pictures(made, missing))
 
 
 def _plain_bars(_app: object, _what: str, _name: str, _found: object, _options: object, lines: list[str]) -> None:

@@ -5,19 +5,24 @@ from __future__ import annotations
 import math
 import warnings
 
-from materials import Fluid, IsotropicSolid, Material, PassivityWarning, Registry, conversions
+from materials import CubicSolid, Fluid, IsotropicSolid, Material, PassivityWarning, Registry, conversions
 from materials.registry import PACKAGE_DATA
 from workbench.files.tables import read_toml
 
 
 def _waves(material: Material) -> str:
-    """Speeds (m/s) of the waves: of sound; longitudinal and shear; along the poling with the stiffening."""
+    """Speeds (m/s) of the waves: of sound; longitudinal and shear; along the poling with the stiffening; in a cubic
+    crystal longitudinal along [100] and [110], and both shear waves along [110]."""
     match material:
         case Fluid():
             return f"{material.sound_speed:.0f}"
         case IsotropicSolid():
             speeds = conversions.wave_speeds(material.bulk_modulus, material.shear_modulus, density=material.density)
             return " / ".join(f"{speed:.0f}" for speed in speeds)
+        case CubicSolid():
+            along = 0.5 * (material.c11 + material.c12) + material.c44
+            moduli = (material.c11, along, material.c44, 0.5 * (material.c11 - material.c12))
+            return " / ".join(f"{math.sqrt(complex(modulus).real / material.density):.0f}" for modulus in moduli)
     stiffened = complex(material.c33).real + complex(material.e33).real ** 2 / complex(material.absolute_eps33).real
     return f"{math.sqrt(stiffened / material.density):.0f}"
 
@@ -29,6 +34,8 @@ def _losses(material: Material) -> str:
             return "" if material.shear_viscosity is None else f"{1e3 * material.shear_viscosity:.3g} mPa s"
         case IsotropicSolid():
             tangents = conversions.loss_tangents(material.bulk_modulus, material.shear_modulus)
+        case CubicSolid():
+            tangents = tuple(-complex(each).imag / complex(each).real for each in (material.c11, material.c44))
         case _:
             stiffness, permittivity = complex(material.c33), complex(material.eps33)
             tangents = (-stiffness.imag / stiffness.real, permittivity.imag / permittivity.real)

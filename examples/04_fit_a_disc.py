@@ -2,8 +2,8 @@
 ===========================
 
 The constants of a transducer from its impedance. The recording is a spectrum of an independent solver whose constants
-are known; noise of 0.5 % is put on it here. The fit starts from a data sheet and finds ten constants together, each
-with an interval.
+are known; noise of 0.5 % is put on it here. The fit starts from a data sheet and finds all constants that the recording
+shows, each with an interval.
 
 Reference number: the disc has c33 = 121.67 GPa (``tests/data/reference/free_disc_fitted_rho7500.json``).
 """

@@ -5,8 +5,8 @@ A campaign is one device in several states, each with its recording, and what is
 recordings are simulated, and one thing is not as the campaign says: the water is at 28 degC instead of 25 degC. The
 diagnosis is told nothing of that.
 
-Reference number: the temperature is off by +3 K; the interval that is found must hold it. The verdict is "ambiguous":
-a liquid that carries sound faster is the same thing, and the diagnosis says so.
+Reference number: the temperature is off by +3 K; the interval that is found must hold it. The verdict is
+"missing_physics"; a liquid that carries sound faster is the same finding by another name, and the headline says so.
 """
 
 import tempfile
@@ -49,5 +49,6 @@ with tempfile.TemporaryDirectory() as name:
     found = wb.diagnose(wb.read_campaign(folder / "campaign.toml"))
 
 print(found.verdict, *(effect.name for effect in found.effects))
+print(found.headline)
 print(*found.findings, sep="\n")
 print(found.next_measurement)

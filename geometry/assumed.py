@@ -23,6 +23,13 @@ FILM_FACTOR, FILM_RANGE = 3.0, (0.1, 5.0)
 PRINTED = ("substrate", "sidewall")
 PRINTED_TOLERANCE = 50e-6
 
+#: Materials that are etched instead, beside all that end in "_glass", and the tolerance (m) of widths and the relative
+#: one of depths and of wafers, a micrometre at least: a mask, its undercut, and the evenness of an etch over a wafer.
+ETCHED, MASK_TOLERANCE, DEPTH_TOLERANCE, LEAST_DEPTH_TOLERANCE = ("silicon", "fused_silica", "quartz"), 2e-6, 0.01, 1e-6
+
+#: Materials that are turned or milled instead.
+TURNED = ("stainless_steel", "steel", "aluminium", "brass", "titanium")
+
 #: Relative tolerance of turned, lapped or bought parts: catalogues of discs and lids state 0.5 to 2 %.
 MACHINED_TOLERANCE = 0.01
 
@@ -55,11 +62,12 @@ def is_film(name: str) -> bool:
     return what == "thickness" and role_of(region) in FILMS
 
 
-def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
+def length_uncertainty(name: str, length: Dimension, material: str = "") -> LengthUncertainty:
     """The uncertainty of the dimension ``<region>.<what>``: stated in the chip file, or assumed by its role.
 
-    A tolerance is the limit of a uniform law. A search goes to three tolerances, or to 2 % of the length if that is
-    more. The thickness of a film is known to a factor: its logarithm is uniform.
+    Parts of a chip are taken to be printed, unless their `material` is one that is etched or turned. A tolerance is the
+    limit of a uniform law. A search goes to three tolerances, or to 2 % of the length if that is more. The thickness of
+    a film is known to a factor: its logarithm is uniform.
     """
     region, _, what = name.rpartition(".")
     value, size = length.value, abs(length.value)
@@ -72,15 +80,21 @@ def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
             size * math.log(FILM_FACTOR) / math.sqrt(3.0), value / FILM_FACTOR, value * FILM_FACTOR,
             FILM_RANGE[0] * value, FILM_RANGE[1] * value,
             f"a film of gel or glue is known to a factor of {FILM_FACTOR:g}")
-    if role_of(region) in (*PRINTED, CAVITY):
+    base = material.partition("/")[0]
+    if role_of(region) in (*PRINTED, CAVITY) and (base in ETCHED or base.endswith("_glass")):
+        if what == "thickness":
+            return _limited(value, max(DEPTH_TOLERANCE * size, LEAST_DEPTH_TOLERANCE),
+                            f"a wafer or an etched depth is known to {100.0 * DEPTH_TOLERANCE:g} %, or 1 um")
+        return _limited(value, MASK_TOLERANCE, f"an etched width is known to {1e6 * MASK_TOLERANCE:g} um")
+    if role_of(region) in (*PRINTED, CAVITY) and base not in TURNED:
         return _limited(value, PRINTED_TOLERANCE, f"a printed length is known to {1e6 * PRINTED_TOLERANCE:g} um")
     return _limited(value, MACHINED_TOLERANCE * size,
                     f"a turned or bought part is known to {100.0 * MACHINED_TOLERANCE:g} %")
 
 
-def assumed_uncertainty(name: str, value: float) -> LengthUncertainty:
+def assumed_uncertainty(name: str, value: float, material: str = "") -> LengthUncertainty:
     """The uncertainty assumed for a dimension of that `value` (m or rad), whatever the chip file states."""
-    return length_uncertainty(name, Dimension(value))
+    return length_uncertainty(name, Dimension(value), material)
 
 
 def _limited(value: float, tolerance: float, assumed: str) -> LengthUncertainty:

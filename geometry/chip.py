@@ -6,7 +6,7 @@ file, the field, the value and the remedy. Materials are only names here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -32,7 +32,7 @@ from geometry.parts import (
     stacked,
 )
 from geometry.straight import check_straight, read_measure
-from workbench.files.errors import choose
+from workbench.files.errors import InputError, choose, nearest_files
 from workbench.files.tables import FileTable, read_toml
 
 
@@ -46,7 +46,7 @@ class Chip:
     a wide band. ``measure`` is that of the section: discs and rings about an axis, or the cross-section of what is
     straight; radii are then half widths, from the middle. A cavity that ``is_open`` is a well: nothing covers it, and
     the liquid has a free surface. ``operating_point`` is the frequency (Hz) that it is driven at, or a word for it
-    (`geometry.operating_point`).
+    (`geometry.operating_point`). ``material_folders`` hold materials of the user's own that the chip is filled from.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -65,6 +65,7 @@ class Chip:
     measure: Measure = ABOUT_AXIS
     is_open: bool = False
     operating_point: float | str | None = None
+    material_folders: tuple[Path, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         checks.check_names(self.name, self.layers, self.states, self.file)
@@ -240,16 +241,24 @@ def _resized(old: Dimension, value: float) -> Dimension:
     return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
-def read_chip(path: Path | str, *, scripts: bool = True) -> Chip:
-    """Read the chip described by a TOML file.
+def read_chip(
+    path: Path | str, *, scripts: bool = True, materials: Path | str | Sequence[Path | str] = ()
+) -> Chip:
+    """Read the chip described by a TOML file, with one folder or several of materials of one's own.
 
     A layer may be drawn by a Python script beside the file, which runs when the chip is built. A warning names it;
     ``scripts=False`` or the environment variable ``WORKBENCH_NO_SCRIPTS=1`` refuses it.
 
     Raises:
-        InputError: the file is missing, is not TOML, does not describe a chip, or names a script that is refused.
+        InputError: the file is missing, is not TOML, does not describe a chip, or names a script that is refused; a
+            folder of materials that is not there.
     """
-    return parse_chip(read_toml(Path(path)), source=str(path), scripts=scripts)
+    folders = tuple(map(Path, (materials,) if isinstance(materials, str | Path) else materials))
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError("read_chip", "materials", str(folder), "an existing folder of materials",
+                             nearest_files(folder, Path.is_dir))
+    return replace(parse_chip(read_toml(Path(path)), source=str(path), scripts=scripts), material_folders=folders)
 
 
 def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True) -> Chip:

@@ -43,7 +43,8 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
     head |= head_keys(chip.measure)
-    head |= {"length": _length(chip.measure.length)} if isinstance(chip.measure, Straight) else {}
+    if isinstance(chip.measure, Straight) and "length" not in chip.measure.assumed:
+        head["length"] = _length(chip.measure.length)
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     if chip.operating_point is not None:
         head["operating_point"] = chip.operating_point if isinstance(chip.operating_point, str) else format_quantity(
@@ -189,7 +190,8 @@ def _electrodes(electrodes: Electrodes, across: str) -> TomlEntry:
         for key, dimension in ((f"{prefix}_{across}", disc.radius), (f"{prefix}_inner_{across}", disc.inner_radius)):
             if dimension is not None:
                 found[key] = _dimension(dimension)
-    return found
+    found |= {"halves": list(electrodes.halves)} if electrodes.halves is not None else {}
+    return found | ({"wiring": electrodes.wiring} if electrodes.wiring is not None else {})
 
 
 def _ports(ports: Ports) -> TomlEntry:

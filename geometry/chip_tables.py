@@ -13,7 +13,7 @@ from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.plausible import FILL_KEY, check_length
 from geometry.profile import AXES, Profile, StepPart, read_profile, step_profiles
-from geometry.straight import MOST_CHANNELS, refuse_round_keys
+from geometry.straight import MOST_CHANNELS, read_halves, refuse_round_keys
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
@@ -218,13 +218,13 @@ def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
     if isinstance(measure, Straight):
         refuse_round_keys(table)
         table.only(("live", "live_half_width", "live_inner_half_width", "ground_half_width", "ground_inner_half_width",
-                    "live_width", "live_inner_width", "ground_width", "ground_inner_width"))
+                    "live_width", "live_inner_width", "ground_width", "ground_inner_width", "halves", "wiring"))
     else:
         table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius",
                     "live_diameter", "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = _live(table)
-    discs = (_disc(table, name, rim, measure) for name in ("live", "ground"))
-    return Electrodes(live, *discs)
+    live_disc, ground_disc = (_disc(table, name, rim, measure) for name in ("live", "ground"))
+    return Electrodes(live, live_disc, ground_disc, *read_halves(table))
 
 
 def _disc(table: FileTable, name: str, rim: float, measure: Measure) -> ElectrodeDisc:

@@ -228,5 +228,5 @@ def _edge_names(layout: SectionLayout, section: FreeSection) -> list[list[str]]:
     result = []
     for edge, arc in enumerate(layout.edges):
         name = section.name_of([layout.regions[face] for face in beside[edge]], arc)
-        result.append([each for each in (name, electrodes.get(edge)) if each is not None])
+        result.append([each for each in (name, *electrodes.get(edge, ())) if each is not None])
     return result

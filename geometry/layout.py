@@ -390,7 +390,7 @@ def _local_lengths(layout: SectionLayout, size: MeshSize) -> dict[tuple[int, boo
 def _ends_of_electrodes(layout: SectionLayout, section: FreeSection) -> set[int]:
     """The points where an electrode ends on a face of the transducer."""
     covered = under_electrodes(layout, section)
-    around: dict[int, set[str | None]] = {}
+    around: dict[int, set[tuple[str, ...] | None]] = {}
     for directed in layout.around_transducer():
         arc, edge = layout.arc(directed), directed[0]
         if _level(arc):
@@ -399,10 +399,10 @@ def _ends_of_electrodes(layout: SectionLayout, section: FreeSection) -> set[int]
     return {point for point, names in around.items() if len(names) > 1 and None in names}
 
 
-def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, str]:
+def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, tuple[str, ...]]:
     """The edges on the faces of the transducer that electrodes cover, and the names of these."""
     highest = max((electrode.z for electrode in section.electrodes), default=0.0)
-    found = {}
+    found: dict[int, tuple[str, ...]] = {}
     for directed in layout.around_transducer():
         (r0, z0), (r1, z1) = layout.arc(directed).ends
         if abs(z1 - z0) >= abs(r1 - r0):
@@ -411,10 +411,10 @@ def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, s
             # Along the upper face a loop runs towards the axis.
             if (r1 < r0) == (electrode.z == highest) and (
                     electrode.r_inner - SAME_LENGTH < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_LENGTH):
-                found[directed[0]] = electrode.name
+                found[directed[0]] = (*found.get(directed[0], ()), electrode.name)
     # An edge inside the transducer is a cut of its face.
     beside = layout.beside()
-    return {edge: name for edge, name in found.items()
+    return {edge: names for edge, names in found.items()
             if [layout.regions[face] for face in beside[edge]].count(TRANSDUCER) == 1}
 
 

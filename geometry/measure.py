@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -74,9 +74,9 @@ class Axisymmetric:
         on_axis = r <= AT_AXIS * r.max()
         return np.where(on_axis, slope, across / np.where(on_axis, 1.0, r))
 
-    def evenly(self, random: np.random.Generator, low: float, high: float, count: int) -> Real:
-        """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
-        return np.asarray(np.sqrt(random.uniform(low**2, high**2, count)))
+    def evenly(self, share: Real, low: float, high: float) -> Real:
+        """Places (n,) in m across the section with that `share` (n,) of the volume from `low` to `high` below them."""
+        return np.asarray(np.sqrt(low**2 + share * (high**2 - low**2)))
 
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
         """Places x, y (m) seen from above of radii `r` (m) at azimuths `turn` (radians); `strip` is not needed."""
@@ -118,7 +118,8 @@ class Straight:
 
     ``left`` and ``right`` are the parities of the planes of symmetry at its ends. A section with one such plane is
     half of the device, and everything is counted for the whole of it: the weight is twice as large. Between two planes
-    lies one half cell of a row of equal devices; it is counted once.
+    lies one half cell of a row of equal devices; it is counted once. ``assumed`` names the keys ``length`` and
+    ``symmetry`` that the chip file does not state.
 
     Raises:
         InputError: a length that is not above zero.
@@ -127,6 +128,7 @@ class Straight:
     length: float = PER_METRE
     left: Parity = Parity.NONE
     right: Parity = Parity.NONE
+    assumed: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     #: Names of a distance from the plane x = 0, and of twice that, in a chip.
     across, doubled = "half_width", "width"
@@ -184,9 +186,9 @@ class Straight:
         """Zero: there is no hoop strain."""
         return np.zeros_like(across)
 
-    def evenly(self, random: np.random.Generator, low: float, high: float, count: int) -> Real:
-        """Random places (count,) in m across the section from `low` to `high`, evenly by volume."""
-        return np.asarray(random.uniform(low, high, count))
+    def evenly(self, share: Real, low: float, high: float) -> Real:
+        """Places (n,) in m across the section with that `share` (n,) of the volume from `low` to `high` below them."""
+        return np.asarray(low + share * (high - low))
 
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
         """Places x, y (m) seen from above of places `r` (m) across a `strip` (m) of the device.

@@ -26,7 +26,7 @@ from geometry.names import TRANSDUCER, parent_place, role_of
 from geometry.panels import Panel, divided
 from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names, one_of
 
 #: Largest relative difference between a region of the mesh and the section's own arithmetic. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
@@ -99,7 +99,7 @@ def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float]
     for region, speed in slowest_wave.items():
         if region not in mesh.mesh.subdomains:
             known = mesh.section.regions
-            raise InputError("mesh", "slowest_wave", region, "one of " + ", ".join(known), nearest_names(region, known))
+            raise InputError("mesh", "slowest_wave", region, one_of(known, region), nearest_names(region, known))
         counts[region] = speed / frequency / float(edges[mesh.mesh.subdomains[region]].max())
     return counts
 

@@ -3,7 +3,8 @@
 A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region has the name of its role, with
 ``_2``, ``_3``, ... appended if the role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`, further closed cavities ``cavity_2``, ``cavity_3``, ... from below. Boundaries are called :data:`AXIS`,
-:data:`PLANE_LEFT`, :data:`PLANE_RIGHT`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
+:data:`PLANE_LEFT`, :data:`PLANE_RIGHT`, :data:`ELECTRODE_LIVE` with its parts :data:`ELECTRODE_REVERSED` and
+:data:`ELECTRODE_IDLE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
 these within one layer of the stack is ``<place>@<layer>`` (:func:`part_name`), and a part of that within one column
 between two radii ``<place>@<layer>#<column>``. The cells of any of these that the same shapes of layers move are
@@ -39,6 +40,9 @@ PLANE_RIGHT = "plane_right"
 SECTION_ENDS = (AXIS, PLANE_LEFT, PLANE_RIGHT)
 ELECTRODE_LIVE = "electrode_live"
 ELECTRODE_GROUND = "electrode_ground"
+#: Parts of the live electrode at minus the voltage, and at ground; a chip whose electrode has one sign has neither.
+ELECTRODE_REVERSED = "electrode_reversed"
+ELECTRODE_IDLE = "electrode_idle"
 OUTSIDE = "outside"
 
 #: Joins a region or boundary and the layer of the stack that a part of it lies in: ``cavity@sidewall``.

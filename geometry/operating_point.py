@@ -12,6 +12,9 @@ AT_ENERGY, AT_F0 = "energy", "f0"
 #: Words for an operating point; a frequency is another.
 OPERATING_POINTS = (AT_ENERGY, AT_F0)
 
+#: Description of all of them.
+EXPECTED = 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"'
+
 
 def check_operating_point(stated: float | str | None, band: tuple[float, float], file: str) -> None:
     """See that a stated frequency (Hz) lies in the `band` of the chip, or that the word for it is known.
@@ -35,7 +38,7 @@ def parse_operating_point(text: str, *, source: str = "command line", field: str
     if text in OPERATING_POINTS:
         return text
     if not text.strip()[:1].isdigit():
-        raise InputError(source, field, text, 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"',
+        raise InputError(source, field, text, EXPECTED,
                          nearest_names(text.lower(), OPERATING_POINTS))
     return parse_quantity(text, "frequency", source=source, field=field)
 
@@ -46,6 +49,9 @@ def read_operating_point(head: FileTable) -> float | str | None:
     Raises:
         InputError: neither a frequency with its unit nor such a word.
     """
-    text = head.optional_text("operating_point")
-    return None if text is None else parse_operating_point(
-        text, source=head.source, field=head.at("operating_point"))
+    if "operating_point" not in head:
+        return None
+    text = head.content["operating_point"]
+    if not isinstance(text, str):
+        raise head.error("operating_point", EXPECTED)
+    return parse_operating_point(text, source=head.source, field=head.at("operating_point"))

@@ -29,13 +29,34 @@ class ElectrodeDisc:
     inner_radius: Dimension | None = None
 
 
+#: Potential of a half of a split electrode, as a share of the voltage, by its sign in a chip file.
+SIGNS: Mapping[str, float] = {"+": 1.0, "-": -1.0, "0": 0.0}
+
+#: Wirings of two halves at opposite voltages: a centre-tapped transformer 1 : 1 + 1, an amplifier for each half, or one
+#: amplifier between both.
+TRANSFORMER, TWO_AMPLIFIERS, BETWEEN = "transformer", "two amplifiers", "between the halves"
+WIRINGS = (TRANSFORMER, TWO_AMPLIFIERS, BETWEEN)
+
+
 @dataclass(frozen=True)
 class Electrodes:
-    """The two electrodes; ``live`` names the face of the transducer at the drive voltage, the other one is ground."""
+    """The two electrodes; ``live`` names the face of the transducer at the drive voltage, the other one is ground.
+
+    ``halves`` are the signs (:data:`SIGNS`) of the left and the right half of a live electrode that is split in the
+    middle of a straight chip, if stated. ``wiring`` of halves at opposite voltages is one of :data:`WIRINGS`, if
+    stated.
+    """
 
     live: Literal["top", "bottom"] = "top"
     live_disc: ElectrodeDisc = ElectrodeDisc()
     ground_disc: ElectrodeDisc = ElectrodeDisc()
+    halves: tuple[str, str] | None = None
+    wiring: str | None = None
+
+    @property
+    def share(self) -> float:
+        """Voltage of a live half against ground, as a share of the voltage of the drive."""
+        return 0.5 if self.wiring == BETWEEN else 1.0
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,24 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
 from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure, Parity, Straight
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
+from geometry.names import (
+    CAVITY,
+    ELECTRODE_GROUND,
+    ELECTRODE_IDLE,
+    ELECTRODE_LIVE,
+    ELECTRODE_REVERSED,
+    TRANSDUCER,
+    interface,
+    outside,
+)
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, further_cavities
 from workbench.files.errors import choose
 
 #: Marks an empty cell of :meth:`Section.grid`.
 VOID = -1
+
+#: Further names of the halves of a live electrode with these signs.
+_BY_SIGN = {"-": ELECTRODE_REVERSED, "0": ELECTRODE_IDLE}
 
 
 @dataclass(frozen=True)
@@ -51,7 +63,8 @@ class Section:
 
     Coordinates of one line are the same float (:func:`cut_section` sees to it), so they compare exactly. ``measure``
     says what the section is one of; in a straight one, radii are places x (m), which may be negative, and an electrode
-    may have several pieces of one name.
+    may have several pieces of one name, and a piece several names: a half of the live electrode at minus the voltage or
+    at ground has a further one.
 
     Raises:
         ValueError: an axisymmetric section with negative radii, or a live electrode that reaches a plane of odd
@@ -178,6 +191,10 @@ def section_of_layers(
                    for left, right in layer.holes if right > start]
     lines = [piece for layer in layers if layer.role == TRANSDUCER for each in _faces(layer, electrodes)
              for piece in (_whole(each, layer.offset) if is_whole else [each])]
+    if electrodes.halves is not None:
+        halves = [piece for piece in lines if piece.name == ELECTRODE_LIVE]
+        lines += [replace(piece, name=_BY_SIGN[sign])
+                  for piece, sign in zip(halves, electrodes.halves[-len(halves):], strict=True) if sign in _BY_SIGN]
     pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)
     radii = _merged(r for piece in pieces for r in (piece.r_inner, piece.r_outer))
     heights = _merged(z for rectangle in rectangles for z in (rectangle.z_bottom, rectangle.z_top))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.kernel import MILLIMETRES, cadquery_module
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names, one_of
 
 if TYPE_CHECKING:
     from cadquery import Solid
@@ -65,8 +65,8 @@ def step_part(path: Path, scale: float, content: str, part: str) -> Solid:
     found = [each for each in listed if wanted in each.others]
     if len(found) == 1:
         return found[0].solid
-    shown = ", ".join(f"{each.name} ({_where(each.solid)})" if found else each.name for each in found or listed)
-    raise InputError(str(path), "part", part, f"one of {shown}",
+    names = [f"{each.name} ({_where(each.solid)})" if found else each.name for each in found or listed]
+    raise InputError(str(path), "part", part, one_of(names, wanted),
                      nearest_names(wanted, [each.name for each in listed]))
 
 

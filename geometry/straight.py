@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from geometry.dimension import SAME_LENGTH, dimension_text, millimetres
 from geometry.limits import NOT_STRAIGHT
 from geometry.measure import PER_METRE, Axisymmetric, Measure, Parity, Straight
-from geometry.parts import Electrodes, Layer, Ports
+from geometry.names import TRANSDUCER
+from geometry.parts import BETWEEN, SIGNS, TRANSFORMER, TWO_AMPLIFIERS, WIRINGS, Electrodes, Layer, Ports
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import FileTable
 
@@ -20,6 +21,9 @@ GEOMETRIES = ("axisymmetric", "straight")
 
 #: Largest number of channels side by side.
 MOST_CHANNELS = 50
+
+#: Words for the value of ``halves`` in a message.
+_HALVES = 'the signs of the left and of the right half, each "+", "-" or "0": ["+", "-"], ["+", "0"]'
 
 #: Keys of a round chip's layers and electrodes, and the advice for a straight one.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
@@ -42,7 +46,25 @@ def read_measure(head: FileTable) -> Measure:
         raise head.error("length", "a length above zero, that of the chip into the paper")
     symmetry = choose(head.text("symmetry", "even"), [each.value for each in Parity], source=head.source,
                       field=head.at("symmetry"))
-    return Straight(PER_METRE if length is None else length, Parity(symmetry))
+    return Straight(PER_METRE if length is None else length, Parity(symmetry),
+                    assumed=tuple(key for key in ("length", "symmetry") if key not in head))
+
+
+def read_halves(table: FileTable) -> tuple[tuple[str, str] | None, str | None]:
+    """The signs of the halves of a split electrode and their wiring, from its table; None if not stated.
+
+    Raises:
+        InputError: not two of the known signs, or an unknown wiring.
+    """
+    halves: tuple[str, str] | None = None
+    if "halves" in table:
+        given = table.texts("halves", (), expected=_HALVES)
+        if len(given) != 2 or not set(given) <= set(SIGNS):
+            raise table.error("halves", _HALVES)
+        halves = given[0], given[1]
+    if "wiring" not in table:
+        return halves, None
+    return halves, choose(table.text("wiring", ""), WIRINGS, source=table.source, field=table.at("wiring"))
 
 
 def refuse_round_keys(table: FileTable) -> None:
@@ -66,9 +88,14 @@ def check_straight(
     Raises:
         InputError: ports, channels that touch or differ from layer to layer, planes of symmetry that do not bound the
             section, an offset beside one, a channel that is not in the middle of a layer with a profile, a layer
-            beside the one below, or a live electrode across a plane of odd symmetry.
+            beside the one below, a live electrode across a plane of odd symmetry, or halves of it with signs or a
+            wiring that the chip cannot have.
     """
     if isinstance(measure, Axisymmetric):
+        for key, value in (("halves", electrodes.halves), ("wiring", electrodes.wiring)):
+            if value is not None:
+                raise InputError(file, f"electrodes.{key}", value, f"no {key} in a round chip, whose electrodes are "
+                                 "discs and rings")
         return
     if measure.right is not Parity.NONE and measure.left is Parity.NONE:
         raise InputError(file, "chip.symmetry", "a plane at the right end alone",
@@ -91,10 +118,78 @@ def check_straight(
             left, right = map(millimetres, below.sides)
             raise InputError(file, f"layers[{i}].offset", millimetres(layer.offset),
                              f"a layer that lies on {below.region!r}, from {left} to {right}")
-    gap = electrodes.live_disc.inner_radius
-    if measure.left is Parity.ODD and (gap is None or gap.value <= SAME_LENGTH):
+    _check_halves(measure, layers, electrodes, file)
+
+
+def _check_halves(measure: Straight, layers: Sequence[Layer], electrodes: Electrodes, file: str) -> None:
+    """Check that the live electrode is split if its halves differ, and that the symmetry and the wiring suit them."""
+    halves, gap = electrodes.halves, electrodes.live_disc.inner_radius
+    if (measure.left is Parity.ODD or halves is not None) and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
-                         "above zero where symmetry is odd: half of the gap between the electrodes at +V and -V")
+                         "above zero where symmetry is odd: half of the gap between the electrodes at +V and -V"
+                         if halves is None else "above zero: half of the gap between the two halves")
+    if halves is not None:
+        voltages = SIGNS[halves[0]], SIGNS[halves[1]]
+        if voltages == (0.0, 0.0):
+            raise InputError(file, "electrodes.halves", list(halves), 'a half at "+" or "-": nothing drives the chip')
+        mirrored = {Parity.EVEN: 1.0, Parity.ODD: -1.0}.get(measure.left)
+        if mirrored is not None and voltages[0] != mirrored * voltages[1]:
+            other = 'symmetry = "odd" or ' if measure.left is Parity.EVEN and voltages[0] == -voltages[1] else ""
+            raise InputError(file, "electrodes.halves", list(halves), f"two signs with {measure.left.value} symmetry, "
+                             f'or {other}symmetry = "none" under [chip], which meshes both halves')
+        if sum(layer.role == TRANSDUCER for layer in layers) > 1:
+            raise InputError(file, "electrodes.halves", list(halves), "none in a stack of transducers, whose "
+                             "electrodes are wired in parallel")
+    if electrodes.wiring is None:
+        return
+    if not are_opposite(measure, electrodes):
+        raise InputError(file, "electrodes.wiring", electrodes.wiring, 'none, or halves = ["+", "-"]: a wiring is that '
+                         "of two halves at opposite voltages")
+    off = next((layer for layer in layers if layer.offset or layer.cavity_offset), None)
+    if electrodes.wiring != TRANSFORMER and off is not None:
+        raise InputError(file, "electrodes.wiring", electrodes.wiring, f'"{TRANSFORMER}", which keeps the halves at '
+                         f"opposite voltages: {off.region!r} is off the middle, so that the halves draw different "
+                         "currents and no other wiring does")
+
+
+def are_opposite(measure: Measure, electrodes: Electrodes) -> bool:
+    """Whether the halves of the live electrode have opposite voltages."""
+    if electrodes.halves is None:
+        return isinstance(measure, Straight) and measure.left is Parity.ODD
+    return set(electrodes.halves) == {"+", "-"}
+
+
+def check_stated_length(measure: Measure, file: str, subject: str) -> None:
+    """Check that a straight chip states its length, on which the `subject` depends.
+
+    Raises:
+        InputError: it does not.
+    """
+    if isinstance(measure, Straight) and "length" in measure.assumed:
+        raise InputError(file, "chip.length", None, f'the length of the chip along its channel, such as length = "35 '
+                         f'mm": {subject} depends on it')
+
+
+def straight_findings(measure: Measure, electrodes: Electrodes) -> tuple[str, ...]:
+    """Sentences on keys that a straight chip leaves out, and on the wiring of its halves."""
+    if isinstance(measure, Axisymmetric):
+        return ()
+    found = []
+    if "symmetry" in measure.assumed:
+        found.append('the chip states no symmetry: the field is even, and half a wave across the channel is left out; '
+                     'symmetry = "odd" (a split electrode at +V and -V) or "none" under [chip] has it, "even" states '
+                     "that it is meant")
+    if "length" in measure.assumed:
+        found.append("the chip states no length: Z, currents, powers and heat are those of 1 m of it; state its length "
+                     'under [chip], such as length = "35 mm". E_ac, temperatures and times at a stated voltage do not '
+                     "depend on it")
+    if electrodes.wiring == BETWEEN:
+        found.append("one amplifier drives the chip between the halves of its electrode: the voltage is that between "
+                     "them, half of it on each against ground, and Z is the impedance between them")
+    if electrodes.wiring == TWO_AMPLIFIERS:
+        found.append("two amplifiers drive the halves of the electrode, each behind its own resistance: Z is the "
+                     "voltage of one over the sum of both currents, and each amplifier sees 2 Z")
+    return tuple(found)
 
 
 def _check_channels(layer: Layer, layers: Sequence[Layer], place: int, file: str) -> None:
@@ -126,4 +221,5 @@ def head_keys(measure: Measure) -> Mapping[str, str]:
     if measure.right is not Parity.NONE:
         raise InputError("chip file", "symmetry", f"{measure.left.value}, {measure.right.value}",
                          "one plane of symmetry or none: a chip file has no row of equal chips")
-    return {"geometry": "straight", "symmetry": measure.left.value}
+    stated = {} if "symmetry" in measure.assumed else {"symmetry": measure.left.value}
+    return {"geometry": "straight", **stated}

@@ -5,15 +5,15 @@
 >>> pla = Registry().load("pla")
 
 A :class:`Registry` lists its materials (``names()``) and loads one by name (``load``): a frozen :class:`Piezoelectric`,
-:class:`IsotropicSolid` or :class:`Fluid`. ``dataclasses.replace(material, density=7500.0)`` makes a changed one. Units
-are SI; losses follow the time factor e^{-i w t}: a *negative* imaginary stiffness or modulus and a *positive* imaginary
-permittivity.
+:class:`IsotropicSolid`, :class:`CubicSolid` or :class:`Fluid`. ``dataclasses.replace(material, density=7500.0)`` makes
+a changed one. Units are SI; losses follow the time factor e^{-i w t}: a *negative* imaginary stiffness or modulus and a
+*positive* imaginary permittivity.
 
 Adding a material
 -----------------
 1. Write ``data/<material>/<source_year>.toml`` (or the same inside a folder of your own, given to ``Registry``)::
 
-       kind = "isotropic solid"            # or "piezoelectric", "fluid"
+       kind = "isotropic solid"            # or "piezoelectric", "cubic solid", "fluid"
        title = "Polylactic acid, 3-D printed"
        source = "acevedo_2026"             # a key of references.bib; an entry below may name another
        conditions = "1.033 MHz, room temperature"
@@ -27,7 +27,8 @@ Adding a material
    where known, ``uncertainty`` and ``loss_uncertainty`` (standard). A solid may be given by bulk_modulus shear_modulus,
    youngs_modulus poisson_ratio, longitudinal_speed shear_speed or longitudinal_speed poisson_ratio; a piezoelectric one
    in stress-charge form (c11 c12 c13 c33 c44 e31 e33 e15 eps11 eps33, permittivities at constant strain) or in the
-   strain-charge form of datasheets (s11 s12 s13 s33 s44 d31 d33 d15 free_eps11 free_eps33).
+   strain-charge form of datasheets (s11 s12 s13 s33 s44 d31 d33 d15 free_eps11 free_eps33), which coupling factors,
+   frequency constants and Poisson's ratio may complete (see :mod:`materials.completion`).
 2. Add the source to ``data/references.bib``. No source, no entry. Never average sources: one file each.
 3. Numbers that depend on temperature get a ``law`` (see :mod:`materials.temperature`) and the file a reference
    ``temperature``; then all its numbers need one, with the range its source vouches for.
@@ -49,13 +50,14 @@ removing it. ``check_use`` warns if a fitted material is used outside its band o
 """
 
 from materials.assumed import ASSUMED, with_assumed_loss
+from materials.completion import SheetWarning
 from materials.describe import describe
 from materials.difference import Difference, differences
 from materials.entry import LossWarning
 from materials.exchange import Imported, export_entries, import_entries
 from materials.fit import Correlation, Fit, RecordingSource
 from materials.history import Version, history, withdraw
-from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.passivity import PassivityWarning
 from materials.registry import Registry, user_folder, user_registry
 from materials.saving import fitted, save_fit
@@ -66,6 +68,7 @@ from materials.versions import Withdrawal, WithdrawnWarning
 __all__ = [
     "ASSUMED",
     "Correlation",
+    "CubicSolid",
     "Difference",
     "Fit",
     "Fluid",
@@ -77,6 +80,7 @@ __all__ = [
     "Piezoelectric",
     "RecordingSource",
     "Registry",
+    "SheetWarning",
     "UseWarning",
     "Value",
     "Version",

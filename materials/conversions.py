@@ -74,6 +74,19 @@ def nepers_per_metre(decibels_per_metre: float) -> float:
     return decibels_per_metre * NEPERS_PER_DECIBEL
 
 
+def _inverted(
+    matrix: tuple[complex, ...], rows: tuple[complex, ...]
+) -> tuple[tuple[complex, ...], tuple[complex, ...]]:
+    """The inverse of a 6mm matrix (11, 12, 13, 33, 44), and the products of rows (31, 33, 15) with it."""
+    (a11, a12, a13, a33, a44), (r31, r33, r15) = matrix, rows
+    determinant = (a11 + a12) * a33 - 2 * a13**2
+    b33, b13 = (a11 + a12) / determinant, -a13 / determinant
+    plane_sum, plane_difference = a33 / determinant, 1 / (a11 - a12)
+    b11, b12, b44 = (plane_sum + plane_difference) / 2, (plane_sum - plane_difference) / 2, 1 / a44
+    return ((b11, b12, b13, b33, b44),
+            (r31 * plane_sum + r33 * b13, 2 * r31 * b13 + r33 * b33, r15 * b44))
+
+
 def stress_charge(
     *,
     s11: complex,
@@ -93,13 +106,34 @@ def stress_charge(
     constant stress. Returns c11 c12 c13 c33 c44 (Pa), e31 e33 e15 (C/m^2) and eps11 eps33 (relative, constant strain):
     c = s^-1, e = d c, eps = eps^T - d e^t.
     """
-    determinant = (s11 + s12) * s33 - 2 * s13**2
-    c33, c13 = (s11 + s12) / determinant, -s13 / determinant
-    plane_sum, plane_difference = s33 / determinant, 1 / (s11 - s12)
-    c11, c12, c44 = (plane_sum + plane_difference) / 2, (plane_sum - plane_difference) / 2, 1 / s44
-    e31, e33, e15 = d31 * plane_sum + d33 * c13, 2 * d31 * c13 + d33 * c33, d15 * c44
+    (c11, c12, c13, c33, c44), (e31, e33, e15) = _inverted((s11, s12, s13, s33, s44), (d31, d33, d15))
     return {
         "c11": c11, "c12": c12, "c13": c13, "c33": c33, "c44": c44, "e31": e31, "e33": e33, "e15": e15,
         "eps11": free_eps11 - d15 * e15 / VACUUM_PERMITTIVITY,
         "eps33": free_eps33 - (2 * d31 * e31 + d33 * e33) / VACUUM_PERMITTIVITY,
+    }  # fmt: skip
+
+
+def strain_charge(
+    *,
+    c11: complex,
+    c12: complex,
+    c13: complex,
+    c33: complex,
+    c44: complex,
+    e31: complex,
+    e33: complex,
+    e15: complex,
+    eps11: complex,
+    eps33: complex,
+) -> dict[str, complex]:
+    """Strain-charge constants of a poled ceramic from its stress-charge constants.
+
+    The inverse of :func:`stress_charge`: s = c^-1, d = e s, eps^T = eps + d e^t.
+    """
+    (s11, s12, s13, s33, s44), (d31, d33, d15) = _inverted((c11, c12, c13, c33, c44), (e31, e33, e15))
+    return {
+        "s11": s11, "s12": s12, "s13": s13, "s33": s33, "s44": s44, "d31": d31, "d33": d33, "d15": d15,
+        "free_eps11": eps11 + d15 * e15 / VACUUM_PERMITTIVITY,
+        "free_eps33": eps33 + (2 * d31 * e31 + d33 * e33) / VACUUM_PERMITTIVITY,
     }  # fmt: skip

@@ -17,6 +17,9 @@ def describe(material: Material) -> str:
     for name, number in (material.parameters() | thermal).items():
         known = material.values.get(name)
         lines.append(f"  {name:<22} {_number(number):<28} {'' if known is None else _remarks(known)}".rstrip())
+    for name, stated in material.values.items():
+        if name not in material.parameters() and name not in thermal:
+            lines.append(f"  {name:<22} {_number(stated.value):<28} {_remarks(stated)}")
     match material:
         case IsotropicSolid():
             lines.append(f"  compressibility        {material.compressibility:.6g} 1/Pa")

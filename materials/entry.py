@@ -17,13 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from materials import conversions, passivity
+from materials.ceramic_sheet import CONSTANTS, FIGURES
+from materials.completion import Library, announce, as_printed, check_constants, complete, doubts
 from materials.fit import parse_fit
-from materials.kinds import CERAMICS, Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import CERAMICS, CHANNELS, CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.lines import with_line_number
 from materials.loss import WORDS, Loses, attenuation_of_sound, loss_number
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
 from workbench.files.errors import InputError
+from workbench.files.quantities import BARE
 from workbench.files.tables import FileTable, read_toml
 
 _Numbers = Mapping[str, complex]
@@ -41,8 +44,10 @@ class Form:
 class EntryKind:
     """The statements a file of one kind may make. ``forms`` are alternatives, of which exactly one must be complete.
 
-    ``words`` are texts from closed lists. ``lossy`` allows complex results of a form. ``once`` are losses that stand
-    for all constants: for each key, the word it stands for and the dimensions of the numbers that it applies to.
+    ``words`` are texts from closed lists, which a file must state if ``worded``. ``lossy`` allows complex results of a
+    form. ``once`` are losses that stand for all constants: for each key, the word it stands for and the dimensions of
+    the numbers that it applies to.
+    ``figures`` are further numbers of a data sheet, which may complete the constants of the strain-charge form.
     """
 
     build: Callable[..., Material]
@@ -50,8 +55,10 @@ class EntryKind:
     optional: Mapping[str, str]
     forms: tuple[Form, ...]
     words: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    worded: bool = False
     lossy: bool = True
     once: Mapping[str, tuple[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
+    figures: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def lossy_fields(self) -> Collection[str]:
@@ -90,16 +97,12 @@ def _from_moduli(longitudinal: complex, shear: complex) -> dict[str, complex]:
     return {"bulk_modulus": longitudinal - 4 * shear / 3, "shear_modulus": shear}
 
 
-_STRAIN_CHARGE = {
-    **dict.fromkeys(("s11", "s12", "s13", "s33", "s44"), "compliance"),
-    **dict.fromkeys(("d31", "d33", "d15"), "piezoelectric charge"),
-    **dict.fromkeys(("free_eps11", "free_eps33"), "permittivity"),
-}
-
-
 def _from_strain_charge(numbers: _Numbers) -> dict[str, complex]:
-    return conversions.stress_charge(**{name: numbers[name] for name in _STRAIN_CHARGE})
+    return conversions.stress_charge(**{name: numbers[name] for name in CONSTANTS})
 
+
+#: The form of data sheets, which their figures may complete (:mod:`materials.completion`).
+_STRAIN_CHARGE = Form(CONSTANTS, _from_strain_charge)
 
 _THERMAL = {
     "thermal_conductivity": "thermal conductivity",
@@ -121,18 +124,19 @@ KINDS: Mapping[str, EntryKind] = {
                 },
                 _unchanged("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33"),
             ),
-            Form(_STRAIN_CHARGE, _from_strain_charge),
+            _STRAIN_CHARGE,
         ),
         words={"ceramic": CERAMICS},
         once={
             "mechanical_q": ("q", ("pressure", "compliance")),
             "dielectric_loss_tangent": ("loss_tangent", ("permittivity",)),
         },
+        figures=FIGURES,
     ),
     "isotropic solid": EntryKind(
         build=IsotropicSolid,
         required={"density": "density"},
-        optional=_THERMAL,
+        optional={**_THERMAL, "softening_temperature": "temperature"},
         forms=(
             Form({"bulk_modulus": "pressure", "shear_modulus": "pressure"},
                  _unchanged("bulk_modulus", "shear_modulus")),
@@ -142,6 +146,15 @@ KINDS: Mapping[str, EntryKind] = {
             Form({"compressibility": "compliance", "shear_modulus": "pressure"}, _from_compressibility),
             Form({"compressibility": "compliance"}, _from_compressibility),
         ),
+    ),
+    "cubic solid": EntryKind(
+        build=CubicSolid,
+        required={"density": "density"},
+        optional=_THERMAL,
+        forms=(Form(dict.fromkeys(("c11", "c12", "c44"), "pressure"), _unchanged("c11", "c12", "c44")),),
+        words={"channel": CHANNELS},
+        worded=True,
+        once={"mechanical_q": ("q", ("pressure",))},
     ),
     "fluid": EntryKind(
         build=Fluid,
@@ -180,12 +193,22 @@ class LossWarning(UserWarning):
 
 
 def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, source: str) -> Form | None:
-    """The form with exactly the numbers `given`; otherwise an :class:`InputError` that names the missing ones."""
+    """The form with exactly the numbers `given`, figures of a sheet apart, or the form that those may complete.
+
+    Raises:
+        InputError: there is none; it names the missing numbers.
+    """
     if not kind.forms:
         return None
     for form in kind.forms:
         if set(form.dimensions) == set(given):
             return form
+    if kind.figures:
+        whole = [form for form in kind.forms if set(form.dimensions) <= set(given) <= {*form.dimensions, *kind.figures}]
+        if whole:
+            return whole[0]
+        if given and set(given) <= {*_STRAIN_CHARGE.dimensions, *kind.figures}:
+            return _STRAIN_CHARGE
     nearest = max(kind.forms, key=lambda form: (len(set(form.dimensions) & set(given)), -len(form.dimensions)))
     missing = [name for name in nearest.dimensions if name not in given]
     if missing:
@@ -242,7 +265,8 @@ def _temperature(table: FileTable, entries: Mapping[str, object], asked: float |
 
 
 def read_entry(
-    path: Path, name: str, *, references: Collection[str], temperature: float | None, notes: list[str] | None = None
+    path: Path, name: str, *, references: Collection[str], temperature: float | None, notes: list[str] | None = None,
+    library: Library | None = None,
 ) -> Material:
     """Read and check the material in the file at `path`; its name will be `name`.
 
@@ -251,8 +275,9 @@ def read_entry(
         name: ``material/source`` as the registry knows it.
         references: keys of the bibliography that the file may cite.
         temperature: in K, for a file whose numbers depend on it; None for its own reference temperature.
-        notes: a list that collects the note of a material active by no more than its own rounding; without it that is
-            a warning.
+        notes: a list that collects the note of a material active by no more than its own rounding, and of one that is
+            completed from a data sheet; without it those are warnings.
+        library: the materials that the entry may name under ``like``.
 
     Raises:
         InputError: any wrong statement of the file, with the line; or a temperature without a law for it.
@@ -260,24 +285,29 @@ def read_entry(
     Warns:
         passivity.PassivityWarning: active by no more than its own rounding.
         LossWarning: a loss that is next to nothing beside its number.
+        completion.SheetWarning: constants are derived or assumed, or figures of the sheet contradict each other.
     """
     with with_line_number(path):
         return parse_entry(read_toml(path), name, file=str(path), references=references, temperature=temperature,
-                           notes=notes)
+                           notes=notes, library=library)
 
 
 def parse_entry(
     content: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None,
-    notes: list[str] | None = None,
+    notes: list[str] | None = None, library: Library | None = None,
 ) -> Material:
     """The material in the content of an entry file; see :func:`read_entry`."""
     table = FileTable(file, "", content)
     kind_name = table.choice("kind", KINDS)
     kind = KINDS[kind_name]
-    entries = {key: item for key, item in content.items() if key not in (*_HEAD, *kind.words, *kind.once)}
+    head = (*_HEAD, *kind.words, *kind.once, *(("like",) if kind.figures else ()))
+    entries = {key: item for key, item in content.items() if key not in head}
     in_forms = {key: dimension for form in kind.forms for key, dimension in form.dimensions.items()}
-    dimensions = {**kind.required, **kind.optional, **in_forms}
-    table.only([*_HEAD, *kind.words, *kind.once, *dimensions])
+    dimensions = {**kind.required, **kind.optional, **kind.figures, **in_forms}
+    table.only([*head, *dimensions])
+    # A coupling factor needs no unit.
+    entries = {key: {"value": item, "unit": "1"} if dimensions[key] in BARE and type(item) in (int, float) else item
+               for key, item in entries.items()}
     table.text("title")
     table.text("note", "")
     table.flag("default")
@@ -286,7 +316,8 @@ def parse_entry(
             raise InputError(file, required, "nothing", f"this number of the {kind_name}")
     if "fit" in table:
         references = {RECORDING, *references}
-    form = _choose_form(kind_name, kind, [key for key in entries if key in in_forms], source=file)
+    form = _choose_form(kind_name, kind, [key for key in entries if key in in_forms or key in kind.figures],
+                        source=file)
 
     reader = _Reader(
         file=file,
@@ -295,41 +326,61 @@ def parse_entry(
         references=references,
         temperature=_temperature(table, entries, temperature),
     )
-    entries = _with_losses_once(table, kind, entries, dimensions)
+    entries = _with_losses_once(table, kind, entries, in_forms)
     absorbed = _Absorption.taken(table, entries) if kind.build is Fluid else None
     if absorbed is not None:
         entries = {**entries, "sound_speed": absorbed.speed}
-    values = {
-        key: reader.value(entry, dimensions[key], field=key,
-                          loses=_LOSES.get(dimensions[key], Loses.EITHER) if kind.lossy and key in in_forms
-                          else Loses.NOT)
-        for key, entry in entries.items()
-    }
+
+    def read(entries: Mapping[str, object]) -> dict[str, Value]:
+        return {key: reader.value(entry, dimensions[key], field=key,
+                                  loses=_LOSES.get(dimensions[key], Loses.EITHER) if kind.lossy and key in in_forms
+                                  else Loses.NOT)
+                for key, entry in entries.items()}
+
+    values, findings = read(entries), []
+    if form is _STRAIN_CHARGE and not set(form.dimensions) <= set(values):
+        completed = complete(table, values, dimensions, library, name=name)
+        values = as_printed(values) | read(_with_losses_once(table, kind, completed.entries, in_forms))
+        findings.append(completed.finding)
+    elif "like" in table:
+        raise table.error("like", "no such key: the entry states all its constants")
     if absorbed is not None:
         values["bulk_viscosity"] = absorbed.bulk_viscosity(values, file)
     numbers = {key: value.value for key, value in values.items()}
-    fields: dict[str, Any] = {key: number.real for key, number in numbers.items() if key not in in_forms}
-    fields.update({key: table.choice(key, known) for key, known in kind.words.items() if key in table})
+    if form is _STRAIN_CHARGE:
+        check_constants(file, values)
+    fields: dict[str, Any] = {key: number.real for key, number in numbers.items()
+                              if key not in in_forms and key not in kind.figures}
+    fields.update({key: table.choice(key, known) for key, known in kind.words.items()
+                   if key in table or kind.worded})
     tolerances: dict[str, float] = {}
     if form is not None:
-        for key in ("compressibility", *_FOR_SHEAR):
-            if key in numbers and not numbers[key].real > 0:
-                raise InputError(file, key, numbers[key].real, "a positive number (SI)")
-        try:
-            converted = form.convert(numbers)
-        except ZeroDivisionError:
-            raise InputError(file, next(iter(form.dimensions)), "numbers of which one set is singular",
-                             f"numbers of a {kind_name} that can be converted") from None
+        converted = _converted(form, numbers, kind_name, file)
         fields.update(converted if kind.lossy else {key: complex(number).real for key, number in converted.items()})
         tolerances = _loss_tolerances(form, numbers, values)
         if set(_FOR_SHEAR) == set(form.dimensions):
-            _check_longitudinal_loss(converted, numbers, tolerances, file)
+            passivity.check_longitudinal_loss(converted, numbers, tolerances, file)
     fit = parse_fit(content["fit"], density=fields["density"], source=file) if "fit" in table else None
     material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
                           **fields)
     passivity.check_passive(material, loss_tolerances=tolerances, source=file, notes=notes)
     _question_small_losses(material, values, dimensions)
+    if isinstance(material, Piezoelectric):
+        findings.append(doubts(material, values, () if form is None else form.dimensions))
+    announce(findings, notes)
     return material
+
+
+def _converted(form: Form, numbers: _Numbers, kind_name: str, file: str) -> dict[str, complex]:
+    """The fields that the numbers of a form give."""
+    for key in ("compressibility", *_FOR_SHEAR):
+        if key in numbers and not numbers[key].real > 0:
+            raise InputError(file, key, numbers[key].real, "a positive number (SI)")
+    try:
+        return form.convert(numbers)
+    except ZeroDivisionError:
+        raise InputError(file, next(iter(form.dimensions)), "numbers of which one set is singular",
+                         f"numbers of a {kind_name} that can be converted") from None
 
 
 def _with_losses_once(
@@ -346,7 +397,7 @@ def _with_losses_once(
             continue
         loss_number(table, key, word)
         for name, entry in entries.items():
-            if dimensions[name] not in of or not isinstance(entry, Mapping):
+            if dimensions.get(name) not in of or not isinstance(entry, Mapping):
                 continue
             own = [each for each in WORDS if each in entry]
             if own:
@@ -413,19 +464,6 @@ class _Absorption:
                      None if self.uncertainty is None else density * self.uncertainty)
 
 
-def _check_longitudinal_loss(
-    moduli: Mapping[str, complex], numbers: _Numbers, tolerances: Mapping[str, float], file: str
-) -> None:
-    """Raise if a longitudinal wave has a smaller loss than its share of shear implies."""
-    bulk, shear = complex(moduli["bulk_modulus"]), complex(moduli["shear_modulus"])
-    if bulk.imag <= tolerances["bulk_modulus"]:
-        return
-    whole = bulk + 4 * shear / 3
-    raise InputError(file, "longitudinal_speed", f"a loss tangent of {abs(whole.imag) / whole.real:.3g}",
-                     f"one of {-4 * shear.imag / 3 / whole.real:.3g} at least, which the loss of shear makes "
-                     f"({numbers['shear_speed'].real:g} m/s, loss tangent {-shear.imag / shear.real:.3g}): state both")
-
-
 def _question_small_losses(material: Material, values: Mapping[str, Value], dimensions: Mapping[str, str]) -> None:
     """Warn of losses that are next to nothing beside their numbers: a loss tangent was typed as an imaginary part."""
     found = []
@@ -440,7 +478,7 @@ def _question_small_losses(material: Material, values: Mapping[str, Value], dime
         warnings.warn(
             f"{material.name}: losses a thousand times below anything published ({'; '.join(found)}). A loss is the "
             "imaginary part in the unit of its number; write loss_tangent where the source prints tan delta, or q",
-            LossWarning, stacklevel=5)
+            LossWarning, stacklevel=6)
 
 
 def _loss_tolerances(form: Form, numbers: _Numbers, values: Mapping[str, Value]) -> dict[str, float]:

@@ -94,13 +94,14 @@ def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
     """
     entries = _read(path)
     references = bibliography_keys(PACKAGE_DATA / "references.bib") | bibliography_keys(folder / "references.bib")
+    library = Registry(folder if folder.is_dir() else ()).library
     for entry in entries:
         # With one of the package's own names, no entry could be read any more.
         if entry_file(PACKAGE_DATA, entry.name).exists():
             raise InputError(str(path), entry.name, entry.name, "a name that the package does not have")
         _refuse_other(path, entry, folder)
         table = parse_toml(entry.content, source=str(path), field=entry.name)
-        parse_entry(table, entry.name, file=f"{path}, {entry.name}", references=references)
+        parse_entry(table, entry.name, file=f"{path}, {entry.name}", references=references, notes=[], library=library)
     return tuple(Imported(entry.name, _place(path, entry, folder)) for entry in entries)
 
 

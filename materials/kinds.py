@@ -18,10 +18,14 @@ from typing import ClassVar
 
 from materials.fit import Fit
 from materials.value import Value
+from workbench.files.errors import choose
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 
 #: Classes of ceramics by their losses: of types I and III of the US Navy's classification, and of types II and VI.
 CERAMICS = ("hard", "soft")
+
+#: Directions of a channel in the plane of a (100) wafer: along its flat, and at 45 degrees to it.
+CHANNELS = ("<110>", "<100>")
 
 
 def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
@@ -113,8 +117,11 @@ class IsotropicSolid(Heat):
     """An isotropic, possibly viscoelastic solid; also the material of a suspended particle.
 
     Density in kg/m^3, adiabatic bulk and shear modulus in Pa; a particle such as a cell may have no shear modulus, a
-    layer must. Acevedo-Espinosa et al. (RP-UEIS), eq. 17.
+    layer must. Acevedo-Espinosa et al. (RP-UEIS), eq. 17. ``softening_temperature`` (K) is the glass transition of a
+    polymer: from there on it is softer and loses more than the numbers say. None if not stated.
     """
+
+    THERMAL: ClassVar[tuple[str, ...]] = (*Heat.THERMAL, "softening_temperature")
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "bulk_modulus", "shear_modulus")
 
@@ -122,6 +129,7 @@ class IsotropicSolid(Heat):
     density: float
     bulk_modulus: complex
     shear_modulus: complex
+    softening_temperature: float | None = field(default=None, repr=False)
     temperature: float | None = None
     source: str = ""
     values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
@@ -142,6 +150,60 @@ class IsotropicSolid(Heat):
     def slowest_wave_speed(self) -> float:
         """Speed (m/s) of shear waves."""
         return math.sqrt(complex(self.shear_modulus).real / self.density)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CubicSolid(Heat):
+    """A single crystal of cubic symmetry, cut as a (100) wafer.
+
+    Density in kg/m^3, stiffness along the axes of the cube in Pa. A cube axis is normal to the wafer. ``channel`` is
+    the direction of the channel in its plane, one of :data:`CHANNELS`. Only a straight chip holds such a crystal.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "c11", "c12", "c44")
+
+    name: str
+    density: float
+    c11: complex
+    c12: complex
+    c44: complex
+    channel: str
+    temperature: float | None = None
+    source: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+    fit: Fit | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        choose(self.channel, CHANNELS, source=self.name, field="channel")
+        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
+
+    @property
+    def bulk_modulus(self) -> complex:
+        """Bulk modulus (Pa), which is the same in all directions."""
+        return (self.c11 + 2.0 * self.c12) / 3.0
+
+    @property
+    def shear_modulus(self) -> complex:
+        """Shear modulus (Pa) of the polycrystal, the mean of the bounds of Voigt and Reuss."""
+        soft, hard = self.c11 - self.c12, self.c44
+        return 0.5 * ((soft + 3.0 * hard) / 5.0 + 5.0 * soft * hard / (4.0 * hard + 3.0 * soft))
+
+    @property
+    def stiffness(self) -> tuple[complex, complex]:
+        """Stiffness (Pa) across the channel in the plane of the wafer: of a strain there on the stress there and along
+        the channel."""
+        if self.channel == "<100>":
+            return self.c11, self.c12
+        mean = 0.5 * (self.c11 + self.c12)
+        return mean + self.c44, mean - self.c44
+
+    def parameters(self) -> dict[str, complex]:
+        """Every number by its field name."""
+        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
+
+    def slowest_wave_speed(self) -> float:
+        """Speed (m/s) of the slowest shear wave in the section."""
+        return math.sqrt(min(complex(self.c44).real, 0.5 * complex(self.c11 - self.c12).real) / self.density)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,20 +250,25 @@ class Fluid:
 
     @property
     def diffusivity_of_sound(self) -> float | None:
-        """Diffusivity [4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None if the bulk viscosity is
-        unknown.
+        """Diffusivity [4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None if no viscosity is known.
 
         The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2). Heat
         conduction counts if its three numbers are known; in water it is a thousandth of the whole. If only the
-        absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity.
+        absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity. Without the bulk
+        viscosity it is a lower bound (:attr:`absorbs_more`).
         """
-        if self.bulk_viscosity is None or (self.shear_viscosity is None and self.bulk_viscosity == 0.0):
+        viscous = 4.0 / 3.0 * (self.shear_viscosity or 0.0) + (self.bulk_viscosity or 0.0)
+        if viscous == 0.0:
             return None
-        viscous = 4.0 / 3.0 * (self.shear_viscosity or 0.0) + self.bulk_viscosity
         if self.heat_capacity_ratio is None or self.thermal_conductivity is None or self.heat_capacity is None:
             return viscous / self.density
         thermal = (self.heat_capacity_ratio - 1.0) * self.thermal_conductivity / self.heat_capacity
         return (viscous + thermal) / self.density
+
+    @property
+    def absorbs_more(self) -> bool:
+        """Whether the diffusivity of sound is a lower bound, because the bulk viscosity is not stated."""
+        return self.bulk_viscosity is None and self.shear_viscosity is not None
 
     def parameters(self) -> dict[str, complex]:
         """Every known number by its field name; density and sound speed are always there."""
@@ -213,4 +280,5 @@ class Fluid:
         return self.sound_speed
 
 
-Material = Piezoelectric | IsotropicSolid | Fluid
+Solid = Piezoelectric | IsotropicSolid | CubicSolid
+Material = Solid | Fluid

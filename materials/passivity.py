@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric, Solid
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 
@@ -74,26 +74,35 @@ def _assemble(entries: Mapping[str, complex], c66: complex) -> NDArray[np.comple
     return matrix
 
 
-def dissipation_matrix(material: Piezoelectric | IsotropicSolid) -> NDArray[np.float64]:
-    """Matrix Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G'').
+def _cubic_moduli(constants: Mapping[str, complex]) -> tuple[complex, complex, complex]:
+    """Eigenvalues of the stiffness of a cubic crystal: of compression, and of both shears."""
+    return (constants["c11"] + 2.0 * constants["c12"], constants["c11"] - constants["c12"], constants["c44"])
+
+
+def dissipation_matrix(material: Solid) -> NDArray[np.float64]:
+    """Matrix Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G''); for a cubic one that
+    of its three moduli.
 
     The isotropic solid needs no more: compression loses through K'' alone and every shear through G'' alone.
     """
     import numpy as np
+
+    if isinstance(material, CubicSolid):
+        return -np.diag([modulus.imag for modulus in _cubic_moduli(material.parameters())])
 
     if isinstance(material, Piezoelectric):
         return np.asarray(stored_energy_matrix(material).imag)
     return -np.diag([complex(material.bulk_modulus).imag, complex(material.shear_modulus).imag])
 
 
-def smallest_dissipation(material: Piezoelectric | IsotropicSolid) -> float:
+def smallest_dissipation(material: Solid) -> float:
     """The smallest eigenvalue (Pa) of the dissipation matrix: below zero, some motion creates energy."""
     import numpy as np
 
     return float(np.linalg.eigvalsh(dissipation_matrix(material))[0])
 
 
-def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float]) -> float:
+def rounding_tolerance(material: Solid, loss_tolerances: Mapping[str, float]) -> float:
     """Largest amount (Pa) by which the rounding of the losses can push the smallest dissipation below zero.
 
     `loss_tolerances` bounds the error of the imaginary part of each parameter, by name and in its SI unit (a missing
@@ -104,6 +113,8 @@ def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances
     bounds = {name: loss_tolerances.get(name, 0.0) for name in material.PARAMETERS}
     if isinstance(material, IsotropicSolid):
         return max(bounds["bulk_modulus"], bounds["shear_modulus"])
+    if isinstance(material, CubicSolid):
+        return max(bounds["c11"] + 2.0 * bounds["c12"], bounds["c44"])
     rounding = _assemble(_in_pascal(material, bounds), (bounds["c11"] + bounds["c12"]) / 2)
     return float(np.linalg.norm(rounding, 2))
 
@@ -146,10 +157,10 @@ def check_passive(
     if notes is not None:
         notes.append(note)
         return
-    warnings.warn(note, PassivityWarning, stacklevel=5)  # the level of the caller of Registry.load
+    warnings.warn(note, PassivityWarning, stacklevel=6)  # the level of the caller of Registry.load
 
 
-def _arithmetic_error(material: Piezoelectric | IsotropicSolid) -> float:
+def _arithmetic_error(material: Solid) -> float:
     """Bound (Pa) on the floating-point error of an eigenvalue of the dissipation matrix."""
     import numpy as np
 
@@ -159,7 +170,7 @@ def _arithmetic_error(material: Piezoelectric | IsotropicSolid) -> float:
 #: Parameters whose real part is positive in any material; the others (c12, c13, e31 ...) may have either sign.
 _POSITIVE = (
     "density", "c11", "c33", "c44", "eps11", "eps33", "bulk_modulus", "shear_modulus", "sound_speed", "shear_viscosity",
-    "bulk_viscosity", "heat_capacity_ratio", "thermal_conductivity", "heat_capacity",
+    "bulk_viscosity", "heat_capacity_ratio", "thermal_conductivity", "heat_capacity", "softening_temperature",
 )  # fmt: skip
 
 
@@ -176,7 +187,7 @@ def _check_positive(material: Material, source: str) -> None:
 
 
 def _check_signs(
-    material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float], source: str
+    material: Solid, loss_tolerances: Mapping[str, float], source: str
 ) -> None:
     """Check the diagonal of Im K: a wrong sign there is a wrong convention, which deserves its own message."""
     for name, number in material.parameters().items():
@@ -191,12 +202,28 @@ def _check_signs(
                              f"an imaginary part {sign} ({SIGN_CONVENTION})")
 
 
-def _check_stiffness(material: Piezoelectric | IsotropicSolid, source: str) -> None:
+def _check_stiffness(material: Solid, source: str) -> None:
     if isinstance(material, IsotropicSolid):
         return  # positive moduli, already checked, are the whole condition
     import numpy as np
 
-    smallest = float(np.linalg.eigvalsh(-stored_energy_matrix(material)[:6, :6].real)[0])
+    if isinstance(material, CubicSolid):
+        smallest = min(modulus.real for modulus in _cubic_moduli(material.parameters()))
+    else:
+        smallest = float(np.linalg.eigvalsh(-stored_energy_matrix(material)[:6, :6].real)[0])
     if smallest <= 0:
         raise InputError(source, "stiffness matrix", f"smallest eigenvalue {smallest / 1e9:.4g} GPa",
                          "a positive definite stiffness")
+
+
+def check_longitudinal_loss(
+    moduli: Mapping[str, complex], numbers: Mapping[str, complex], tolerances: Mapping[str, float], file: str
+) -> None:
+    """Raise if a longitudinal wave has a smaller loss than its share of shear implies."""
+    bulk, shear = complex(moduli["bulk_modulus"]), complex(moduli["shear_modulus"])
+    if bulk.imag <= tolerances["bulk_modulus"]:
+        return
+    whole = bulk + 4 * shear / 3
+    raise InputError(file, "longitudinal_speed", f"a loss tangent of {abs(whole.imag) / whole.real:.3g}",
+                     f"one of {-4 * shear.imag / 3 / whole.real:.3g} at least, which the loss of shear makes "
+                     f"({numbers['shear_speed'].real:g} m/s, loss tangent {-shear.imag / shear.real:.3g}): state both")

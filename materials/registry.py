@@ -17,9 +17,10 @@ import os
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from materials.completion import Library
 from materials.entry import read_entry
 from materials.kinds import Material
 from materials.versions import (
@@ -30,7 +31,7 @@ from materials.versions import (
     versions_of,
     withdrawal_file,
 )
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names, one_of
 from workbench.files.names import MARKS, check_name
 from workbench.files.tables import read_toml
 
@@ -77,6 +78,13 @@ class Registry:
         given = (self.folders,) if isinstance(self.folders, str | Path) else self.folders
         object.__setattr__(self, "folders", tuple(map(Path, given)))
 
+    def with_folders(self, further: Iterable[Path]) -> Registry:
+        """The registry with `further` folders that it does not have yet."""
+        assert isinstance(self.folders, tuple)
+        known = {Path(folder).resolve() for folder in self.folders}
+        added = tuple(folder for folder in further if folder.resolve() not in known)
+        return replace(self, folders=(*self.folders, *added)) if added else self
+
     def names(self) -> tuple[str, ...]:
         """Every ``material/source`` name, sorted; of a saved fit every version, withdrawn ones included."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
@@ -89,7 +97,8 @@ class Registry:
                 for a saved fit, ``material/name`` or ``material/name@version``.
             temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
                 states, which the result carries in its ``temperature``.
-            notes: a list that collects a :class:`materials.PassivityWarning` as text, if given.
+            notes: a list that collects a :class:`materials.PassivityWarning` and a :class:`materials.SheetWarning` as
+                text, if given.
 
         Raises:
             InputError: no such name (the nearest ones are named), a material with several entries and no default, a
@@ -97,6 +106,7 @@ class Registry:
 
         Warns:
             materials.PassivityWarning: the entry is active by no more than its own rounding.
+            materials.SheetWarning: a ceramic's constants are derived or assumed, or its sheet contradicts itself.
             materials.WithdrawnWarning: a withdrawn version was asked for by its full name.
         """
         chosen, path = self.find(name)
@@ -104,8 +114,20 @@ class Registry:
         if withdrawal is not None:
             warnings.warn(f"{chosen} was withdrawn on {withdrawal.date}: {withdrawal.reason}", WithdrawnWarning,
                           stacklevel=2)
+        return self._read(chosen, path, temperature=temperature, notes=notes, library=self.library)
+
+    @property
+    def library(self) -> Library:
+        """The materials that an entry may name."""
+        return Library(lambda name: self._read(*self.find(name), notes=[]),
+                       lambda: (name for name in self._files() if split_version(name) is None))
+
+    def _read(
+        self, name: str, path: Path, *, temperature: float | None = None, notes: list[str] | None,
+        library: Library | None = None,
+    ) -> Material:
         references = frozenset().union(*(bibliography_keys(folder / "references.bib") for folder in self._folders()))
-        return read_entry(path, chosen, references=references, temperature=temperature, notes=notes)
+        return read_entry(path, name, references=references, temperature=temperature, notes=notes, library=library)
 
     def find(self, name: str) -> tuple[str, Path]:
         """The full name and the file that `name` means; see :meth:`load`.
@@ -150,9 +172,10 @@ class Registry:
         label = name.split("@")[0]
         known = versions_of(label, files) or sorted(set(_unversioned(files)))
         siblings = [other for other in known if other.split("/")[0] == name.split("/")[0]]
-        near = tuple(siblings) if len(siblings) <= 10 else nearest_names(name, siblings)
-        raise InputError("materials", "name", name, "one of " + ", ".join(known),
-                         near or nearest_names(name, known))
+        if siblings:
+            near = tuple(siblings) if len(siblings) <= 3 else nearest_names(name, siblings)
+            raise InputError("materials", "name", name, one_of(siblings, name), near)
+        raise InputError("materials", "name", name, _elsewhere(len(known)), nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
         """The full name that a material's name alone means."""
@@ -160,8 +183,7 @@ class Registry:
         entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
             known = {name.split("/")[0] for name in files}
-            raise InputError("materials", "name", material, "one of " + ", ".join(sorted(known)),
-                             nearest_names(material, known))
+            raise InputError("materials", "name", material, _elsewhere(len(known)), nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
         declared = [name for name in entries if name in files and read_toml(files[name]).get("default") is True]
@@ -179,6 +201,12 @@ def user_registry(further: Iterable[Path | str] = (), *, inviscid: bool = False)
     given = [Path(folder) for folder in ((further,) if isinstance(further, str | Path) else further)]
     rest = [folder for folder in given if folder.resolve() != own.resolve()]
     return Registry((*([own] if own.is_dir() else []), *rest), inviscid=inviscid)
+
+
+def _elsewhere(count: int) -> str:
+    """The words for a material that is in none of the folders."""
+    return (f"one of the {count} names that `workbench materials list` shows, or one of a folder of your own, given by "
+            "--materials DIR (in Python registry=wb.Registry(DIR))")
 
 
 def _unversioned(names: Iterable[str]) -> list[str]:

@@ -146,8 +146,9 @@ def parse_value(
     low, high, loss_low, loss_high = (
         _end(table, key, lost if key.startswith("loss") else real, factor) for key in _ENDS)
     status, loss_status = (table.choice(key, STATUSES) if key in table else "" for key in ("status", "loss_status"))
+    zero = 273.15 if unit == "degC" else 0.0
     return Value(
-        value=complex(real * factor, loss.imaginary),
+        value=complex(real * factor + zero, loss.imaginary),
         unit=unit,
         source=source_of(table, references, default_source),
         conditions=table.text("conditions", default_conditions),

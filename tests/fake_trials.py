@@ -25,8 +25,3 @@ def late(mark: Path, trial: Path) -> dict[str, Any]:
     mark.touch()
     time.sleep(2.0)
     return SAID
-
-
-def quarter() -> float:
-    """Seconds that stand for those of a factorisation."""
-    return 0.25

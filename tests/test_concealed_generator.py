@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from concealed import detection, folder, response, section, solver, trial
 from concealed.design import BETWEEN, draw, draw_own, random_design
-from concealed.device import DRIVES, FILLINGS, STATES, body, seen, swept
+from concealed.device import DRIVES, FILLINGS, STATES, THIN, body, seen, swept
 from concealed.mechanisms import CATALOGUED, DRAWS, MECHANISMS, OUTSIDE
-from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Necks, Piezo, Solid, Viscous
+from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Hold, Liquid, Medium, Necks, Piezo, Solid, Viscous
 from concealed.section import Body, Box, Face, grid
 from concealed.solver import Model, assemble, spectrum, system
 from numpy.typing import NDArray
@@ -50,6 +50,25 @@ def test_a_plate_without_lateral_coupling_has_the_impedance_of_the_one_dimension
     assert np.abs(found / expected - 1.0).max() < 1e-5
 
 
+def test_a_plate_held_at_one_face_has_the_impedance_of_the_one_dimensional_theory() -> None:
+    density, c33, e33, eps33, height, radius = 7500.0, 1.2e11 - 4e8j, 16.0, 750.0 + 2.0j, 2e-3, 1e-3
+    plate = Piezo(density, 1.3e11, 0.0, 0.0, c33, 2.2e10, 0.0, e33, 0.0, 760.0, eps33)
+    frequency, spring = np.linspace(0.8e6, 1.3e6, 101), 3e13 * (1.0 - 0.1j)
+    found = spectrum(Body((Box(0.0, radius, 0.0, height, plate),), (height, 0.0, radius), (0.0, 0.0, radius),
+                          (Face(0.0, radius, 0.0, 0.0, Hold(spring, 0.0)),)), frequency, tolerance=1e-7)
+    # u = A cos kz + B sin kz, T = c u' - (e / eps) D, T(0) = K u(0), T(h) = 0, V = D h / eps - (e / eps) (u(h) - u(0)).
+    permittivity = eps33 * VACUUM_PERMITTIVITY
+    coupling, stiffened = e33 / permittivity, c33 + e33**2 / permittivity
+    k = 2.0 * np.pi * frequency * np.sqrt(density / stiffened)
+    cosine, sine = np.cos(k * height), np.sin(k * height)
+    a = coupling * (1.0 - cosine) / (spring * cosine - stiffened * k * sine)
+    stretch = a * (cosine - 1.0) + (spring * a + coupling) / (stiffened * k) * sine
+    expected = np.conj((height / permittivity - coupling * stretch)
+                       / (-2j * np.pi * frequency * math.pi * radius**2))
+    # As for the free plate.
+    assert np.abs(found / expected - 1.0).max() < 1e-5
+
+
 def mode(model: Model, start: complex) -> complex:
     """Angular frequency of the mode nearest to `start`, by Newton's method on its Rayleigh quotient."""
     from scipy import sparse
@@ -69,14 +88,17 @@ def mode(model: Model, start: complex) -> complex:
     return complex(omega)
 
 
-def vessel(radius: float, height: float, layer: float, necks: Necks | None = None) -> Model:
-    """A viscous fluid in a vessel too heavy and too stiff to move, with necks in its side wall or without."""
+def vessel(radius: float, height: float, layer: float, necks: Necks | None = None, *, open_above: bool = False
+           ) -> Model:
+    """A viscous fluid in a vessel too heavy and too stiff to move, with necks in its side wall or without, or open."""
     wall: Medium = Solid.isotropic(1e9, 1e17, 1e17)
     thick = 0.3 * height
     fluid = Viscous(DENSITY, SPEED, VISCOSITY, 0.0)
     lines = tuple(x for s in (2.5, 8.0) for x in (s * layer, height - s * layer))
     faces = () if necks is None else (Face(radius, radius, 0.0, height, necks),)
-    section = Body((Box(0.0, radius + thick, -thick, height + thick, wall), Box(0.0, radius, 0.0, height, fluid)),
+    nothing = (Box(0.0, radius, height, height + thick, None),) if open_above else ()
+    section = Body((Box(0.0, radius + thick, -thick, height + thick, wall), Box(0.0, radius, 0.0, height, fluid),
+                    *nothing),
                    (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), faces, (radius - 2.5 * layer, radius - 8.0 * layer), lines)
     return assemble(section, grid(section, 0.5e6), order=5)
 
@@ -125,19 +147,22 @@ def test_necks_in_the_side_wall_take_what_they_let_pass(share: float) -> None:
     assert abs(found.imag / exact.imag - 1.0) < 1e-2
 
 
-def test_a_cylinder_has_the_damping_of_its_side_wall() -> None:
-    radius, height = 0.3e-3, 1.5e-3
-    rigid = SPEED * math.pi / height
+@pytest.mark.parametrize("open_above", [False, True])
+def test_a_cylinder_has_the_damping_of_its_side_wall(open_above: bool) -> None:
+    # Half a wave between lids, a quarter below a free surface.
+    radius, height = 0.3e-3, 0.75e-3 if open_above else 1.5e-3
+    along = 0.5 * math.pi / height if open_above else math.pi / height
+    rigid = SPEED * along
     layer = math.sqrt(2.0 * VISCOSITY / (DENSITY * rigid))
 
     def dispersion(omega: complex) -> complex:
         # Kirchhoff's tube without heat: rho_eff = rho / (1 - 2 J1(b R) / (b R J0(b R))), b = (1 + i) / delta.
         b = (1.0 + 1.0j) * np.sqrt(omega * DENSITY / (2.0 * VISCOSITY)) * radius
         bulk = SPEED**2 - 4j / 3.0 * omega * VISCOSITY / DENSITY
-        return complex(omega**2 / bulk / (1.0 - 2.0 * jv(1, b) / (b * jv(0, b))) - (math.pi / height) ** 2)
+        return complex(omega**2 / bulk / (1.0 - 2.0 * jv(1, b) / (b * jv(0, b))) - along**2)
 
     exact = complex(newton(dispersion, rigid * (1.0 - 0.01j)))
-    found = mode(vessel(radius, height, layer), exact)
+    found = mode(vessel(radius, height, layer, open_above=open_above), exact)
     quality = -found.real / (2.0 * found.imag)
     print(f"cylinder: Q {quality:.3f}, exact {-exact.real / (2.0 * exact.imag):.3f}, r / delta {radius / layer:.2f}")
     assert abs(found.real / exact.real - 1.0) < 1e-3
@@ -217,6 +242,24 @@ def test_an_imitation_is_found_where_tangents_do_not_reach() -> None:
     assert detection.detectability(lambda moves: concealed - first @ moves, lambda _: first, 3, wide) < 1.01
 
 
+def test_an_imitation_goes_no_further_than_there_are_devices() -> None:
+    rng = np.random.default_rng(2)
+    slopes, refused = rng.standard_normal((50, 3)), []
+    concealed = slopes @ np.array([28.0, 0.0, 0.0]) + rng.standard_normal(50)
+
+    def change(moves: Real) -> Real:
+        if np.abs(moves).max() > 15.0:
+            refused.append(moves)
+            raise solver.NotAccurate("relative residual nan")
+        return np.asarray(concealed - slopes @ moves)
+
+    found = detection.detectability(change, lambda _: slopes, 3, np.eye(50))
+    free = detection.detectability(lambda moves: concealed - slopes @ moves, lambda _: slopes, 3, np.eye(50))
+    assert refused
+    # Never more than a linear device would leave.
+    assert found == pytest.approx(free, rel=1e-2)
+
+
 @pytest.mark.slow
 def test_what_known_parameters_do_is_imitated_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(section, "CELLS", 1.0)
@@ -245,7 +288,8 @@ def test_there_are_enough_mechanisms() -> None:
 
 
 #: States in which a mechanism leaves the impedance alone; those of the bench and the transducer act in all.
-SPARED = {"cavity": ("disc", "empty"), "couplant": ("disc",), "substrate": ("disc",), "bond": ("disc",)}
+SPARED = {"cavity": ("disc", "empty"), **dict.fromkeys(("couplant", "substrate", "sidewall", "bond", "superstrate"),
+                                                       ("disc",))}
 
 
 @pytest.mark.slow
@@ -392,6 +436,20 @@ def test_warped_cells_have_the_volume_of_their_shape() -> None:
         model = assemble(section, grid(section, float(design.frequency[-1]), per_wavelength=0.5), order=4)
         assert volume(model, Viscous) == pytest.approx(water, rel=1e-12), name
         assert volume(model, Liquid) == pytest.approx(gel, rel=1e-12), name
+
+
+def test_what_happens_in_labs_leaves_the_liquid_that_it_says() -> None:
+    design = random_design(np.random.default_rng(5))
+    values, filled = design.nominal, next(s for s in STATES if s.filling == "filled")
+    radius, height = values["cavity.radius"], values["sidewall.thickness"] + values["bond.thickness"]
+    inner, outer = 0.3 * radius, 0.5 * radius
+    for defects, expected in (
+        ({"fill.share": 0.7}, math.pi * radius**2 * 0.7 * height),
+        ({"bubble.inner": inner, "bubble.outer": outer}, math.pi * (radius**2 * height - THIN * (outer**2 - inner**2))),
+    ):
+        section = body(values, defects, filled)
+        model = assemble(section, grid(section, float(design.frequency[-1]), per_wavelength=0.5), order=4)
+        assert volume(model, Viscous) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_disc_with_a_dome_is_that_of_the_workbench(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ import workbench as wb
 from workbench.bench.setup import Acquisition, Standards
 from workbench.campaign.state import STATE_KEYS
 from workbench.commands.options import command_parser
+from workbench.diagnosis.decision import VERDICTS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -252,6 +253,33 @@ def test_the_header_shows_every_section_and_the_sections_every_page() -> None:
     pages = [page for section in sections for page in listed(ROOT / f"docs/{section}.md")]
     assert sorted([*pages, *sections, "index"]) == sorted(
         [*(page.stem for page in (ROOT / "docs").glob("*.md")), "gallery/index"])
+
+
+def test_every_verdict_of_a_diagnosis_has_a_picture_on_its_page(tmp_path: Path) -> None:
+    module = docs_module("verdict_pictures")
+    page = (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8")
+    assert {case.verdict for case in module.CASES.values()} == set(VERDICTS)
+    assert re.findall(r"_generated/verdict_(\w+)\.png", page) == list(module.CASES)
+    # The cheapest of them; the build of the documentation draws all.
+    (picture,) = module.pictures(tmp_path, ["parameters_explain"])
+    assert picture.stat().st_size > 10_000
+    with pytest.raises(ValueError, match=r"nothing: verdict 'no_mismatch'; expected 'ambiguous'"):
+        module.diagnosed(dataclasses.replace(module.CASES["no_mismatch"], verdict="ambiguous"))
+
+
+def test_the_algorithm_of_a_diagnosis_names_functions_of_the_code() -> None:
+    text = (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8").partition("### Algorithm")[2]
+    code = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "workbench/diagnosis").glob("*.py")}
+    called = set(re.findall(r"(\w+)\(", text.split("```")[1])) - {"map"}
+    assert len(called) > 12
+    for name in called:
+        assert any(re.search(rf"def {name}\(", text) for text in code.values()), name
+    rows = re.findall(r"^\| [^|`]+ \| (`[^|]+`) \| (`[^|]+`) \|$", text, re.MULTILINE)
+    assert len(rows) > 7
+    for names, modules in rows:
+        whole = "".join(code[module] for module in re.findall(r"`([\w.]+)`", modules))
+        for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
+            assert re.search(rf"(?:def|class) {name}\b", whole), name
 
 
 @pytest.mark.slow

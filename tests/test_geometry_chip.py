@@ -307,6 +307,8 @@ MISTAKES = {
     "no name": ('name = "test chip"', "", "chip.name", ("a text",)),
     "no material": ('material = "gel"', "", "layers[1].material", ("a text",)),
     "broken syntax": ("[states.empty]", "[states.empty", "TOML syntax", ("line",)),
+    "a state twice": ("[states.empty]", '[states.empty]\ncavity = "air"\n\n[states.empty]', "TOML syntax",
+                      ("the table [states.empty] a second time", "line")),
 }
 
 

@@ -137,9 +137,9 @@ def test_a_click_in_the_spectrum_shows_the_fields_there(live: Live) -> None:
     # A pixel is 0.2 kHz wide.
     assert float(shown[1]) == pytest.approx(1.0, abs=3e-4)
     live.page.click("#follow")
-    # Both are rounded: the resonance to 10 Hz, the frequency of the fields to 100 Hz.
+    # Both are rounded to 100 Hz.
     live.until("f0 => Math.abs(parseFloat(document.querySelector('#fields_at').innerText) - parseFloat(f0)) < 6e-5",
-               live.value("#f0"))
+               live.value("#peak"))
 
 
 def test_what_the_mouse_points_at_is_told(live: Live) -> None:

@@ -88,6 +88,21 @@ def test_figures_are_those_of_a_simulation_of_the_saved_chip(tmp_path: Path, ses
     assert found["f0"] == pytest.approx(run.figures.f0, rel=3e-4)
     assert found["z_min"] == pytest.approx(run.figures.z_min, rel=CLOSE)
     assert found["q"] == pytest.approx(run.figures.q, rel=CLOSE)
+    peak, expected = session.spectrum().peak, run.operating.peaks[0]
+    assert peak is not None
+    assert peak.frequency == pytest.approx(expected.frequency, rel=3e-4)
+    # The pressure is of first order in the error of the impedance.
+    assert peak.per_square_volt == pytest.approx(expected.per_square_volt, rel=10.0 * CLOSE)
+
+
+def test_a_moved_length_keeps_its_tolerance_in_the_saved_file(tmp_path: Path, session: Session) -> None:
+    before = session.control(THICKNESS).tolerance
+    session.tolerate(THICKNESS, 1.2e-5)
+    session.put({THICKNESS: MOVED[THICKNESS]})
+    session.save(tmp_path / "saved.toml")
+    saved = read_chip(tmp_path / "saved.toml").dimensions()[THICKNESS]
+    assert (saved.value, saved.tolerance) == (pytest.approx(MOVED[THICKNESS], rel=1e-5), pytest.approx(1.2e-5))
+    session.tolerate(THICKNESS, before)
 
 
 def test_fields_are_those_of_a_full_solve_of_the_moved_chip(tmp_path: Path, session: Session) -> None:

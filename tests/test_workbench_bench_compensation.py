@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from known_fixture import Fixture, fixture_from_load
 
-from workbench.bench.compensation import Compensation, Fixture, Load, compensate, fixture_from_load
+from workbench.bench.compensation import Compensation, Load, compensate
 from workbench.files.errors import InputError
 from workbench.instruments.circuit import Circuit
 from workbench.results.circuit import bvd_impedance

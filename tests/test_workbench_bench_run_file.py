@@ -106,13 +106,15 @@ def test_nothing_behind_a_spoilt_record_comes_back(tmp_path: Path) -> None:
 
 
 class _Interrupted:
-    """A stream that is interrupted after half of what it should write."""
+    """A stream that is interrupted halfway through a record, or behind a `whole` one before the writer hears of it."""
 
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
+    def __init__(self, stream: Any, whole: bool) -> None:
+        self._stream, self._whole = stream, whole
 
     def write(self, data: Any) -> Any:
-        if len(data) < 200:
+        if self._whole:
+            self._stream.write(data)
+        if self._whole or len(data) < 200:
             raise KeyboardInterrupt
         return self._stream.write(data[:len(data) // 2])
 
@@ -120,17 +122,20 @@ class _Interrupted:
         return getattr(self._stream, name)
 
 
-def test_an_interrupted_write_leaves_no_half_record(tmp_path: Path) -> None:
+@pytest.mark.parametrize("whole", [False, True])
+def test_an_interrupted_write_leaves_a_whole_record_or_none(tmp_path: Path, whole: bool) -> None:
     path = tmp_path / "run.h5"
     with started(path) as journal:
         stream = journal._stream
-        journal._stream = _Interrupted(stream)
+        journal._stream = _Interrupted(stream, whole)
         with pytest.raises(KeyboardInterrupt):
             journal.add(point(3))
         journal._stream = stream
         journal.add(Event(1.0, "interrupted"))
         run = journal.fold(complete=False)
-    assert len(run.points) == 3
+    assert len(run.points) == (4 if whole else 3)
+    if whole:
+        same(run.points[3], point(3))
     assert run.events[-1].text == "interrupted"
 
 

@@ -97,7 +97,7 @@ def test_a_flat_crest_is_noticed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("changed", "said"), [
     ({"drop": 1}, "2500 of 'Record Length'"),
-    ({"Vertical_Units": "A"}, "Vertical Units"),
+    ({"Vertical_Units": "W"}, "Vertical Units"),
     ({"Pt_Fmt": "ENV"}, "envelope"),
     ({"Sample_Interval": "5e-9"}, "after the one before"),
     ({"Vertical_Scale": "none"}, "above zero"),

@@ -91,7 +91,7 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     assert state["particles"]["pressure_amplitude_pa"] > 0.0
     assert sum(state["losses_w"].values()) == pytest.approx(state["fields"]["power_w"], rel=1e-9)
     pictures = {path.stem for path in out.glob("*.png")}
-    assert pictures == {"cad", "impedance", "energy", "pressure_filled", "gorkov_filled", "profiles_filled",
+    assert pictures == {"cad", "impedance", "energy", "warmth", "pressure_filled", "gorkov_filled", "profiles_filled",
                         *(f"{kind}_{s}" for kind in ("displacement", "cutaway", "losses", "mesh")
                           for s in ("empty", "filled"))}
     text = check_report(out / "report.html")

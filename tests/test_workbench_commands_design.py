@@ -27,6 +27,7 @@ CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 GOAL = """
 [goal]
 chip = "chip.toml"
+frequency = "f0"
 maximise = "e_ac"
 constraints = ["f0 >= 1 MHz"]
 [variables]

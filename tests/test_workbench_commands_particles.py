@@ -93,10 +93,10 @@ def test_without_a_frequency_the_field_is_that_of_f0_and_pictures_can_be_left_ou
     (["--drive", "10 Vpp", "--minutes", "nan"], "--minutes: received nan"),
     (["--drive", "10 Vpp", "--count", "0"], "--count: received 0; expected at least one particle"),
     (["--drive", "10 Vpp", "--seed", "-1"], "--seed: received -1; expected a whole number of 0 or more"),
-    (["--drive", "10 Vpp", "--holder", "substrate|outside", "--flow", "none"],
-     "--holder: received 'substrate|outside'; expected no holder beside --flow none"),
-    (["--drive", "10 Vpp", "--convection", "5 W/(m^2 K)", "--flow", "sound"],
-     "--convection: received '5 W/(m^2 K)'; expected no convection beside --flow sound"),
+    (["--drive", "10 Vpp", "--holder", "substrate|outside", "--flow", "none", "--cold"],
+     "--holder: received 'substrate|outside'; expected no holder beside --cold and --flow none"),
+    (["--drive", "10 Vpp", "--convection", "5 W/(m^2 K)", "--flow", "sound", "--cold"],
+     "--convection: received '5 W/(m^2 K)'; expected no convection beside --cold and --flow sound"),
     (["--drive", "10 Vpp", "--holder", "cavity|substrate"], "--holder: received 'cavity|substrate'; expected one of"),
     (["--drive", "10 Vpp", "--window", "0 mm"], "--window: received '0 mm'; expected a length above zero"),
     (["--drive", "10 Vpp", "--window", "5"], "--window: received '5'; expected a length in one of"),
@@ -116,7 +116,7 @@ def test_mistakes_are_told_before_anything_is_solved(
     def solved(*_: Any, **__: Any) -> None:
         raise AssertionError("solved")
 
-    monkeypatch.setattr("workbench.simulation.run._solved_near", solved)
+    monkeypatch.setattr("workbench.simulation.run.solution_near", solved)
     assert main(["particles", str(cell), "--at", "1 MHz", *options, "-o", str(tmp_path / "out")]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
 

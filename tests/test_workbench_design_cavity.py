@@ -12,9 +12,10 @@ from scipy.special import j0, j1
 from geometry.chip import Chip
 from geometry.shapes import with_shapes
 from materials.kinds import Fluid
+from workbench.acoustics.critical import critical_diameter
 from workbench.design.cavity import Cavity, CavityField, NoCavity, Places, Surroundings, cavity_field, cavity_of
 from workbench.design.dual import Dual, dual_derivative
-from workbench.design.trapping import NoTrap, find_trap, largest_square, trap_focus_time
+from workbench.design.trapping import NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
 from workbench.fem.elements import gauss_lobatto
 from workbench.fem.operators import assemble
 from workbench.model.dimensions import parametrised
@@ -97,6 +98,15 @@ def test_focusing_takes_the_time_of_its_closed_form() -> None:
         math.tan(WAVE * stop) / math.tan(WAVE * start))
     # Gauss's rule of 24 points over 1 / sin, and the force of a neutral bead.
     assert trap_focus_time(find_trap(found), square).value == pytest.approx(seconds, rel=1e-5)
+
+
+def test_a_bead_below_the_critical_diameter_has_no_focusing_time() -> None:
+    # sqrt(12 s / Phi) delta with s = 3/8 and Phi = 0.166.
+    limit = critical_diameter(viscous_scattering(BEAD, WATER, FREQUENCY).contrast_factor, WATER, FREQUENCY)
+    for factor, follows in ((0.8, True), (1.3, False)):
+        small = replace(BEAD, radius=0.5 * factor * limit)
+        words = follows_flow(find_trap(field(plane, place=cavity(small))))
+        assert ("circulate with the streaming, however large the voltage" in words) is follows
 
 
 def test_derivatives_follow_the_stretched_wave() -> None:

@@ -31,7 +31,7 @@ COARSE = 5e-3
 LOSS = f"{PLA}.shear_modulus.loss"
 #: All figures of the catalogue and two shares of the losses.
 ALL = (*FIGURES, "loss.substrate", "loss.transducer")
-WARM = Operation(thermal_resistance={"substrate": 3.0, "": 1.0})
+WARM = Operation(frequency="f0", thermal_resistance={"substrate": 3.0, "": 1.0})
 TOLERANCE = 1e-3
 
 
@@ -62,6 +62,9 @@ def test_figures_of_a_full_evaluation_are_those_of_a_simulation(chip: Chip) -> N
     trap, excitation = run.traps.traps[0], run.traps.excitation
     # On the model, or on points of its spectrum: its interpolant is good to 1e-5.
     assert found["f0"] == pytest.approx(run.figures.f0, rel=1e-7)
+    peak = run.operating.peaks[0]
+    assert found["peak_frequency"] == pytest.approx(peak.frequency, rel=1e-7)
+    assert found["peak_q"] == pytest.approx(peak.q, rel=1e-3)
     assert (found["z_min"], found["q"]) == pytest.approx((run.figures.z_min, run.figures.q), rel=2e-4)
     assert found["power"] == pytest.approx(run.fields.power, rel=1e-4)
     # One polynomial, or gradients recovered on a coarse mesh: both leave some tenths of a per cent.
@@ -100,7 +103,7 @@ def test_a_quotient_is_that_of_its_parts_whether_they_are_asked_for_or_not(model
     assert whole["depth_per_kelvin"] == pytest.approx(whole["trap_depth"] / whole["heating"], rel=1e-12)
     alone = replace(model, figures=("depth_per_kelvin",))({})
     assert alone.figures == {"depth_per_kelvin": pytest.approx(whole["depth_per_kelvin"], rel=1e-12)}
-    cold = replace(model, figures=("depth_per_kelvin",), operation=Operation())({})
+    cold = replace(model, figures=("depth_per_kelvin",), operation=replace(model.operation, thermal_resistance={}))({})
     assert cold.missing == {"depth_per_kelvin": "no thermal resistance is stated"}
 
 
@@ -129,13 +132,14 @@ def test_gradients_are_exact(model: DesignModel) -> None:
 @pytest.mark.parametrize("drive", [GeneratorDrive(10.0), PowerDrive(0.5)])
 def test_gradients_follow_the_drive_and_a_stated_frequency(model: DesignModel, drive: object) -> None:
     point = {name: real_part(model.values, name) for name in model.names}
-    centre = model(point).frequency
-    for frequency in (None, centre + 500.0):
+    f0 = model(point).figures["f0"]
+    for frequency in ("energy", "f0", f0 + 500.0):
         driven = replace(model, operation=replace(WARM, drive=drive, frequency=frequency))
         found = driven(point, gradient=True)
-        assert found.frequency == pytest.approx(centre + (500.0 if frequency else 0.0), rel=1e-9)
+        expected = {"energy": found.figures["peak_frequency"], "f0": f0}.get(frequency, f0 + 500.0)
+        assert found.frequency == pytest.approx(expected, rel=1e-9)
         slopes = differences(driven, point, 1e-4)
-        for name in ("voltage", "power", "mean_e_ac", "focus_time", "heating"):
+        for name in ("peak_frequency", "peak_q", "voltage", "power", "mean_e_ac", "focus_time", "heating"):
             scale = np.abs(found.gradient[name] * np.array(list(point.values()))).max()
             off = np.abs((found.gradient[name] - slopes[name]) * np.array(list(point.values()))).max()
             assert off <= 2e-5 * scale + 1e-9 * abs(found.figures[name]), (name, frequency)

@@ -323,7 +323,8 @@ class FakeModel:
 def goal(*variables: VariedNumber | MaterialChoice, texts: tuple[str, ...] = (), **changes: object) -> Goal:
     chip = read_chip(CHIPS / "reference_chip.toml")
     own = {SUBSTRATE: {"from": 0.76e-3, "to": 0.9e-3, "step": 20e-6}, SIDEWALL: {"from": 0.65e-3, "to": 0.8e-3}}
-    found = Goal(chip, own, maximise="e_ac", constraints=texts, state="filled", source=ProgramSource("goal.toml"),
+    found = Goal(chip, own, maximise="e_ac", constraints=texts, state="filled", frequency="f0",
+                 source=ProgramSource("goal.toml"),
                  search={"starts": 4, "looked_at": 4, "descended": 1})
     return with_fields(found, **({"variables": variables} if variables else {}), **changes)
 
@@ -517,7 +518,8 @@ def test_a_goal_is_read(tmp_path: Path) -> None:
     assert [each.name for each in found.lengths] == [SUBSTRATE, SIDEWALL, "substrate.radius"]
     assert found.lengths[0].step == pytest.approx(20e-6)
     assert found.stock[0].values == pytest.approx((0.5e-3, 1.0e-3))
-    assert found.figures == ("f0", "e_ac", "heating")
+    assert found.figures == ("peak_frequency", "e_ac", "f0", "heating")
+    assert found.operation.frequency == "energy"
     assert len(found.bounds) == 4
     assert found.robust == Robust(0.1)
     assert found.search.starts == 4

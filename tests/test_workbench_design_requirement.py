@@ -64,8 +64,8 @@ def test_a_figure_that_does_not_exist_does_not_meet_anything() -> None:
     ("f0 within -5 kHz", "a margin above zero"),
     ("f0 within 5 kHz of", "a frequency with its unit"),
     ("trap_offset within 5 % of 0 um", "per cents of 0 are 0"),
-    ("e_ac >= 20 J/m^3 at 10 V", '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"'),
-    ("e_ac >= 20 J/m^3 at", '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"'),
+    ("e_ac >= 20 J/m^3 at 10 V", '"10 Vpp", "3.5 Vrms", "10 Vpp @ 50 ohm", "20 dBm" or "0.1 W"'),
+    ("e_ac >= 20 J/m^3 at", '"10 Vpp", "3.5 Vrms", "10 Vpp @ 50 ohm", "20 dBm" or "0.1 W"'),
     ("e_ac >= 20 J/m^3 at 0 Vpp", "a drive above zero"),
 ])
 def test_a_mistake_is_told_with_what_would_be_right(text: str, words: str) -> None:

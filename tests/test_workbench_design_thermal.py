@@ -36,16 +36,16 @@ def study(thermal: dict[str, Any], **options: Any) -> wb.Study:
 
 def test_heating_with_computed_resistances_is_the_temperature_of_the_part() -> None:
     drive = PowerDrive(0.05)
-    run = wb.simulate(small(), "filled", points=41, accuracy=COARSE, drive=drive, at="f0")
+    run = wb.simulate(small(), "filled", points=41, accuracy=COARSE, drive=drive, at="f0", warm=None)
     resistances = wb.thermal_resistances(run, part="cavity")
     found = full_evaluation(small(), "filled", {}, figures=("heating", "f0"), band=BAND, points=41, accuracy=COARSE,
-                            operation=Operation(drive, thermal_resistance=resistances)).figures
+                            operation=Operation(drive, "f0", resistances)).figures
     # Both at f0 of the same mesh; f0 by the spectrum and by the model agree to a hertz.
     assert found["heating"] == pytest.approx(wb.heating(run).parts["cavity"].mean, rel=1e-3)
 
 
 def test_a_study_and_a_goal_compute_their_resistances() -> None:
-    run = wb.simulate(small(), "filled", points=161, accuracy=COARSE, relative_error=1e-2)
+    run = wb.simulate(small(), "filled", points=161, accuracy=COARSE, relative_error=1e-2, warm=None)
     expected = wb.thermal_resistances(run, part="superstrate", convection=20.0, holder="transducer|outside")
     thermal = {"computed": "superstrate", "convection": "20 W/(m^2 K)", "holder": "transducer|outside"}
     found = study(thermal).operation.thermal_resistance

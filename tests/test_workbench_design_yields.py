@@ -293,7 +293,9 @@ def test_figures_are_asked_for_once_at_each_drive() -> None:
     texts = ("f0 within 5 kHz", "e_ac >= 5 J/m^3", "e_ac >= 2 J/m^3 at 10 Vpp", "e_ac >= 5 J/m^3 at 1 W",
              "f0 within 9 kHz at 1 W", "loss.bond <= 10 % at 1 W")
     asked = driven_figures(("f0",), [required(text) for text in texts], plain)
-    assert [each.label for each in asked] == ["f0", "e_ac", "e_ac at 1 W of electrical input power", "loss.bond"]
+    # The drive may follow the peak of the energy, which is elsewhere under a constant power.
+    watt = " at 1 W of electrical input power"
+    assert [each.label for each in asked] == ["f0", "e_ac", f"e_ac{watt}", f"loss.bond{watt}"]
     labels = [label_of(required(text), asked, plain) for text in texts]
-    assert labels == ["f0", "e_ac", "e_ac", asked[2].label, "f0", "loss.bond"]
+    assert labels == ["f0", "e_ac", "e_ac", asked[2].label, "f0", f"loss.bond{watt}"]
     assert asked[2] == DrivenFigure(asked[2].label, figure_named("e_ac"), PowerDrive(1.0))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.catalogue.effect import Effect
-from workbench.diagnosis.advice import advice
+from workbench.diagnosis.next_measurement import advice
 from workbench.fitting.parameter import Parameter
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "small_campaign"
@@ -35,6 +37,7 @@ def campaign() -> Campaign:
     ("bench.phase", "Measure open", '"bench.phase" = "0.002 rad"'),
     ("bench.series_inductance", "Measure open", '"bench.series_inductance" = "3 nH"'),
     ("bench.parallel_capacitance", "Measure open", '"bench.parallel_capacitance" = "0.2 pF"'),
+    ("water/iapws_2011.density", "Weigh 1 ml of the water", '"water.density" = "0.5 %"'),
     ("pla/acevedo_2026.density", "Weigh a piece of pla", '"pla.density" = "0.5 %"'),
 ])
 def test_the_line_that_is_advised_can_be_added(
@@ -58,6 +61,17 @@ def test_what_is_stated_in_files_is_told_with_the_file(campaign: Campaign) -> No
     assert "workbench fit polymer disc.csv --chip stack.toml --save mine/pla" in text
     transducer = campaign.states[0].materials["transducer"].name
     assert "Record the bare transducer" in advice([moving(f"{transducer}.c33")], campaign.states)[0]
+
+
+def test_no_state_is_asked_for_that_is_there(campaign: Campaign) -> None:
+    ceramic = campaign.states[0].materials["transducer"]
+    pla = next(m for m in campaign.states[0].materials.values() if m.name.startswith("pla"))
+    disc: Any = SimpleNamespace(materials={"transducer": ceramic})
+    sample: Any = SimpleNamespace(materials={"transducer": ceramic, "couplant": SimpleNamespace(name="gel"),
+                                             "substrate": pla})
+    names = [f"{ceramic.name}.c33", f"{pla.name}.shear_modulus.loss", "water/iapws_2011.shear_viscosity"]
+    assert len(advice(map(moving, names), campaign.states)) == 2
+    assert advice(map(moving, names), (*campaign.states, disc, sample)) == ()
 
 
 def test_each_is_told_once_and_what_no_instrument_tells_is_not(campaign: Campaign) -> None:

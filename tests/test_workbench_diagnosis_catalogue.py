@@ -13,6 +13,7 @@ from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.catalogue import catalogue
 from workbench.catalogue.catalogue import effects
 from workbench.catalogue.effect import Device, Effect
+from workbench.diagnosis.device import lines_of_nodes
 from workbench.files.errors import InputError
 from workbench.model.numbers import ParameterKind, ParameterName
 from workbench.model.problem import Problem, build
@@ -27,7 +28,10 @@ SMALL = ROOT / "examples" / "small_campaign" / "campaign.toml"
 #: Per device of a transducer, gel, printed polymer and lid, and water.
 ALWAYS = {
     "fluid absorption": "cavity", "small bubbles in the cavity": "cavity", "resonant bubbles in the cavity": "cavity",
-    "fluid temperature": "cavity", "cavity not full": "cavity", "fluid sound speed": "cavity", "port necks": "cavity",
+    "fluid temperature": "cavity", "cavity not full": "cavity", "cavity filled up to a height": "cavity",
+    "bubble under the lid": "cavity", "glycerol in the cavity": "cavity", "substrate held at its rim": "substrate",
+    "superstrate held at its rim": "superstrate", "sidewall of petg": "sidewall", "substrate of abs": "substrate",
+    "superstrate of borosilicate glass": "superstrate", "fluid sound speed": "cavity", "port necks": "cavity",
     "load on the superstrate": "superstrate", "shear through the couplant": "couplant",
     "couplant missing at its rim": "couplant", "bubbles in the couplant": "couplant",
     "dielectric loss": "transducer", "complex piezoelectric constant": "transducer",
@@ -52,7 +56,7 @@ def found(trial: Campaign) -> Mapping[str, Effect]:
 
 
 def test_a_device_has_the_hypotheses_of_its_parts(trial: Campaign, found: Mapping[str, Effect]) -> None:
-    assert len(found) == 69 == len(effects(device(trial)))
+    assert len(found) == 96 == len(effects(device(trial)))
     with_a_bond = {"imperfect bond at the sidewall", "imperfect bond at the superstrate",
                    "superstrate bonded on a part of its radius", "superstrate loose around the cavity"}
     assert {name: found[name].region for name in ALWAYS} == ALWAYS
@@ -112,9 +116,9 @@ def problems(trial: Campaign, found: Mapping[str, Effect]) -> Mapping[str, Probl
     """The disc and the filled chip, meshed coarsely with the skins that terms need."""
     made = {}
     for state in (s for s in trial.states if s.name in ("disc", "filled")):
-        terms = [term for effect in found.values() for term in effect.terms.get(state.name, ())]
-        skins = {i.place: abs(i.skin) for term in terms for i in term.integrals() if i.skin}
-        made[state.name] = build(state.device, accuracy=5e-2, skins=skins)
+        skins, _, levels = lines_of_nodes(
+            state, [term for effect in found.values() for term in effect.terms.get(state.name, ())])
+        made[state.name] = build(state.device, accuracy=5e-2, skins=skins, levels=sorted(levels))
     return made
 
 

@@ -20,7 +20,6 @@ from workbench.campaign.state import state_fit
 from workbench.catalogue.effect import Effect
 from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis import description
-from workbench.diagnosis.conclusion import Conclusion
 from workbench.diagnosis.decision import Decision, Evidence
 from workbench.diagnosis.description import (
     BANDS,
@@ -31,13 +30,13 @@ from workbench.diagnosis.description import (
     Taker,
     energy_shares,
     modes_of_spectrum,
-    recorded_next,
     remainder_bands,
     remainder_description,
     states_that_show,
 )
-from workbench.diagnosis.findings import Found, Refitted
+from workbench.diagnosis.findings import Found, Refitted, StatePrediction
 from workbench.diagnosis.likelihood import Hypothesis
+from workbench.diagnosis.next_measurement import recorded_next
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Remainder
 from workbench.diagnosis.ranking import Score
@@ -88,7 +87,7 @@ def refitted(*effects: Effect, off: Any, outside: str = "", scores: tuple[Score,
     found = made_explanation(
         made_problem(vector, np.zeros((vector.size, 3)), np.ones(3)), np.zeros(3), states=(state("low"),),
         hypothesis=Hypothesis(effects, outside), log_ratio=(off + 0j,), impedances=(resonator(off),))
-    return Refitted(found, held_out_impedances=(resonator(0.05),), scores=scores)
+    return Refitted(found, predicted=(StatePrediction(state("high"), resonator(0.05), 1.0),), scores=scores)
 
 
 def score(effect: Effect, gain: float, evidence: float = -3.0) -> Score:
@@ -98,8 +97,8 @@ def score(effect: Effect, gain: float, evidence: float = -3.0) -> Score:
 def model(*held_out: Any) -> Any:
     parameters = [each.parameters[0] for each in (LEADS, LOAD, LOSS)]
     return SimpleNamespace(
-        campaign=SimpleNamespace(name="device", fitted=(state("low"),), held_out=held_out, is_exact=False, tied={},
-                                 known={}, taken=(), states=(state("low", "transducer"),)),
+        campaign=SimpleNamespace(name="device", fitted=(state("low"),), held_out=held_out, findings=(), taken=(),
+                                 states=(state("low", "transducer"),)),
         parameters=parameters, known=0, others=(), effects=(LEADS, LOAD, LOSS), hypotheses=3, refusals=[],
         stated=np.zeros(3), index=[p.name for p in parameters].index, free=lambda _: ([], []),
         fitted=SimpleNamespace(recordings=()))
@@ -113,10 +112,10 @@ def without_a_solver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def concluded(
     base: Refitted, *others: Refitted, odds: Mapping[str, float] = MappingProxyType({})
-) -> tuple[Found, Conclusion]:
+) -> tuple[Found, Decision]:
     log_odds = {"nothing": 0.0, **odds}
     return (Found(base, (base, *others)),
-            Conclusion(Decision("unexplained", Evidence("nothing", 0.0), (), log_odds), base, ()))
+            Decision("unexplained", Evidence("nothing", 0.0), (), log_odds))
 
 
 def test_bands_are_where_the_square_lies_and_tails_belong_to_their_peak() -> None:
@@ -193,7 +192,8 @@ def test_a_mismatch_is_described_by_states_bands_and_hypotheses() -> None:
     assert [(each.name, each.predicted) for each in found.takers] == [
         ("gain", False), ("phase of the gain", True), ("resistance of leads", True)]
     assert [each.share for each in found.takers] == pytest.approx([0.5, 90.0 / whole, 50.0 / whole])
-    assert [each.log_odds for each in found.takers] == pytest.approx([-2.0, *[-3.0 - math.log(3.0)] * 2])
+    # A score is too rough for odds.
+    assert [each.log_odds for each in found.takers] == [pytest.approx(-2.0), None, None]
 
 
 @pytest.mark.usefixtures("without_a_solver")
@@ -213,7 +213,8 @@ def test_noise_a_search_cut_short_and_a_hypothesis_that_takes_nothing_are_not_de
 def test_a_region_that_is_suspected_is_described_by_the_known_numbers_alone() -> None:
     base, region = refitted(off=0.1 * bump(1e6)), refitted(off=0.1 * bump(1e6), outside="bond")
     found, conclusion = concluded(base, region)
-    told = remainder_description(model(state("high")), found, replace(conclusion, chosen=region), Criteria())
+    suspected = replace(conclusion, chosen=Evidence("something in the bond", 9.0, outside=True))
+    told = remainder_description(model(state("high")), found, suspected, Criteria())
     assert told == remainder_description(model(state("high")), found, conclusion, Criteria())
 
 
@@ -225,15 +226,13 @@ def test_a_region_that_is_suspected_is_described_by_the_known_numbers_alone() ->
       state("filled", "transducer", "cavity", fluid="water")), "Record filled once more, taken from its clips"),
 ])
 def test_the_next_recording_is_the_state_that_is_not_among_them(states: Any, says: str) -> None:
-    campaign = SimpleNamespace(states=states)
-    every = [StateRemainder(each.name, 0.01, 5.0, 0.9 if each.name == "filled" else 0.1) for each in states]
-    assert recorded_next(SimpleNamespace(campaign=campaign, effects=()), every, ()).startswith(says)  # type: ignore[arg-type]
+    assert recorded_next(states, "filled", ())[0].startswith(says)
 
 
 def test_the_hypothesis_that_takes_most_is_measured_by_other_means() -> None:
-    text = recorded_next(model(), [StateRemainder("low", 0.01, 5.0, 1.0)], [Taker(LEADS.name, 0.3, -1.0, True)])
-    assert text.startswith("Measure open, short and load at the clips")
-    assert text.endswith("what stays is of the device.")
+    first, again = recorded_next(model().campaign.states, "low", [LEADS])
+    assert first.startswith("Measure open, short and load at the clips")
+    assert again.startswith("Record low once more")
 
 
 def test_states_show_an_effect_by_its_change_of_their_spectra() -> None:
@@ -266,8 +265,9 @@ def diagnosis(told: Description | None = TOLD) -> Diagnosis:
     found, conclusion = concluded(base)
     fits = tuple(state_fit(name, np.log(resonator(0.01) / resonator()), resonator(0.01), NOISE)
                  for name in ("low", "high"))
-    return Diagnosis(model(state("high")), found, conclusion, Criteria(), fits, fits, fits, (),
-                     Remainder(0.0122, 0.0028, 4.0, 0.001, ""), (), (), (), (), (), 1.0, None, told)
+    made = Diagnosis(model(state("high")), replace(found, stated=fits), conclusion, Criteria(), 1.0, description=told)
+    vars(made).update(base=fits, best=fits, remainder=Remainder(0.0122, 0.0028, 4.0, 0.001, ""))
+    return made
 
 
 def test_a_description_is_told_in_findings_table_record_and_next_measurement(
@@ -275,9 +275,12 @@ def test_a_description_is_told_in_findings_table_record_and_next_measurement(
 ) -> None:
     found = diagnosis()
     assert found.findings[:2] == (
-        "Of what is left, 46 % lies in low from 1.0106 to 1.0290 MHz; the nearest resonance of the model is at 1.0108 "
+        "46 % of the residual lies in low from 1.0106 to 1.0290 MHz; the nearest resonance of the model is at 1.0108 "
         "MHz, with its energy in the transducer (70 %), bond (27 %).",
-        "Of the catalogue, most of it is taken by phase of the gain: 21 %, at odds of 0.2 against nothing further.")
+        "Of the catalogue, phase of the gain would explain most of it: 21 %, at odds of 0.2 against nothing further.")
+    scored = replace(TOLD, takers=(Taker("gain", 0.999, None, True),))
+    assert scored.in_words[1].endswith("gain would explain most of it: 99.9 % by its score, which is not a fit.")
+    assert unexplained_tables(scored)[-1].rows == (("gain", "99.9", "not fitted", "its score"),)  # type: ignore[union-attr]
     assert found.next_measurement == "Record the bare transducer."
     record = json.loads(json.dumps(diagnosis_record(found)["unexplained"]))
     assert record["bands"][0]["mode"] == {"kind": "resonance", "frequency": 1.0108e6}
@@ -290,11 +293,11 @@ def test_a_description_is_told_in_findings_table_record_and_next_measurement(
     assert bands.rows[1][6:] == ("none in the recording", "")
     assert takers.rows == (("phase of the gain", "21", "0.2", "a fit"),)
     print_diagnosis(found)
-    assert "Of what is left, 46 % lies in low" in capsys.readouterr().out
+    assert "46 % of the residual lies in low" in capsys.readouterr().out
     none = diagnosis(None)
     assert diagnosis_record(none)["unexplained"] is None
     assert not none.next_measurement
-    assert "No hypothesis of the catalogue takes any of it." in unexplained_tables(replace(TOLD, takers=()))
+    assert "No hypothesis of the catalogue would explain any of it." in unexplained_tables(replace(TOLD, takers=()))
 
 
 def test_the_report_describes_it_right_after_the_headline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -303,7 +306,7 @@ def test_the_report_describes_it_right_after_the_headline(tmp_path: Path, monkey
     text = write_diagnosis_report(diagnosis(), [], tmp_path).read_text(encoding="utf-8")
     headings = [part.split("</h2>")[0] for part in text.split("<h2>")[1:]]
     assert headings[:3] == ["What was found", "What nothing explains", "Before and after"]
-    assert DEFINITIONS["share of what is left"] in text
+    assert DEFINITIONS["share of the residual"] in text
     # That of a trap is of another report.
     assert DEFINITIONS["share"] not in text
     assert "What nothing explains" not in write_diagnosis_report(diagnosis(None), [], tmp_path).read_text()
@@ -311,16 +314,19 @@ def test_the_report_describes_it_right_after_the_headline(tmp_path: Path, monkey
 
 def test_the_table_says_what_is_in_its_columns_and_marks_states_held_out() -> None:
     table = remainder_table(diagnosis())
-    assert table.columns == ("state", "noise alone (%)", "as stated (%)",
-                             "known numbers within their uncertainties (%)")
+    assert table.columns == ("state", "noise floor (%)", "as stated (%)",
+                             "known parameters within 3.5 sigma (%)")
     assert table.rows == (("low", "0.283", "1", "1"), ("high, held out", "0.283", "1", "1"))
 
 
 def test_a_column_does_not_claim_uncertainties_that_known_numbers_leave() -> None:
     found = diagnosis()
     gain = replace(LEADS.parameters[0], stated=Stated(0.01))
-    base = replace(found.found.base, explanation=replace(found.found.base.explanation, x=np.array([9.0, 0.0, 0.0])))
+    x = np.array([9.0, 0.0, 0.0])
+    told = made_problem(np.zeros(802), np.ones((802, 1)) * [1e3, 0.0, 0.0], np.array([100.0, 1.0, 1.0]))
+    base = replace(found.found.base, explanation=replace(
+        found.found.base.explanation, x=x, likeliest=x, local=told, free=(0, 1, 2)))
     moved: Any = SimpleNamespace(
         **{**vars(found.model), "known": 1, "parameters": [gain, *found.model.parameters[1:]]})
     beyond = replace(found, model=moved, found=replace(found.found, base=base))
-    assert remainder_table(beyond).columns[-1] == "known numbers, some beyond their uncertainties (%)"
+    assert remainder_table(beyond).columns[-1] == "known parameters, some beyond 3.5 sigma (%)"

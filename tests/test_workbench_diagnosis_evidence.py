@@ -87,20 +87,72 @@ def test_the_occam_factor_is_that_of_a_gaussian_in_a_box() -> None:
     widths = np.array([10.0, 20.0])
     # The volume of the box over that of the posterior: 1 over its density's peak times the box.
     peak = multivariate_normal(cov=covariance).logpdf([0.0, 0.0])
-    assert occam_factor(covariance, widths) == pytest.approx(2.0 * (peak + math.log(200.0)), rel=1e-12)
-    assert occam_factor(1e6 * covariance, widths) == pytest.approx(0.0)
+    assert occam_factor(np.linalg.inv(covariance), widths) == pytest.approx(2.0 * (peak + math.log(200.0)), rel=1e-12)
+    assert occam_factor(1e-6 * np.linalg.inv(covariance), widths) == 0.0
 
 
-def test_what_a_block_adds_is_the_difference_of_two_averages() -> None:
-    """At all sizes, each block alone; the range is so wide that its form does not matter."""
-    made, _ = problem(below=3e4, above=5e4)
-    for scales in ([0.0, 0.0], [0.7, 0.0]):
-        without = made.averaged(np.array(scales)).log_evidence
-        found = made.added(np.array(scales), [np.array([1])], np.array([0.5, 2.0]))
-        assert found.shape == (1, 2)
-        for size, added in zip((0.5, 2.0), found[0], strict=True):
-            whole = made.averaged(np.array([scales[0], size])).log_evidence
-            assert added == pytest.approx(whole - without, abs=1e-6)
+def by_brute_force(residual: Real, tangents: Real, priors: Real, size: Real | None = None) -> float:
+    """ln of the likelihood of ten data each of two recordings, averaged over normal parameters (p, p), and over ln s_1
+    and ln s_2 from 0 to ln 1000 unless their noise is of a given `size` (2,).
+
+    Relative to white noise of unit size at zero.
+    """
+    logs = np.linspace(0.0, math.log(1e3), 161)
+    every = np.log(size)[None] if size is not None else np.stack(np.meshgrid(logs, logs), axis=-1).reshape(-1, 2)
+    covariance = tangents @ priors @ tangents.T + np.exp(2.0 * np.repeat(every, 10, axis=1))[:, :, None] * np.eye(20)
+    squares = np.einsum("i,kij,j->k", residual, np.linalg.inv(covariance), residual)
+    found = -0.5 * (squares + np.linalg.slogdet(covariance)[1])
+    if size is not None:
+        return float(found[0])
+    ends = np.where((every == 0.0) | (every == logs[-1]), 0.5, 1.0).prod(axis=1)
+    return float(logsumexp(found, b=ends) + 2.0 * math.log((logs[1] - logs[0]) / logs[-1]))
+
+
+def test_noise_scales_are_integrated_out() -> None:
+    """Of twenty data, where one hypothesis explains and the other leaves three times the noise, against brute force.
+
+    The noise scale that the winner leaves is not that of both: with it, odds are many times too large.
+    """
+    random = np.random.default_rng(1)
+    tangents = random.standard_normal((20, 2))
+    residual = random.standard_normal(20) * np.repeat([1.5, 1.0], 10) - 3.0 * tangents[:, 1]
+    recordings, found, exact, plugged = (slice(0, 10), slice(10, 20)), list[float](), list[float](), list[float]()
+    likeliest = np.ones(3)
+    # A range of 20 is a normal distribution that is as dense where the likelihood is.
+    priors = np.diag([0.25, 1e6])
+    dense = math.log(1e3 * math.sqrt(2.0 * math.pi) / 20.0)
+    for count in (2, 1):
+        own = LinearisedProblem.of(
+            tangents[:, :count], residual, np.zeros((20, 0)), precision=np.diag([4.0, 0.0])[:count, :count],
+            offset=np.zeros(count), widths=np.array([np.nan, 20.0])[:count], below=np.full(count, 10.0),
+            above=np.full(count, 10.0), recordings=(*recordings, np.zeros(0, dtype=int)),
+            counts=np.array([10.0, 10.0, 0.0]))
+        average = own.averaged(np.zeros(0))
+        likeliest = average.noise if count == 2 else likeliest
+        plugged.append(own.at(np.zeros(0), likeliest).log_evidence)
+        found.append(average.log_evidence)
+        exact.append(by_brute_force(residual, tangents[:, :count], priors[:count, :count]) + (count - 1) * dense)
+        # At fixed scales it is exact.
+        assert plugged[-1] == pytest.approx(
+            by_brute_force(residual, tangents[:, :count], priors[:count, :count], likeliest[:2]) + (count - 1) * dense,
+            abs=1e-4)
+    # The two recordings count as independent of each other, which leaves 0.02 here.
+    assert found == pytest.approx(exact, abs=0.05)
+    assert plugged[0] - plugged[1] > exact[0] - exact[1] + 3.0
+
+
+def test_parameters_that_do_the_same_cost_one_range() -> None:
+    """However exactly: a direction that no data tell is one of a range, not one that is known to nothing."""
+    for off in (1e-4, 1e-9, 0.0):
+        tangents = np.random.default_rng(0).standard_normal((30, 1)) @ np.array([[1.0, 1.0]])
+        tangents[0, 1] += off
+        own = LinearisedProblem.of(tangents, np.ones(30), np.zeros((30, 0)), precision=np.zeros((2, 2)),
+                                   offset=np.zeros(2), widths=np.full(2, 100.0), below=np.full(2, 50.0),
+                                   above=np.full(2, 50.0))
+        # Where their sum is zero both are anywhere within their ranges.
+        one = replace(own, grams=own.grams[:, [0, 2]][:, :, [0, 2]], precision=np.zeros((1, 1)), offset=np.zeros(1),
+                      widths=np.full(1, 100.0), below=np.full(1, 50.0), above=np.full(1, 50.0))
+        assert own.averaged(np.zeros(0)).log_evidence == pytest.approx(one.averaged(np.zeros(0)).log_evidence, abs=0.6)
 
 
 def at_bounds(tangents: Real, residual: Real, below: float, above: float) -> LinearisedProblem:
@@ -157,7 +209,7 @@ def test_an_evidence_that_is_none_never_ranks(evidence: float, likelihood: float
 def test_every_average_is_checked() -> None:
     """A problem that no data have: what is left of its squares is below nothing."""
     made, _ = problem()
-    spoilt = made.gram.copy()
-    spoilt[2, 2] = -1e4
+    spoilt = made.grams.copy()
+    spoilt[0, 2, 2] = -1e4
     with pytest.raises(WrongEvidence, match="is an error of this program"):
-        replace(made, gram=spoilt).averaged(np.zeros(2))
+        replace(made, grams=spoilt).averaged(np.zeros(2))

@@ -20,7 +20,8 @@ from materials.registry import user_registry
 from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.outcome import Diagnosis, FoundNumber
+from workbench.diagnosis.estimates import FoundNumber
+from workbench.diagnosis.outcome import Diagnosis
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.measurement_model import through_bench

@@ -17,6 +17,9 @@ Real = NDArray[np.float64]
 
 #: Standard deviations of three known numbers beforehand; a fourth number is a hypothesis' own.
 PRIOR = np.array([0.5, 2.0, 1.0])
+#: The first two are correlated.
+CORRELATION = np.array([[1.0, 0.8, 0.0, 0.0], [0.8, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+COVARIANCE = np.outer(PRIOR, PRIOR) * CORRELATION[:3, :3]
 START = np.array([1.0, -3.0, 4.0, 0.0])
 TANGENTS = np.random.default_rng(1).standard_normal((12, 4)) * np.array([3.0, 2.0, 0.01, 5.0])
 SEEN = np.random.default_rng(2).standard_normal(12)
@@ -26,7 +29,8 @@ def numbers(bench: int = -1) -> Any:
     """A model of three known numbers and one more; that of the index `bench` is one of the bench."""
     parameters = [SimpleNamespace(name=f"n{i}", start=START[i], prior=prior, is_bench=i == bench)
                   for i, prior in enumerate([*PRIOR, None])]
-    return SimpleNamespace(parameters=parameters, known=3, bounds=lambda _indices: (START[:3] - 50.0, START[:3] + 50.0))
+    return SimpleNamespace(parameters=parameters, known=3, correlation=CORRELATION,
+                           bounds=lambda _indices: (START[:3] - 50.0, START[:3] + 50.0))
 
 
 class Linear:
@@ -42,7 +46,7 @@ class Linear:
         return None
 
     def solve(self, _search: None, _stage: ContinuationStage, _x: Real) -> Any:
-        precision = np.diag(1.0 / PRIOR**2)
+        precision = np.linalg.inv(COVARIANCE)
         own = TANGENTS[:, :3]
         move = np.linalg.solve(own.T @ own + precision, -own.T @ SEEN)
         return Minimum[Any](START + np.append(move, 0.0), None, 1.0, True, 1, "", ())
@@ -57,7 +61,7 @@ def test_the_belief_is_the_posterior_of_linear_data() -> None:
     prior = GaussianPrior.prior(numbers())
     found = prior.updated(Linear(numbers()))  # type: ignore[arg-type]
     own = TANGENTS[:, :3]
-    covariance = np.linalg.inv(own.T @ own + np.diag(1.0 / PRIOR**2))
+    covariance = np.linalg.inv(own.T @ own + np.linalg.inv(COVARIANCE))
     assert found.root @ found.root.T == pytest.approx(covariance, rel=1e-9)
     assert found.x[:3] == pytest.approx(START[:3] - covariance @ own.T @ SEEN, rel=1e-9)
     assert found.x[3] == START[3]
@@ -70,8 +74,8 @@ def test_draws_come_with_their_opposites_and_have_that_covariance() -> None:
     prior = GaussianPrior.prior(numbers())
     places = np.array(prior.draws(4000, 0))
     assert places[0::2] + places[1::2] == pytest.approx(np.broadcast_to(2.0 * START, (4000, 4)))
-    # Of 4000 pairs a standard deviation is right to 1.1 %.
-    assert (places - START)[:, :3].std(axis=0) == pytest.approx(PRIOR, rel=0.04)
+    # Of 4000 pairs a variance is right to 2.2 %.
+    assert np.cov(places[:, :3].T) / np.outer(PRIOR, PRIOR) == pytest.approx(CORRELATION[:3, :3], abs=0.08)
     assert (places[:, 3] == START[3]).all()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from workbench.diagnosis.device import device_model
 from workbench.diagnosis.levels import replaced
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.local_models import ROUGH, SEARCHED, LocalModels
+from workbench.fem.operators import FullOperators
 
 Real = NDArray[np.float64]
 
@@ -54,3 +57,44 @@ def test_models_towards_a_hypothesis_are_right_where_it_is_led(
     assert np.abs(found / exact - 1.0).max() < 10.0 * ROUGH
     null = models.over_prior.impedances(models.prior.x)[0]
     assert np.abs(null / exact - 1.0).max() > 100.0 * ROUGH
+
+
+@pytest.mark.parametrize("name", [LOAD, RIM])
+def test_the_model_of_one_state_is_that_of_all(models: LocalModels, name: str) -> None:
+    """Same parameters, same mesh, same spectrum: a scan of one state needs no model of the others."""
+    effect = models.rough.effect(name)
+    whole, alone = models.rough.of([effect]), models.rough.in_state([effect], "disc")
+    assert [p.name for p in alone.parameters] == [p.name for p in whole.parameters]
+    assert [r.name for r in alone.fitted.recordings] == ["disc"]
+    x = replaced(models.prior.x, [whole.index(number) for number in effect.names], 0.1)
+    one, other = (each.fitted.near(x, {}, 1e-7, only=(), enriches=False).predict(x, 0, ())[0]
+                  for each in (whole, alone))
+    np.testing.assert_allclose(one, other, rtol=1e-10)
+
+
+def test_forms_that_two_models_share_are_projected_once(
+    models: LocalModels, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model with one more term projects the forms of that term alone, and predicts as if it had projected all."""
+    effect = models.rough.effect(LOAD)
+    own = models.rough.of([effect])
+    base = models.over_prior.objective
+    projected: list[int] = []
+    project = FullOperators.project
+
+    def counting(self: FullOperators, *given: Any) -> Any:
+        projected.append(len(self.distinct_forms))
+        return project(self, *given)
+
+    monkeypatch.setattr(FullOperators, "project", counting)
+    shared = own.fitted.on_bases_of(base)
+    assert shared is not None
+    every = len(own.fitted.predictors[0].every.distinct_forms)
+    assert sum(projected) < 0.5 * every  # waves in the transducer do not act in the null hypothesis
+    with monkeypatch.context() as patch:
+        patch.setattr(FullOperators, "has_form_of", lambda self, other, form: False)
+        anew = own.fitted.on_bases_of(base)
+    assert anew is not None
+    assert projected[-1] == every
+    x = models.prior.x
+    np.testing.assert_allclose(shared.predict(x, 0, ())[0], anew.predict(x, 0, ())[0], rtol=1e-9)

@@ -108,7 +108,7 @@ def test_a_diagnosis_whose_time_is_over_says_what_it_knows_and_what_it_did_not_l
     """A bond so weak that the known parameters leave half of Z: no time for any hypothesis but nothing."""
     found = diagnose(concealed(tmp_path, BOND, ACCURACY), minutes=1e-3)
     print(f"{found.seconds:.0f} s: {found.headline}")
-    assert (found.verdict, found.interrupted) == ("not_finished", False)
+    assert (found.verdict, found.found.interrupted) == ("not_finished", False)
     assert found.headline.startswith("Not finished: none of the ")
     assert "still to be looked at: " in found.headline
     assert "hypotheses of any size" in found.headline

@@ -114,9 +114,10 @@ def test_the_leads_are_measured_where_hypotheses_differ_by_them() -> None:
 def test_it_is_said_in_numbers() -> None:
     found = options(model(), [(explanation(0.0), 0.0), (explanation(0.5), 0.0)], 20.0)
     text = next_measurement_text(found, ("leads", "glass"), 20.0)
-    assert text.startswith("Record one again, 4 times: odds of 20.1 are expected between leads and glass.")
+    assert text.startswith("Record one again, 4 times: the expected odds between leads and glass are 20.1.")
     # 1 - ln(1 + exp(-1.5 / 8)) / ln 2
-    assert "once settles: record one again 13 %, record two again 0 %." in text
+    assert "removed by one measurement: record one again 13 %, record two again 0 %." in text
     assert "Not compared: another temperature" in text
-    assert "short of the 20 that would settle it" in next_measurement_text(found[1:], ("leads", "glass"), 20.0)
+    text = next_measurement_text(found[1:], ("leads", "glass"), 20.0)
+    assert text.startswith("No number of further recordings decides at odds of 20. Record two again, 64 times")
     assert next_measurement_text([], (), 20.0) == ""

@@ -12,7 +12,7 @@ from made_explanations import made_explanation, made_problem
 from numpy.typing import NDArray
 from own_recordings import any_recordings
 
-from geometry.chip_section import volumes
+from geometry.chip_section import region_volumes, volumes
 from workbench.acoustics.heat import conducted_heat
 from workbench.acoustics.traps import focus_time
 from workbench.campaign.campaign import Campaign
@@ -21,8 +21,8 @@ from workbench.campaign.state import data_rows
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.next_measurement import options
-from workbench.diagnosis.observed import NotObservable, region_volumes
-from workbench.diagnosis.weighting import Weighting, furthest_observation
+from workbench.diagnosis.observed import NotObservable
+from workbench.diagnosis.weighting import Weighting
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
@@ -292,17 +292,10 @@ def test_a_stated_uncertainty_neither_inflates_nor_counts_in_an_inflation(model:
     for off in (0.0, 10.0):
         others = [np.asarray(off * state.noise, dtype=np.complex128) for state in states[1:]]
         found = Weighting.left(states, [spectrum, *others])
-        assert found.inflation == pytest.approx([alone.inflation[0], 1.0, 1.0, 1.0, 1.0])
-        assert found.points == pytest.approx([alone.points[0], 1.0, 1.0, 1.0, 1.0])
-    assert alone.inflation[0] > 2.0
-
-
-def test_the_furthest_observation_is_in_its_uncertainties(model: Model) -> None:
-    states = model.campaign.fitted
-    left = [np.full(state.noise.size, 0.3 + 0.0j) for state in states]
-    # The ring is known to 3 %, the impedance does not count.
-    assert furthest_observation(states, left) == pytest.approx(10.0)
-    assert furthest_observation(states[:1], left[:1]) == 0.0
+        assert [each.scale for each in found.noises] == pytest.approx([alone.noises[0].scale, 1.0, 1.0, 1.0, 1.0])
+        assert [each.correlation for each in found.noises] == pytest.approx(
+            [alone.noises[0].correlation, 1.0, 1.0, 1.0, 1.0])
+    assert alone.noises[0].scale > 2.0
 
 
 # --------------------------------------------------------------------------------------------------------------------

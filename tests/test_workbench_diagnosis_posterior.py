@@ -7,21 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_explanations import made_explanation, made_problem
+from made_explanations import LinearCampaign
 from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, NOISE, conceal
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from workbench.catalogue.effect import Effect
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.likelihood import Hypothesis, Scales
+from workbench.diagnosis.likelihood import Hypothesis
+from workbench.diagnosis.local_problem import Scales
 from workbench.diagnosis.posterior import Posterior
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Stated
@@ -74,70 +75,48 @@ def nested(posterior: Posterior, live: int) -> tuple[float, float, int]:
     return float(found.logz[-1]), float(found.logzerr[-1]), int(np.sum(found.ncall))
 
 
-@dataclass(frozen=True, eq=False)
-class Straight:
-    """A likelihood of data (40,) that are linear in two known parameters and one anywhere within a range, at x.
+#: Sizes of the deviations beside the noise of data that are linear, and the scales that have them.
+SIZES = (0.0, 0.3, 2.0)
+SETTINGS = tuple(Scales(size, 0.0, 0.0) for size in SIZES)
 
-    Points weigh differently: ``root`` (40,) is one over their deviations, in units of the stated noise.
+
+class Straight:
+    """The posterior of two known parameters, which are correlated, and one anywhere within a range, at x.
+
+    Data (40,) are linear, and points weigh differently: ``root`` (40,) is one over their deviations, in units of the
+    stated noise.
     """
 
-    x: Real
-    tangents: Real
-    residual: Real
-    columns: Real
-    parameters: tuple[Parameter, ...]
-    root: Real
-
-    #: Sizes of the columns, and the scales that have them.
-    sizes = (0.0, 0.3, 2.0)
-    settings = tuple(Scales(size, 0.0, 0.0) for size in sizes)
-
-    @classmethod
-    def made(cls, high: float = 9.0) -> Straight:
-        random = np.random.default_rng(11)
-        tangents, columns = random.standard_normal((40, 3)) * [3.0, 1.0, 2.0], random.standard_normal((40, 2))
-        residual = random.standard_normal(40) + 0.8 * columns[:, 0]
-        named = (("c", 4.0, -1.0, 9.0, 0.3), ("e", -2.0, -8.0, 3.0, 0.5), ("loss", 0.5, -9.0, high, None))
-        return cls(np.array([4.1, -2.2, 0.4]), tangents, residual, columns,
-                   tuple(Parameter(name, start, low, high, None if prior is None else Stated(prior), "1")
-                         for name, start, low, high, prior in named), np.linspace(0.6, 1.0, 40))
-
-    @property
-    def model(self) -> SimpleNamespace:
-        return SimpleNamespace(parameters=self.parameters)
-
-    def objective(self, x: Real, **_: object) -> SimpleNamespace:
-        return SimpleNamespace(vector=self.residual + self.tangents @ (x - self.x))
-
-    def point_deviations(self) -> list[Real]:
-        return []
-
-    def search(self, _: Hypothesis) -> SimpleNamespace:
-        return SimpleNamespace(
-            free=np.arange(3), low=np.array([p.low for p in self.parameters]), inequalities=(),
-            high=np.array([p.high for p in self.parameters]), centre=np.array([p.start for p in self.parameters]),
-            precision=np.array([1.0 / p.prior if p.prior else 0.0 for p in self.parameters]))
+    def __init__(self, c: tuple[float, float] = (-1.0, 9.0), e: float = -8.0, high: float = 9.0) -> None:
+        named = (("c", 4.0, *c, 0.3), ("e", -2.0, e, 3.0, 0.5), ("loss", 0.0, -9.0, high, None))
+        self.parameters = tuple(Parameter(name, start, low, most, None if prior is None else Stated(prior), "1")
+                                for name, start, low, most, prior in named)
+        loss = Effect("loss", "", "", "", self.parameters[2:])
+        campaign = LinearCampaign(self.parameters, {"c": 4.1, "e": -2.2, "loss": 0.4}, (loss,), points=(20,),
+                                  size={"c": 18.0, "e": 6.0, "loss": 12.0}, correlations={("c", "e"): 0.7})
+        _, self.likelihood, _ = campaign.made()
+        self.x, self.root = np.array([4.1, -2.2, 0.4]), np.linspace(0.6, 1.0, 40)
+        found = self.likelihood.explanation(Hypothesis((loss,)), self.x)
+        columns = np.random.default_rng(11).standard_normal((40, 2))
+        self.local = replace(found.local, parts=columns, inhomogeneities=SIZES, information=self.root**2)
+        self.explanation = replace(found, local=self.local)
 
     def posterior(self, scales: Scales | None = None) -> Posterior:
-        search = self.search(Hypothesis())
-        local = made_problem(self.residual, self.tangents, search.precision, offset=self.x - search.centre,
-                             parts=self.columns, inhomogeneities=self.sizes, information=self.root**2,
-                             ranges=(self.x - search.low, search.high - self.x))
-        return Posterior(self, made_explanation(local, self.x), scales)  # type: ignore[arg-type]
+        return Posterior(self.likelihood, self.explanation, scales)
 
     def covariance(self, size: float) -> Real:
         """That of the data over their deviations."""
-        own = self.root[:, None] * self.columns
+        own = self.root[:, None] * self.local.parts
         return np.asarray(np.eye(40) + size**2 * own @ own.T)
 
     def evidence(self) -> float:
         """In closed form, with a range far wider than what the data allow: ln of the mean normal density of the data
         with all parameters averaged over, over that of white noise of unit size at zero."""
-        priors = np.diag([p.prior**2 if p.prior else 1e6 for p in self.parameters])
-        centre, own = np.array([p.start for p in self.parameters]), self.root[:, None] * self.tangents
-        mean = self.root * self.residual + own @ (centre - self.x)
-        logs = [multivariate_normal.logpdf(mean, cov=self.covariance(size) + own @ priors @ own.T)
-                for size in self.sizes]
+        size = np.array([p.prior or 1e3 for p in self.parameters])
+        priors = np.outer(size, size) * [[1.0, 0.7, 0.0], [0.7, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        centre, own = np.array([p.start for p in self.parameters]), self.root[:, None] * self.local.tangents
+        mean = self.root * self.local.residual + own @ (centre - self.x)
+        logs = [multivariate_normal.logpdf(mean, cov=self.covariance(size) + own @ priors @ own.T) for size in SIZES]
         # A normal distribution of deviation 1e3 is as dense as a range of this width.
         width = math.log(1e3 * math.sqrt(2.0 * math.pi) / (self.parameters[2].high - self.parameters[2].low))
         return float(logsumexp(logs)) - math.log(len(logs)) + 20.0 * math.log(2.0 * math.pi) + width
@@ -155,7 +134,7 @@ def integral(posterior: Posterior, points: int, reach: float = 7.0) -> float:
 
 
 def test_the_evidence_of_linear_data_is_the_closed_form() -> None:
-    straight = Straight.made()
+    straight = Straight()
     posterior = straight.posterior()
     expected = straight.evidence()
     # The normal prior in place of the range, of deviation 1e3, is flat to (1 / 1e3)^2 / 2 where the data are.
@@ -166,24 +145,24 @@ def test_the_evidence_of_linear_data_is_the_closed_form() -> None:
 
 
 def test_scales_may_be_fixed() -> None:
-    straight = Straight.made()
-    every = [straight.posterior(scales) for scales in straight.settings]
+    straight = Straight()
+    every = [straight.posterior(scales) for scales in SETTINGS]
     theta = straight.x + np.array([0.05, -0.2, 0.1])
     logs = [each.log_likelihood(theta) for each in every]
     assert len(set(np.round(logs, 3))) == 3
     averaged = straight.posterior().log_likelihood(theta)
     assert averaged == pytest.approx(float(logsumexp(logs)) - math.log(3.0), rel=1e-12)
-    residual = straight.root * straight.objective(theta).vector
-    for size, found in zip(straight.sizes, logs, strict=True):
+    residual = straight.root * (straight.local.residual + straight.local.tangents @ (theta - straight.x))
+    for size, found in zip(SIZES, logs, strict=True):
         density = multivariate_normal.logpdf(residual, cov=straight.covariance(size)) + 20.0 * math.log(2.0 * math.pi)
         assert found == pytest.approx(density, rel=1e-10)
 
 
 def test_a_range_that_ends_near_the_optimum_is_what_laplace_does_not_see() -> None:
     """One deviation inside of the bound it takes no notice of what is cut off: 0.159 of a normal distribution."""
-    scales, wide = Scales(0.3, 0.0, 0.0), Straight.made()
+    scales, wide = Scales(0.3, 0.0, 0.0), Straight()
     _, mean, covariance = wide.posterior(scales).laplace()
-    cut = Straight.made(high=float(mean[2] + math.sqrt(covariance[2, 2])))
+    cut = Straight(high=float(mean[2] + math.sqrt(covariance[2, 2])))
     posterior = cut.posterior(scales)
     # The grid lies askew to the bound: steps of half a deviation tell the share to some hundredths.
     assert posterior.laplace().log_evidence - integral(posterior, 21, 5.0) == pytest.approx(-math.log(0.841), abs=0.03)
@@ -191,23 +170,20 @@ def test_a_range_that_ends_near_the_optimum_is_what_laplace_does_not_see() -> No
 
 def test_the_transform_of_the_unit_cube_has_the_density_of_the_prior() -> None:
     # Bounds far from the centre of a normal prior, and near it: at it, on one side.
-    straight = Straight.made()
-    low = (Parameter("c", 4.0, 3.9, 4.2, Stated(0.3), "1"), Parameter("e", -2.0, -2.0, 3.0, Stated(0.5), "1"),
-           straight.parameters[2])
-    for parameters in (straight.parameters, low):
-        posterior = replace(straight, parameters=parameters).posterior()
+    for straight in (Straight(), Straight(c=(3.9, 4.2), e=-2.0)):
+        posterior = straight.posterior()
         for u in (np.array([0.5, 0.5, 0.5]), np.array([0.1, 0.8, 0.3]), np.array([0.97, 0.02, 0.6])):
             step = 1e-5 * np.eye(3)
-            slopes = [(posterior.prior_transform(u + each) - posterior.prior_transform(u - each)).sum() / 2e-5
+            slopes = [(posterior.prior_transform(u + each) - posterior.prior_transform(u - each)) / 2e-5
                       for each in step]
             theta = posterior.prior_transform(u)
-            assert posterior.log_prior(theta) == pytest.approx(-float(np.log(slopes).sum()), abs=1e-5)
-        assert posterior.prior_transform(np.zeros(3)) == pytest.approx([p.low for p in parameters])
-        assert posterior.prior_transform(np.ones(3)) == pytest.approx([p.high for p in parameters])
+            assert posterior.log_prior(theta) == pytest.approx(-float(np.linalg.slogdet(slopes)[1]), abs=1e-5)
+        assert posterior.prior_transform(np.zeros(3)) == pytest.approx([p.low for p in straight.parameters])
+        assert posterior.prior_transform(np.ones(3)) == pytest.approx([p.high for p in straight.parameters])
 
 
 def test_outside_the_bounds_there_is_nothing() -> None:
-    straight = Straight.made()
+    straight = Straight()
     posterior = straight.posterior()
     for k, beyond in ((0, -1.1), (1, 3.1), (2, 9.1)):
         theta = straight.x.copy()
@@ -218,7 +194,7 @@ def test_outside_the_bounds_there_is_nothing() -> None:
 
 
 def test_parameters_of_another_number_are_refused() -> None:
-    straight = Straight.made()
+    straight = Straight()
     posterior = straight.posterior()
     for function in (posterior.log_prior, posterior.log_likelihood, posterior.log_posterior, posterior.prior_transform):
         with pytest.raises(ValueError, match=r"shape \(2,\): expected \(3,\), one number each of c, e, loss"):
@@ -261,11 +237,13 @@ def test_a_diagnosis_gives_the_posterior_of_any_hypothesis(tmp_path: Path) -> No
     device, _ = recorded(tmp_path, CONCEALED)
     found = diagnose_model(device)
     final = {each.explanation.hypothesis.name: each.explanation for each in found.found.final}
-    assert found.posterior().hypothesis.name == found.conclusion.decision.chosen.name
+    assert found.posterior().hypothesis.name == found.decision.chosen.name
     for name, explanation in final.items():
         posterior = found.posterior(name)
-        # The same data and deviations; the reduced models are made anew.
-        assert posterior.laplace().log_evidence == pytest.approx(explanation.log_evidence, abs=0.1)
+        # The same data and deviations; the reduced models are made anew, and noise scales are the likeliest.
+        local = explanation.local
+        expected = logsumexp([local.at(each).log_evidence for each in local.settings]) - math.log(len(local.settings))
+        assert posterior.laplace().log_evidence == pytest.approx(float(expected), abs=0.1)
         assert np.isfinite(posterior.log_posterior(posterior.place))
     other = next(effect.name for effect in device.effects if effect.name not in final)
     posterior = found.posterior(other)

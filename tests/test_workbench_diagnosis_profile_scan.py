@@ -16,11 +16,11 @@ from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.levels import LEVELS
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.profile_scan import (
-    HALVED,
-    HELD,
-    LOOKED_AT,
+    HALVINGS,
+    MODELLED,
+    SCAN_POINTS,
     SIZES,
-    _is_basin,
+    _is_local_optimum,
     _lowest,
     corners,
     scan_profiles,
@@ -57,7 +57,7 @@ def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path)
     assert ordered[0] == "electrode that ends before the rim"
     index = search.model.index(WIDTH)
     # The distance of the coarse sizes about it, halved so many times.
-    step = (SIZES[4] - SIZES[3]) * search.model.parameters[index].high / 2**HALVED
+    step = (SIZES[4] - SIZES[3]) * search.model.parameters[index].high / 2**HALVINGS
     assert abs(best[0].x[index] - 0.2) <= step
     assert [each.cost for each in best] == sorted(each.cost for each in best)
     # No tangent at nothing asks for that much.
@@ -76,9 +76,9 @@ def test_a_basin_is_found_behind_another_one_that_costs_less_on_the_coarse_sizes
 
     profile = {size: tried(size) for size in SIZES}
     assert min(profile, key=lambda size: profile[size].cost) == SIZES[0]
-    assert [size for size in SIZES if _is_basin(profile, size)] == [0.1]
+    assert [size for size in SIZES if _is_local_optimum(profile, size)] == [0.1]
     best = _lowest(profile, 0.1, tried)
-    assert abs(best.x[0] - 0.17) <= (SIZES[3] - SIZES[2]) / 2**HALVED
+    assert abs(best.x[0] - 0.17) <= (SIZES[3] - SIZES[2]) / 2**HALVINGS
     assert best.cost < profile[SIZES[0]].cost
 
 
@@ -95,7 +95,7 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
     step = np.linalg.lstsq(here.jacobian[:, free], -here.vector, rcond=None)[0]
     least = 0.5 * float(np.sum((here.vector + here.jacobian[:, free] @ step) ** 2))
     # There on every point, in the search on every second one.
-    every = likelihood.objective.recordings[0].step(LOOKED_AT)
+    every = likelihood.objective.recordings[0].step(SCAN_POINTS)
     assert best.cost * every == pytest.approx(least, rel=0.1)
     assert best.cost * every < 0.5 * float(here.vector @ here.vector)
 
@@ -110,7 +110,7 @@ def test_the_ways_go_to_all_that_each_number_may_be_and_to_all_at_once(tmp_path:
     assert np.allclose(found, [(bound - start) * which for bound in (low, high) for which in ([1, 0], [0, 1], [1, 1])])
     assert np.abs(found).max(axis=1).min() > 0.0
     x = device.stated
-    expected = [size * way for way in found for size in HELD]
+    expected = [size * way for way in found for size in MODELLED]
     # Inside of what is admissible by some millionths of the range.
     np.testing.assert_allclose([place[indices] - start for place in corners(device, own, x)], expected, rtol=1e-3)
     assert min(SIZES) > 0.0

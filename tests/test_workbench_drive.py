@@ -38,6 +38,19 @@ def test_a_drive_is_read(text: str, drive: object) -> None:
     assert parse_drive(text) == drive
 
 
+def test_a_level_is_the_power_into_a_matched_load_and_rms_that_of_a_sine() -> None:
+    assert parse_drive("2 Vrms") == VoltageDrive(pytest.approx(2.0 * 8.0**0.5))
+    assert parse_drive("1 Vrms @ 50 ohm") == GeneratorDrive(pytest.approx(8.0**0.5), 50.0)
+    for text, resistance in (("10 dBm", 50.0), ("10dBm @ 75 ohm", 75.0), ("-3.5 dBm", 50.0)):
+        found = parse_drive(text)
+        assert isinstance(found, GeneratorDrive)
+        load = found.amplitude(np.array([resistance + 0j]))[0]
+        expected = 1e-3 * 10.0 ** (float(text.split("dBm")[0]) / 10.0)
+        assert 0.5 * abs(load) ** 2 / resistance == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(InputError, match="that an amplifier"):
+        parse_drive("90 dBm")
+
+
 @pytest.mark.parametrize("text", ["10", "10 V", "ten Vpp", "", "10 Vpp @", "@ 50 ohm", "10 Vpp @ 50", "10 V @ 50 ohm",
                                   "1 @ 2 @ 3", "5 A"])
 def test_what_is_not_a_drive_is_refused_with_its_text(text: str) -> None:

@@ -42,7 +42,7 @@ def of_lines(lines: list[tuple[float, float, float]], low: float = 0.9e6, high: 
         return energy, (5.0 - 1j / (2.0 * np.pi * frequency * 1e-9)).astype(np.complex128)
 
     frequency = np.linspace(low, high, 401)
-    return EnergySpectrum(frequency, *evaluate(frequency), evaluate)
+    return EnergySpectrum(frequency, *evaluate(frequency), evaluate, read_chip(SMALL_CHIP))
 
 
 def test_a_line_has_its_frequency_height_and_quality_factor() -> None:

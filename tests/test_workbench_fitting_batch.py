@@ -83,7 +83,7 @@ def test_a_file_becomes_jobs(listed: Path) -> None:
     [
         ('kind = "polymer"', 'kind = "polymers"', "recordings[2].kind", "polymer"),
         ('name = "disc 2"', 'name = "disc 1"', "recordings[1].name", "of its own"),
-        ('file = "one.csv"', 'file = "two.csv"', "recordings[0].file", "existing file"),
+        ('file = "one.csv"', 'file = "two.csv"', "recordings[0].file", "a recording that is there"),
         ('name = "disc 1"', 'name = "../disc"', "recordings[0].name", "folder"),
         ("0.91 MHz", "1.91 MHz", "recordings[0].band", "rising"),
         ('"disc 2", "with sample"', '"disc 2", "with samples"', "joint[0].recordings", "with sample"),

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.fitting.multistart import FitMultistart, Refined, listed_starts
+from workbench.fitting.noise import Noise
 from workbench.fitting.search import FitDescent
-from workbench.fitting.uncertainty import Noise
 
 Real = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ FILM = SimpleNamespace(name="couplant.thickness", is_film=True, is_loss=False,
 
 def optimum(x: Real, noise: float) -> Any:
     """An optimum at x (1,) that leaves so much noise."""
-    residual = SimpleNamespace(data=SimpleNamespace(log_ratio=[np.full(3, 0.01 * noise + 0j)]))
+    residual = SimpleNamespace(data=SimpleNamespace(log_ratio=[np.full(3, 0.01 * noise + 0j)], rms=0.01 * noise))
     return FitDescent(x, residual, noise, True, 3, "", (), x, {0: noise}, True)  # type: ignore[arg-type]
 
 
@@ -46,7 +46,7 @@ def refine(x: Real) -> Refined:
     """The nearest valley, on the mesh asked for."""
     valley = min(VALLEYS, key=lambda each: abs(each - float(x[0])))
     ratio = VALLEYS[valley]
-    noise = Noise(0.01 * ratio, 1.0 if ratio == 1.0 else 4.0, True, ratio)
+    noise = Noise(np.full(3, 0.01), ratio, 1.0 if ratio == 1.0 else 4.0)
     return Refined(optimum(np.array([valley]), ratio), (noise,))
 
 

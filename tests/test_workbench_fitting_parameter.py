@@ -15,6 +15,7 @@ from workbench.files.errors import InputError
 from workbench.fitting.parameter import (
     CERAMIC_LOSS,
     CERAMIC_LOSS_REACH,
+    PERMITTIVITY_LOSS_REACH,
     POLYMER_FOUR,
     POLYMER_LOSS_REACH,
     TRANSDUCER_TEN,
@@ -116,7 +117,7 @@ def test_an_unknown_loss_starts_at_a_thousandth_of_the_sign_that_loses(stack: Pr
     assert stiffness.start == -CERAMIC_LOSS * c44.real
     assert (stiffness.low, stiffness.high) == (-CERAMIC_LOSS_REACH * c44.real, 0.0)
     assert permittivity.start == CERAMIC_LOSS * eps33.real
-    assert (permittivity.low, permittivity.high) == (0.0, CERAMIC_LOSS_REACH * eps33.real)
+    assert (permittivity.low, permittivity.high) == (0.0, PERMITTIVITY_LOSS_REACH * eps33.real)
 
 
 @pytest.mark.parametrize("name", ["c13", "e33", "e31", "e15"])

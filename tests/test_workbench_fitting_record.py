@@ -19,7 +19,7 @@ from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.joint import FitResult, fit_parameters
 from workbench.fitting.objective import FitRecording
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
+from workbench.fitting.parameter import POLYMER_FOUR
 from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
 from workbench.fitting.record import Source, paper_result, refusals, registry_entry, source
 from workbench.model.problem import build, fill
@@ -79,13 +79,14 @@ def sources(recorded: Spectrum, folder: Path) -> tuple[Source, ...]:
 # Preparing.
 
 
-def test_the_search_has_half_as_many_elements_and_the_ten_are_free(chip: Chip, recorded: Spectrum) -> None:
+def test_the_search_has_half_as_many_elements_and_frees_what_shows(chip: Chip, recorded: Spectrum) -> None:
     found = prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, accuracy=quadratic(16.0),
                     free=("default", "transducer.thickness", "bench.series_resistance"), band=(320e3, 440e3))
     cells = [r[0].problem.mesh.mesh.t.shape[1] for r in (found.recordings, found.coarse)]
     assert cells[0] > 2 * cells[1]
     own = [p.name.removeprefix(f"{MATERIAL}.") for p in found.parameters]
-    assert own == [*TRANSDUCER_TEN, "transducer.thickness", "bench.series_resistance"]
+    assert own[-2:] == ["transducer.thickness", "bench.series_resistance"]
+    assert {"c11", "c12", "e31", "eps33", "c11.loss", "c12.loss"} < set(own)
     assert found.recordings[0].measured.frequency[[0, -1]].tolist() == [320e3, 440e3]
     assert found.material.density == 7500.0
 
@@ -129,7 +130,7 @@ def test_a_group_shares_what_has_one_name_and_keeps_its_own(chip: Chip, recorded
 
 def test_fewer_points_than_parameters_are_refused(chip: Chip, recorded: Spectrum) -> None:
     few = Spectrum(recorded.frequency[::8], recorded.impedance[::8])
-    with pytest.raises(InputError, match="at least as many as free parameters, 10"):
+    with pytest.raises(InputError, match=r"at least as many as free parameters, \d\d"):
         prepare(chip, Registry(), kind="pzt", name="few", measured=few)
     with pytest.raises(InputError, match="2 points or more"):
         in_band(recorded, chip, (1e6, 2e6), name="disc")
@@ -260,17 +261,18 @@ def test_a_fit_that_is_not_to_be_believed_says_why(result: FitResult) -> None:
     assert "more than the 3 % that are taken where a recording states no noise" in refusals(
         worse(result, recordings=(poor,)))[0]
     # Twice the noise that a recording states is too much, however little it is.
-    noisy = replace(match, noise=replace(match.noise, stated=True, ratio=2.1))
+    noisy = replace(match, noise=replace(match.noise, stated=True, scale=2.1))
     assert "2.1 times the noise that it states" in refusals(worse(result, recordings=(noisy,)))[0]
-    little = replace(match, noise=replace(match.noise, stated=True, ratio=1.9))
+    little = replace(match, noise=replace(match.noise, stated=True, scale=1.9))
     assert refusals(worse(result, recordings=(little,))) == ()
 
 
 def test_an_entry_is_saved_and_read_back(
     result: FitResult, prepared: Prepared, sources: tuple[Source, ...], tmp_path: Path
 ) -> None:
-    held = replace(result.estimates[1], at_bound="upper bound 1.7e+11")
-    changed = worse(result, estimates=(result.estimates[0], held, replace(result.estimates[2], determined=False)))
+    held = replace(result.estimates[1], at_bound="upper bound 1.7e+11", determined=True)
+    changed = worse(result, estimates=(replace(result.estimates[0], determined=True), held,
+                                       replace(result.estimates[2], determined=False)))
     entry = registry_entry(changed, prepared, sources, date=DATE, forced=False, temperature=296.0)
     name = save_fit(entry, "pzt4/small", folder=tmp_path)
     assert name == "pzt4/small@1"

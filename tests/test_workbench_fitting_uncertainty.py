@@ -13,6 +13,7 @@ from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.fitting.joint import FINE, reweighted_descent
 from workbench.fitting.measurement_model import log_ratio
+from workbench.fitting.noise import Noise, correlation_length
 from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.search import FitSearch
@@ -20,13 +21,8 @@ from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,
     FitUncertainty,
-    Noise,
-    correlation_length,
-    deviations,
     estimate_uncertainty,
     leave_bands_out,
-    noise,
-    noise_shape,
     profile,
     reduced_model_error,
     residual_findings,
@@ -104,6 +100,11 @@ def bench(x: Real, size: int = GRID.size) -> tuple[Complex, Complex]:
     return np.asarray(slopes @ x, dtype=complex), slopes
 
 
+def of_level(level: float, correlation: float = 1.0) -> Noise:
+    """The noise of a recording that states none, of one level at all points."""
+    return Noise(np.ones(GRID.size), level, correlation, stated=False)
+
+
 THREE = (free("gain"), free("phase"), free("delay"))
 
 
@@ -138,17 +139,29 @@ def test_too_little_or_nothing_has_no_correlation() -> None:
 
 def test_the_shape_of_the_noise_is_the_spectrums_own() -> None:
     plain = Spectrum(GRID, np.full(GRID.size, 4.0 + 3.0j))
-    assert noise_shape(plain) == pytest.approx(1.0)
+    assert Noise.of(plain).shape == pytest.approx(1.0)
+    assert not Noise.of(plain).stated
     stated = replace(plain, uncertainty=np.linspace(0.1, 0.2, GRID.size))
-    assert noise_shape(stated) == pytest.approx(np.linspace(0.02, 0.04, GRID.size))
-    assert noise(white(np.random.default_rng(0)), np.full(GRID.size, 0.3), True, 1.7) == Noise(0.3, 1.0, True, 1.7)
-    assert noise(white(np.random.default_rng(0)), np.full(GRID.size, 0.3), False, 1.7).ratio == 1.0
+    assert Noise.of(stated).shape == pytest.approx(np.linspace(0.02, 0.04, GRID.size))
+    assert Noise.of(stated).stated
 
 
-def test_correlated_points_count_for_fewer(small_disc: Problem) -> None:
-    search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), THREE)
-    (found,) = deviations(search, [Noise(0.02, 4.0, False, 1.0)])
-    assert found == pytest.approx(np.full(GRID.size, 0.04))
+def test_the_scale_is_that_of_the_residual_and_not_below_the_stated_noise() -> None:
+    residual = 0.3 * white(np.random.default_rng(0), 2000)
+    for stated, level, ratio in ((0.3 / 1.7, 0.3, 1.7), (0.6, 0.6, 1.0)):
+        found = Noise(np.full(2000, stated)).scaled_to(residual)
+        # The rms of 4000 numbers is right to 1.1 %.
+        assert (found.deviation, found.ratio) == (pytest.approx(level, rel=0.04), pytest.approx(ratio, rel=0.04))
+        assert (found.correlation, found.stated) == (1.0, True)
+    plain = Noise(np.ones(2000), stated=False).scaled_to(residual)
+    assert (plain.deviation, plain.ratio) == (pytest.approx(0.3, rel=0.04), 1.0)
+    # A parameter takes one real number of the residual.
+    assert Noise(np.ones(2000), stated=False).scaled_to(residual, parameters=1000.0).scale == pytest.approx(
+        plain.scale * np.sqrt(4.0 / 3.0), rel=1e-12)
+
+
+def test_correlated_points_count_for_fewer() -> None:
+    assert of_level(0.02, 4.0).effective == pytest.approx(np.full(GRID.size, 0.04))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -192,7 +205,7 @@ def test_the_prior_adds_its_information(small_disc: Problem) -> None:
     weak = (free("gain", prior=data), free("phase", prior=0.1 * data), free("delay"))
     search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), weak)
     minimum = search.minimise(np.zeros(3), [level])
-    estimated = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False)
+    estimated = estimate_uncertainty(search, minimum, [of_level(level)], profiles=False)
     gain, phase, delay = estimated.estimates
     assert gain.standard_error == pytest.approx(data / np.sqrt(2.0), rel=1e-6)
     assert phase.standard_error == pytest.approx(0.1 * data / np.sqrt(1.01), rel=1e-6)
@@ -229,9 +242,10 @@ def test_a_profile_finds_the_ends_that_the_quadratic_misses(small_disc: Problem,
     reach = DEVIATIONS * level / np.sqrt(own)
     # Where zero is inside, the lower bound is the end.
     exact = np.array([np.sqrt(1.0 - reach) if reach < 1.0 else 1e-3, np.sqrt(1.0 + reach)])
-    levels = [Noise(level, 1.0, False, 1.0)]
+    levels = [of_level(level)]
     error = level / np.sqrt(own) / 2.0
-    low, high = profile(search, minimum, 0, error, deviations(search, levels))
+    plain = estimate_uncertainty(search, minimum, levels, profiles=False)
+    low, high = profile(search, minimum, 0, plain.covariance, [each.effective for each in levels])
     print(f"{low:.4f} to {high:.4f}, exact {exact}")
     # Ends are looked for until they are known to 5 %.
     assert [low, high] == pytest.approx(exact.tolist(), abs=0.05 * np.abs(exact - 1.0).max())
@@ -243,9 +257,9 @@ def test_a_profile_finds_the_ends_that_the_quadratic_misses(small_disc: Problem,
     assert found.method == ("quadratic" if level == 0.1 else "profile")
     if level > 0.1:
         assert (found.low, found.high) == pytest.approx((low, high), rel=1e-6)  # from an error found numerically
-        plain = estimate_uncertainty(search, minimum, levels, profiles=False).estimates[0]
-        assert plain.method == "quadratic"
-        assert max(abs(plain.low - exact[0]), abs(plain.high - exact[1])) > 0.1 * np.abs(exact - 1.0).max()
+        rough = plain.estimates[0]
+        assert rough.method == "quadratic"
+        assert max(abs(rough.low - exact[0]), abs(rough.high - exact[1])) > 0.1 * np.abs(exact - 1.0).max()
     assert linear.method == "quadratic"
 
 
@@ -254,11 +268,11 @@ def test_the_profile_of_a_linear_parameter_is_the_quadratic(small_disc: Problem)
     measured = level * white(np.random.default_rng(5))
     search = made(small_disc, bench, measured, THREE)
     minimum, _ = reweighted_descent(search, np.zeros(3))
-    levels = [Noise(level, 1.0, False, 1.0)]
+    levels = [of_level(level)]
     estimated = estimate_uncertainty(search, minimum, levels, profiles=True)
     assert [e.method for e in estimated.estimates] == ["quadratic"] * 3
     for index, found in enumerate(estimated.estimates):
-        ends = profile(search, minimum, index, found.standard_error, deviations(search, levels))
+        ends = profile(search, minimum, index, estimated.covariance, [each.effective for each in levels])
         assert ends == pytest.approx((found.low, found.high), abs=0.05 * (found.high - found.low))
 
 
@@ -268,7 +282,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None
     held = (replace(free("gain", high=0.01), beyond="short of another"), free("phase"), free("delay"))
     search = made(small_disc, bench, bench(np.array([0.03, 0.0, 0.0]))[0], held)
     minimum = search.minimise(np.array([-0.5, 0.0, 0.0]), [level], tolerance=1e-10)
-    gain, phase, _ = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=True).estimates
+    gain, phase, _ = estimate_uncertainty(search, minimum, [of_level(level)], profiles=True).estimates
     assert gain.at_bound == "upper bound 0.01"
     assert phase.at_bound == ""
     assert gain.high == pytest.approx(0.01, abs=1e-4)
@@ -276,7 +290,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None
     # chi-square = 60 (g - 0.03)^2 / level^2 has risen by 3.84 from what it is at the bound.
     exact = 0.03 - np.sqrt(CHI_SQUARE * level**2 / 60.0 + 0.02**2)
     assert gain.low == pytest.approx(exact, abs=0.05 * (0.01 - exact))
-    findings = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False).findings
+    findings = estimate_uncertainty(search, minimum, [of_level(level)], profiles=False).findings
     assert "bench.gain is held by upper bound 0.01, short of another." in findings
 
 
@@ -288,7 +302,7 @@ def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem) -> None
     two = (free("gain", prior=1.0), free("phase", prior=2.0))
     search = made(small_disc, summed, np.zeros(GRID.size, dtype=complex), two)
     minimum = search.minimise(np.zeros(2), [0.01])
-    estimated = estimate_uncertainty(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
+    estimated = estimate_uncertainty(search, minimum, [of_level(0.01)], profiles=False)
     (direction,) = estimated.undetermined
     names, shares = zip(*direction.shares, strict=True)
     assert names == ("bench.gain", "bench.phase")
@@ -309,7 +323,7 @@ def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem) -> None
     two = (free("gain"), free("phase", prior=None))
     search = made(small_disc, blind, np.zeros(GRID.size, dtype=complex), two)
     minimum = search.minimise(np.zeros(2), [0.01])
-    estimated = estimate_uncertainty(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
+    estimated = estimate_uncertainty(search, minimum, [of_level(0.01)], profiles=False)
     assert not estimated.estimates[1].determined
     assert estimated.estimates[1].high - estimated.estimates[1].low > 1.0
 
@@ -325,8 +339,8 @@ def test_a_band_that_the_rest_does_not_predict(small_disc: Problem) -> None:
     # The last third is off by 0.3: the mean 0.1 with all, 0 without that third, 0.15 without another.
     measured = np.where(np.arange(GRID.size) < 40, 0.0, 0.3) + 0j
     search = made(small_disc, constant, measured, (free("gain"),))
-    levels = [Noise(0.1, 1.0, False, 1.0)]
-    minimum = search.minimise(np.zeros(1), deviations(search, levels), tolerance=1e-10)
+    levels = [of_level(0.1)]
+    minimum = search.minimise(np.zeros(1), [each.effective for each in levels], tolerance=1e-10)
     assert minimum.x == pytest.approx([0.1], abs=1e-6)
     found = leave_bands_out(search, minimum, levels, 3)
     assert [b.fitted_rms for b in found] == pytest.approx([0.1, 0.1, 0.2], abs=1e-5)
@@ -344,7 +358,7 @@ def test_what_remains_is_placed_in_the_band() -> None:
     off[20:25] = 0.05
     simulated = Spectrum(GRID, measured.impedance * np.exp(off))
     after = compare(measured, simulated)
-    first, *rest = residual_findings("disc", after, Noise(0.01, 1.0, False, 1.0))
+    first, *rest = residual_findings("disc", after, of_level(0.01))
     # Three of the five points hold three fifths of nearly all, two of them less than a half.
     narrow = [f"between {GRID[k] / 1e3:.1f} and {GRID[k + 2] / 1e3:.1f} kHz" for k in (20, 21, 22)]
     assert any(text in first for text in narrow)
@@ -352,7 +366,7 @@ def test_what_remains_is_placed_in_the_band() -> None:
     assert first.startswith(f"disc: {100 * rms:.2g} % rms remains (MAPE of |Z| ")
     assert f"at {GRID[20] / 1e3:.1f} kHz" in first
     assert rest == []
-    listed = residual_findings("disc", after, Noise(0.01, 3.25, True, 1.5))
+    listed = residual_findings("disc", after, Noise(np.full(GRID.size, 0.01 / 1.5), 1.5, 3.25))
     assert "3.2 neighbouring points carry the information of one" in listed[1]
     assert listed[2] == "disc: the residual is 1.5 times the recording's stated uncertainty."
 
@@ -362,7 +376,7 @@ def test_a_single_point_that_is_off_is_found() -> None:
     for k in (0, 31, GRID.size - 1):
         off = np.where(np.arange(GRID.size) == k, 0.1, 1e-6)
         (text,) = residual_findings("disc", compare(measured, Spectrum(GRID, measured.impedance * np.exp(off))),
-                                    Noise(0.01, 1.0, False, 1.0))
+                                    of_level(0.01))
         assert f"half of it lies between {GRID[k] / 1e3:.1f} and {GRID[k] / 1e3:.1f} kHz" in text
 
 
@@ -442,7 +456,7 @@ def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -
     everything = parameters(disc, None, PZT, GAUGE)
     x = np.array([p.start for p in everything])
     search = FitSearch(Objective.of([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
-    level = [Noise(1e-5, 1.0, False, 1.0)]
+    level = [of_level(1e-5)]
     minimum = search.minimise(x, [1e-5], limit=3)
     estimated = estimate_uncertainty(search, minimum, level, profiles=False)
     named = [d for d in estimated.undetermined if d.symmetry]

@@ -12,9 +12,8 @@ from support import quadratic
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import chip_text, write_chip
-from geometry.chip_section import volumes
+from geometry.chip_section import region_volumes, volumes
 from geometry.solid import chip_solids, volume
-from workbench.diagnosis.observed import region_volumes
 from workbench.files.errors import InputError
 from workbench.simulation.run import snapshot
 

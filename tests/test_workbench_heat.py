@@ -28,7 +28,8 @@ from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.heat import check_peclet, conducted_heat, conduction_of, peclet_number, thermal_influence
 from workbench.acoustics.heat_source import heat_source
 from workbench.acoustics.nodal import integrate
-from workbench.fem.linearised import FullSystem, curvature, frequency_slope
+from workbench.fem.level import impedance_level
+from workbench.fem.linearised import FullSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.places import place_of
 from workbench.fem.solve import Solution, solve_full
@@ -36,6 +37,7 @@ from workbench.files.errors import InputError
 from workbench.model.problem import Problem, build, fill
 from workbench.physics.term import Integral, Monomial
 from workbench.reduced.at_point import reduced
+from workbench.simulation.heating import softening_words
 from workbench.simulation.run import loss_budget
 
 Real = NDArray[np.float64]
@@ -436,6 +438,25 @@ def test_a_simulation_is_heated_and_its_liquid_warmed(run: wb.Simulation) -> Non
     assert wb.liquid_warming(shot, heat).resonance_slope is None
 
 
+def test_a_polymer_that_becomes_too_warm_is_named_with_the_largest_voltage(run: wb.Simulation) -> None:
+    heat, stated = wb.heating(run), run.problem.materials["cavity"]
+    region, solid = next((region, each) for region, each in run.problem.materials.items()
+                         if isinstance(each, IsotropicSolid))
+    assert isinstance(stated, Fluid)
+    assert stated.temperature is not None
+
+    def said(share: float) -> str:
+        limit = stated.temperature + share * heat.parts[region].peak
+        materials = {**run.problem.materials, region: replace(solid, softening_temperature=limit)}
+        return " ".join(softening_words(replace(run, problem=replace(run.problem, materials=materials)), heat))
+
+    assert f"The {region} becomes" not in said(1.01)
+    # Temperatures go with the square of the voltage.
+    voltage = 2.0 * abs(run.fields.voltage)
+    assert f"The {region} becomes" in said(0.25)
+    assert f"up to about {0.5 * voltage:.2g} Vpp" in said(0.25)
+
+
 def test_the_shift_of_the_resonance_is_that_of_warmer_water(run: wb.Simulation) -> None:
     warm = wb.liquid_warming(run, wb.heating(run))
     assert warm.resonance is not None
@@ -448,7 +469,8 @@ def test_the_shift_of_the_resonance_is_that_of_warmer_water(run: wb.Simulation) 
         system, frequency = FullSystem(run.operators, values), warm.resonance
         for _ in range(6):
             state = system.linearised(frequency)
-            frequency -= frequency_slope(state) / curvature(state)
+            level = impedance_level(state)
+            frequency -= level.slope / level.curvature
         found.append(frequency)
     print(f"d f0 / dT {warm.resonance_slope:.4f} Hz/K, by difference {0.5 * (found[1] - found[0]):.4f}")
     # The difference quotient over 2 K; the law of the registry is taken over 10 K, and bends by 1e-3 of its slope.
@@ -460,13 +482,13 @@ def test_liquid_warming_needs_a_liquid_and_a_law() -> None:
     empty = wb.snapshot(cell("vacuum"), "filled", FREQUENCY, accuracy=quadratic(4.0))
     with pytest.raises(InputError, match="a state with a fluid in the cavity"):
         wb.liquid_warming(empty, wb.heating(empty))
-    thick = wb.snapshot(cell("glycerol_water_50"), "filled", FREQUENCY, accuracy=quadratic(4.0))
+    thick = wb.snapshot(cell("coupling_gel"), "filled", FREQUENCY, accuracy=quadratic(4.0))
     found = wb.liquid_warming(thick, wb.heating(thick))
     assert found.rise > 0.0
     assert (found.speed_slope, found.resonance_shift) == (None, None)
     with pytest.raises(InputError, match=r"heat: received 'temperatures .*'; expected wb\.heating of this result"):
         wb.liquid_warming(thick, wb.heating(empty))
-    fine = wb.snapshot(cell("glycerol_water_50"), "filled", FREQUENCY, accuracy=quadratic(5.0))
+    fine = wb.snapshot(cell("coupling_gel"), "filled", FREQUENCY, accuracy=quadratic(5.0))
     with pytest.raises(InputError, match="heat: received 'temperatures on another mesh'"):
         wb.liquid_warming(thick, wb.heating(fine))
     heat = wb.heating(thick)

@@ -122,7 +122,7 @@ def test_pairs_of_one_channel_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("text", "said"), [
     (FILES["tektronix"].replace("Y,Y", "ENV,ENV"), "Point Format: received 'ENV'; expected Y"),
     (FILES["tektronix"].replace("500,500", "501,501"), "the 501 of 'Record Length'; the file is cut short"),
-    (FILES["tektronix"].replace("Units,V,V", "Units,V,A"), "unit of CH2: received 'A'; expected V or mV"),
+    (FILES["tektronix"].replace("Units,V,V", "Units,V,W"), "unit of CH2: received 'W'; expected V or mV"),
     (FILES["tektronix, peak columns"].replace(",\n", ",0.1\n"), "envelope of peak detection"),
     (FILES["plain"].replace("s,V,V\n", ""), "unit of the time: received None; expected s, ms, us or ns"),
     (FILES["rigol mso5000"].replace("CH2(V)", "CH2"), "unit of CH2: received None; expected V or mV"),
@@ -140,13 +140,13 @@ def test_what_cannot_be_trusted_is_refused(text: str, said: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("text", [
-    "LECROYWS434,12345,Waveform\nSegments,1,SegmentSize,500\nSegment,TrigTime,Since\nTime,Ampl\n-1e-6,0.1\n",
+    "UNKNOWN434,12345,Waveform\nSegments,1,SegmentSize,500\nSegment,TrigTime,Since\nTime,Ampl\n-1e-6,0.1\n",
     "Memory Length,4000,IntpDistance,0\nTrigger Address,1999\n0.1,\n0.2,\n",
 ])
 def test_another_maker_is_told_what_is_read(text: str, tmp_path: Path) -> None:
     path = tmp_path / "C1test00000.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"Tektronix .*, Rigol, Siglent or Keysight.*time, CH1"):
+    with pytest.raises(InputError, match=r"Tektronix .*, Rigol, Siglent, LeCroy or Keysight.*time, CH1"):
         read_channels(path)
 
 
@@ -168,3 +168,82 @@ def test_the_import_of_tables_writes_the_spectrum(tmp_path: Path, capsys: pytest
     assert main(["import", str(paths[0]), "--resistance", "10 ohm", "-o", str(tmp_path / "one")]) == 0
     assert visible(tmp_path / "one") == ["ratios.csv"]
     assert "one frequency" in capsys.readouterr().err
+
+
+LECROY = ("LECROYWS3024,1001,Waveform\nSegments,1,SegmentSize,500\nSegment,TrigTime,TimeSinceSegment1\n"
+          "#1,23-Dec-2021 15:57:23,0                 \nTime,Ampl\n")
+
+
+def lecroy(folder: Path, name: str, values: np.ndarray, head: str = LECROY) -> Path:
+    path = folder / name
+    path.write_text(table(head, lambda k: f"{TIME[k]:.7e},{values[k]:.6g}"))
+    return path
+
+
+@pytest.mark.parametrize("names", [("C1Trace00000.csv", "C2Trace00000.csv"), ("F0001CH1.CSV", "F0001CH2.CSV"),
+                                   ("run_C1_7.txt", "run_C2_7.txt")])
+def test_lecroys_files_are_named_by_their_channel(names: tuple[str, str], tmp_path: Path) -> None:
+    paths = [lecroy(tmp_path, name, values) for name, values in zip(names, (ONE, TWO), strict=True)]
+    ((total, reference),) = pair_files([tmp_path], total=1, reference=2).values()
+    assert [total, reference] == paths
+    waves = [read_waveform(path) for path in paths]
+    assert [(wave.channel, wave.unit) for wave in waves] == [(1, ""), (2, "")]
+    assert impedance([fit_sines(waves)], SHUNT).value == pytest.approx(LOAD, abs=0.03)
+    with pytest.raises(InputError, match=r"oscilloscope's CSV \(LeCroy\), one channel against time"):
+        read_recording(total)
+
+
+@pytest.mark.parametrize(("name", "head", "said"), [
+    ("trace.csv", LECROY, "C1Trace00000.csv"), ("C1.csv", LECROY.replace("Segments,1", "Segments,2"), "Segments"),
+    ("C1.csv", LECROY.replace("Size,500", "Size,501"), "the 501 of 'SegmentSize'; the file is cut short"),
+])
+def test_lecroys_files_that_cannot_be_trusted(name: str, head: str, said: str, tmp_path: Path) -> None:
+    path = lecroy(tmp_path, name, ONE, head)
+    with pytest.raises(InputError, match=said):
+        read_waveform(path)
+    if name == "trace.csv":
+        with pytest.raises(InputError, match=said):
+            pair_files([path], total=1, reference=2)
+
+
+def test_a_channel_that_is_not_used_may_hold_anything(tmp_path: Path) -> None:
+    path = tmp_path / "three.csv"
+    path.write_text(table("time,CH1,CH2,CH3\ns,V,V,furlong\n", lambda k: f"{timed(k)},over"))
+    assert list(read_channels(path, wanted=(1, 2))) == [1, 2]
+    assert main(["import", str(path), "--resistance", "10 ohm", "-o", str(tmp_path / "out")]) == 0
+    path.write_text(table("time,CH1,CH2,CH3\ns,V,V,W\n", lambda k: f"{timed(k)},1"))
+    with pytest.raises(InputError, match="unit of CH3"):
+        read_channels(path)
+
+
+def test_voltage_over_the_current_of_a_probe_is_the_impedance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A probe that states amperes, one of 0.1 V/A in volts, and one whose file states nothing."""
+    voltage, current = np.real(1.3 * LOAD * TURN), np.real(1.3 * TURN)
+    for unit, scale, resistance in (("A", 1.0, []), ("mA", 1e3, []), ("V", 0.1, ["--resistance", "0.1 ohm"])):
+        paths = [tmp_path / "one.csv", tmp_path / "two.csv"]
+        for path, step in zip(paths, ("2.0e-08", "1.9e-08"), strict=True):
+            head = f"CH1(V),CH3({unit}),t0 = 0s, tInc = {step}s,\n"
+            path.write_text(table(head, lambda k, s=scale: f"{voltage[k]:.8f},{s * current[k]:.8f},"))  # type: ignore[misc]
+        out = tmp_path / unit
+        assert main(["import", *map(str, paths), "--current", "3", *resistance, "-o", str(out)]) == 0
+        spectrum = read_recording(out / "spectrum.csv").spectrum
+        np.testing.assert_allclose(spectrum.impedance, LOAD, rtol=1e-5)
+        assert spectrum.origin.settings["current probe"].startswith("0.1 V/A" if resistance else "1 V/A")
+    capsys.readouterr()
+    one = str(paths[0])
+    for options, said in ((["--current", "3"], '--resistance "0.1 ohm" for 0.1 V/A'),
+                          (["--current", "1"], "another channel than --total")):
+        assert main(["import", one, *options, "-o", str(tmp_path / "no")]) != 0
+        assert said in " ".join(capsys.readouterr().err.split())
+    paths[0].write_text(paths[0].read_text().replace("CH3(V)", "CH3(A)"))
+    for options, said in ((["--reference", "3", "--resistance", "1 ohm"], "--current 3 without --resistance"),
+                          (["--current", "3", "--resistance", "1 ohm"], "none, since CH3 is in A"),
+                          (["--total", "3", "--reference", "1"], "--total names the channel of the voltage")):
+        assert main(["import", one, *options, "-o", str(tmp_path / "no")]) != 0
+        assert said in " ".join(capsys.readouterr().err.split())
+    for name, values in (("C1.csv", voltage), ("C3.csv", current)):
+        lecroy(tmp_path, name, values)
+    files = [str(tmp_path / name) for name in ("C1.csv", "C3.csv")]
+    assert main(["import", *files, "--current", "3", "-o", str(tmp_path / "lecroy")]) == 0

@@ -102,6 +102,30 @@ def test_a_request_to_end_is_heeded_as_ctrl_c_and_ends_the_workers(end: signal.S
         time.sleep(0.02)
 
 
+def test_a_signal_that_does_not_wake_the_main_thread_is_sent_again(tmp_path: Path) -> None:
+    """As one that arrives just before the main thread falls asleep; here another thread takes it."""
+    code = ("import signal, sys, threading, time\n"
+            "from workbench.cli import main\n"
+            "from workbench.commands import export\n"
+            "def interrupt():\n"
+            "    time.sleep(0.2)\n"
+            "    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)\n"
+            "    time.sleep(30.0)\n"
+            "def run(options, console):\n"
+            "    threading.Thread(target=interrupt, daemon=True).start()\n"
+            "    threading.Event().wait()\n"
+            "export.run_export = run\n"
+            f"sys.argv[1:] = ['export', {CHIP!r}, '-o', {str(tmp_path / 'out')!r}]\n"
+            "sys.exit(main())\n")
+    process = command("-c", code)
+    try:
+        said, _ = process.communicate(timeout=25.0)
+    finally:
+        process.kill()
+    assert process.returncode == 143
+    assert said.startswith("interrupted: ")
+
+
 def test_a_hangup_that_is_ignored_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
     try:

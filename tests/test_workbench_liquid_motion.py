@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ import workbench as wb
 from geometry.chip import parse_chip
 from workbench.acoustics import heat
 from workbench.files.errors import InputError
+from workbench.model.problem import fill
+from workbench.report.particles import flow_answer
 from workbench.simulation.liquid_motion import liquid_motion
 
 
@@ -20,6 +23,21 @@ from workbench.simulation.liquid_motion import liquid_motion
 def shot_at(volts: float) -> wb.Snapshot:
     chip = parse_chip(tomllib.loads(CELL), source="cell.toml")
     return wb.snapshot(chip, "filled", 1e6, drive=wb.parse_drive(f"{volts} Vpp"), accuracy=5e-3)
+
+
+def own_liquid(folder: Path) -> wb.Registry:
+    (folder / "lawless").mkdir()
+    (folder / "references.bib").write_text("@misc{sheet, title = {Data sheet}}\n")
+    (folder / "lawless" / "sheet.toml").write_text("""
+kind = "fluid"
+title = "liquid of which nobody states a slope"
+source = "sheet"
+conditions = "25 degC"
+density = { value = 1100, unit = "kg/m^3" }
+sound_speed = { value = 1600, unit = "m/s" }
+shear_viscosity = { value = 2, unit = "mPa s" }
+""")
+    return wb.Registry(folder)
 
 
 def test_a_liquid_at_rest_carries_nothing() -> None:
@@ -65,6 +83,36 @@ def test_boiling_and_a_flow_that_carries_the_heat_are_refused(monkeypatch: pytes
     with pytest.raises(InputError, match="Peclet number"):
         liquid_motion(shot_at(0.5))
     assert liquid_motion(shot_at(50.0), by="sound").streaming is not None
+
+
+def test_a_liquid_without_a_law_moves_by_sound_alone(tmp_path: Path) -> None:
+    """The sentence stands in the answer and in the notes."""
+    registry = own_liquid(tmp_path)
+    chip = parse_chip(tomllib.loads(CELL.replace('"water"\ntemperature = "20 degC"', '"lawless"')), source="cell.toml")
+    shot = wb.snapshot(chip, "filled", 1e6, registry=registry, accuracy=5e-3)
+    moving = liquid_motion(shot, registry=registry)
+    assert moving.heat is None
+    assert moving.streaming is not None
+    assert set(moving.streaming.causes) == {"walls", "absorption"}
+    assert "lawless/sheet states no law of temperature: the flow is that of sound alone" in moving.notes[0]
+    assert moving.notes[0] in flow_answer(moving)
+    # The field of a user asks for a slope by name.
+    with pytest.raises(InputError, match="a liquid whose entry states its law of temperature, or slopes="):
+        wb.streaming(shot, temperature=np.zeros(len(shot.fields.mesh.points)), registry=registry)
+
+
+def test_a_folder_of_materials_comes_with_the_chip(tmp_path: Path) -> None:
+    """The chip is simulated without a word on it, and its liquid found again for the flow."""
+    own_liquid(tmp_path)
+    (tmp_path / "cell.toml").write_text(CELL.replace('"water"\ntemperature = "20 degC"', '"lawless"'))
+    with pytest.raises(InputError, match=r"--materials DIR \(in Python registry=wb.Registry\(DIR\)\)"):
+        wb.snapshot(wb.read_chip(tmp_path / "cell.toml"), "filled", 1e6)
+    chip = wb.read_chip(tmp_path / "cell.toml", materials=tmp_path)
+    assert chip == wb.read_chip(tmp_path / "cell.toml", materials=[str(tmp_path)])
+    assert fill(chip.with_tolerances({}), "filled").materials["cavity"].name == "lawless/sheet"
+    assert fill(chip, "filled", wb.Registry(tmp_path)).materials["cavity"].name == "lawless/sheet"
+    with pytest.raises(InputError, match=r"materials: received .*nowhere'; expected an existing folder"):
+        wb.read_chip(tmp_path / "cell.toml", materials=tmp_path / "nowhere")
 
 
 def test_an_unknown_cause_is_refused_with_the_nearest() -> None:

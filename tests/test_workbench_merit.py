@@ -13,7 +13,8 @@ from scipy.optimize import brentq, minimize_scalar
 
 from workbench.readers import read_recording
 from workbench.results.circuit import bvd_impedance, fit_circuit
-from workbench.results.merit import NoResonance, effective_coupling, figures, thickness_coupling
+from workbench.results.coupling import effective_coupling, thickness_coupling
+from workbench.results.merit import NoResonance, figures
 from workbench.results.pole import fit_pole
 from workbench.results.spectrum import Spectrum
 

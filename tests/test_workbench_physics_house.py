@@ -18,11 +18,12 @@ from geometry.names import parent_place
 from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.catalogue.catalogue import effects
 from workbench.catalogue.effect import Device, Effect
+from workbench.diagnosis.device import lines_of_nodes
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import Solution, solve_full
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem, build
-from workbench.physics.surface_load import SurfaceLoad
+from workbench.physics.surface_load import SurfaceLoad, SurfaceSpring
 
 TRIAL = Path(__file__).resolve().parent / "data" / "trials" / "0000" / "campaign.toml"
 FREQUENCY = np.array([0.97e6, 1.05e6])
@@ -46,10 +47,10 @@ def catalogue() -> Mapping[str, Effect]:
 @cache
 def base(state: str) -> Problem:
     """The disc or the filled chip, meshed coarsely with the skins that the effects need."""
-    terms = [term for effect in catalogue().values() for term in effect.terms.get(state, ())]
-    skins = {i.place: abs(i.skin) for term in terms for i in term.integrals() if i.skin}
     (found,) = (each for each in campaign().states if each.name == state)
-    return build(found.device, accuracy=5e-2, skins=skins)
+    terms = [term for effect in catalogue().values() for term in effect.terms.get(state, ())]
+    skins, _, levels = lines_of_nodes(found, terms)
+    return build(found.device, accuracy=5e-2, skins=skins, levels=sorted(levels))
 
 
 def model_of(effect: Effect) -> Problem:
@@ -57,8 +58,10 @@ def model_of(effect: Effect) -> Problem:
     state = "filled" if "filled" in effect.terms else "disc" if "disc" in effect.terms else next(iter(effect.terms))
     problem = base(state)
     values = {n: complex(v) for n, v in effect.values[state].items() if n not in problem.values}
-    # What lies on top of a layer and at its side alike is loaded here: only a mesh that is moved tells them apart.
-    terms = tuple(replace(term, boundary=parent_place(term.boundary)) if isinstance(term, SurfaceLoad) else term
+    # What lies on top of a layer and at its side alike is loaded and held here: only a mesh that is moved tells them
+    # apart.
+    terms = tuple(replace(term, boundary=parent_place(term.boundary)) if isinstance(
+        term, SurfaceLoad | SurfaceSpring) else term
                   for term in effect.terms[state])
     return problem.with_terms(terms, values)
 

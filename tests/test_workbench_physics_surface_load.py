@@ -22,7 +22,7 @@ from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
 from workbench.physics import electrodes, piezoelectric, solid
-from workbench.physics.surface_load import ADMISSIBLE, SurfaceLoad
+from workbench.physics.surface_load import ADMISSIBLE, SurfaceLoad, SurfaceSpring
 
 RADIUS, THICKNESS = 0.1e-3, 2e-3
 BELOW = SurfaceLoad("electrode_ground", "transducer", "below")
@@ -222,3 +222,48 @@ def test_the_air_around_a_chip_is_admissible() -> None:
     allowed = ADMISSIBLE["normal_impedance"]
     assert allowed.lowest == pytest.approx(resistance, rel=2e-3)
     assert all(limit.lowest < limit.highest and limit.source for limit in ADMISSIBLE.values())
+
+
+@pytest.mark.parametrize(("below", "above", "loss"), [(1e13, 1e14, 0.3), (3e13, 1e14, 0.3), (1e20, 1e20, 0.0)])
+def test_a_plate_between_springs_has_the_closed_form(
+    below: float, above: float, loss: float, plate: tuple[FullOperators, dict[str, complex], Piezoelectric]
+) -> None:
+    # sigma n = - k (1 - i eta) u is i w Z u with Z = i k (1 - i eta) / w.
+    operators, values, material = plate
+    frequency = np.linspace(0.31e6, 3.9e6, 19)
+    springs = (SurfaceSpring("electrode_ground", "transducer", "floor"),
+               SurfaceSpring("electrode_live", "transducer", "jaw"))
+    held = assemble(operators.mesh, (*operators.terms, *springs))
+    found = solve_full(held, frequency, values | loads(0.0, 0.0) | {
+        "floor.stiffness": below, "jaw.stiffness": above, "floor.loss_factor": loss, "jaw.loss_factor": loss}).impedance
+    of_spring = 1j * (1.0 - 1j * loss) / (2.0 * np.pi * frequency)
+    expected = np.array([impedance(material, below * each, above * each, np.array([f]))[0]
+                         for each, f in zip(of_spring, frequency, strict=True)])
+    error = np.abs(found / expected - 1.0).max()
+    print(f"plate between springs of {below:g} and {above:g} Pa/m: relative error of Z {error:.1e}")
+    # Forty elements on up to two wavelengths, (k h)^4 / 1440 = 7e-6, at resonances of a Q up to a hundred.
+    assert error < 1e-3
+    if below == above == 1e20:
+        # Between rigid jaws a uniform field moves nothing: the plate is its clamped capacitance, but for 2 h^2 / (k d).
+        clamped = THICKNESS / material.absolute_eps33.real / (-2j * np.pi * frequency * np.pi * RADIUS**2)
+        assert np.abs(found / clamped - 1.0).max() < 1e-6
+
+
+def test_a_weak_spring_moves_a_mode_as_rayleigh_says(
+    plate: tuple[FullOperators, dict[str, complex], Piezoelectric]
+) -> None:
+    # Half wave u = U sin(pi z / d) from the middle: d w^2 = k U^2 / (rho d U^2 / 2) for one face.
+    operators, values, material = plate
+    stiffness = 1e11
+    half_wave = np.sqrt(stiffened(material) / material.density) / 2.0 / THICKNESS
+    expected = stiffness / (material.density * THICKNESS * (2.0 * np.pi * half_wave) ** 2)
+    held = assemble(operators.mesh, (*operators.terms, SurfaceSpring("electrode_live", "transducer", "jaw")))
+    # Zeros of a real Y: open-circuited, the plate resonates at its stiffened half wave.
+    found = []
+    for each in (0.0, stiffness):
+        frequency = half_wave * (1.0 + np.linspace(-3e-4, 3e-4, 7) + each / stiffness * expected)
+        y = solve_full(held, frequency, values | loads(0.0, 0.0) | {
+            "jaw.stiffness": each, "jaw.loss_factor": 0.0}).admittance.imag
+        found.append(float(np.interp(0.0, y * np.sign(y[-1] - y[0]), frequency)))
+    print(f"half wave moved by {found[1] / found[0] - 1.0:.5g}, Rayleigh {expected:.5g}")
+    assert found[1] / found[0] - 1.0 == pytest.approx(expected, rel=0.03)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
-from workbench.diagnosis.inhomogeneity import inhomogeneity, wave_keys, waves
+from workbench.diagnosis.inhomogeneity import cosine_keys, cosine_modes, inhomogeneity
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.fitting.objective import FitRecording, Objective
@@ -61,7 +61,7 @@ def test_no_half_wave_is_other_constants(uneven: UnevenProperty, scaled: tuple[s
 
 def test_slopes_are_the_changes_by_parts(disc: Problem) -> None:
     """Derivatives by the amplitudes, against the integrals of the states over cells, weighted cell by cell."""
-    found = dict(waves(disc, float(np.mean(GRID[[0, -1]]))))
+    found = dict(cosine_modes(disc, float(np.mean(GRID[[0, -1]]))))
     assert {each.half_waves for each in found} == {0, 1, 2}
     problem = disc.with_terms(tuple(found), dict.fromkeys((each.amplitude for each in found), 0j))
     recording = FitRecording("disc", problem, Spectrum(GRID, np.ones(GRID.size, dtype=complex)))
@@ -69,7 +69,7 @@ def test_slopes_are_the_changes_by_parts(disc: Problem) -> None:
     objective = Objective.of([recording], numbers, tolerance=np.inf).near(np.zeros(len(found)), {}, 1e-7)
     slopes = objective.predict(np.zeros(len(found)), 0)[1] * np.array(list(found.values()))
     whole, beside = (inhomogeneity(objective, np.zeros(len(found)), keys).parts
-                     for keys in ((), wave_keys(found)))
+                     for keys in ((), cosine_keys(found)))
     columns = whole[:GRID.size] + 1j * whole[GRID.size:]
     assert whole.shape[1] - beside.shape[1] == len(found)
     for wave, slope in zip(found, slopes.T, strict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -14,7 +13,6 @@ import pytest
 
 import workbench as wb
 from geometry.chip import read_chip
-from geometry.measure import Straight
 from workbench.cli import main
 from workbench.files.writing import write_json
 from workbench.reduced.at_point import NotEnriched, reduced
@@ -84,12 +82,3 @@ def test_a_number_that_json_has_not_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"a\.json: states\.filled\.q\[1\] is inf"):
         write_json(tmp_path / "a.json", {"states": {"filled": {"q": [1.0, float("inf")]}}})
     assert not (tmp_path / "a.json").exists()
-
-
-def test_a_straight_chip_without_a_length_says_so() -> None:
-    chip = read_chip(ROOT / "geometry" / "chips" / "glass_channel.toml")
-    assert isinstance(chip.measure, Straight)
-    found = {length: simulation._of_one_metre(replace(chip, measure=replace(chip.measure, length=length)))
-             for length in (1.0, 0.035)}
-    assert found[0.035] == ()
-    assert "those of 1 m of it" in found[1.0][0]

@@ -12,12 +12,11 @@ from test_geometry_straight import CHIP, chip
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
-from geometry.chip_section import volumes
+from geometry.chip_section import region_volumes, volumes
 from geometry.measure import Parity, Straight
 from geometry.section import cut_section
 from geometry.solid import chip_solids, volume
 from workbench.acoustics.captures import Window, light_curve
-from workbench.diagnosis.observed import region_volumes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError

@@ -119,10 +119,11 @@ def of_symmetry(name: str) -> str:
 
 
 def full(
-    text: str, values: dict[str, float] | None = None, *, drive: Drive = VOLT, gradient: bool = False
+    text: str, values: dict[str, float] | None = None, *, drive: Drive = VOLT, gradient: bool = False,
+    frequency: str = "f0", figures: tuple[str, ...] = FIGURES,
 ) -> Evaluation:
-    return full_evaluation(chip(text), "filled", values or {}, figures=FIGURES, band=BAND, points=81, gradient=gradient,
-                           operation=Operation(drive=drive, thermal_resistance=WARM), accuracy=COARSE)
+    return full_evaluation(chip(text), "filled", values or {}, figures=figures, band=BAND, points=81, gradient=gradient,
+                           operation=Operation(drive, frequency, WARM), accuracy=COARSE)
 
 
 @pytest.mark.parametrize("symmetry", ["even", "odd"])
@@ -168,7 +169,7 @@ def model(request: pytest.FixtureRequest) -> tuple[str, DesignModel]:
 def test_a_model_has_the_figures_of_full_solves(model: tuple[str, DesignModel]) -> None:
     text, made = model
     values = {"cavity.half_width": 1.93e-4, "superstrate.thickness": 0.515e-3}
-    found, expected = made(values).figures, full(text, values, drive=WATT).figures
+    found, expected = made(values).figures, full(text, values, drive=WATT, frequency="energy").figures
     off = {name: abs(found[name] / expected[name] - 1.0) for name in FIGURES}
     print(f"model of rank {made.bases.operating.size}: off by {max(off.values()):.1e} in {max(off, key=off.get)}")
     # Full solves are on a mesh of their own, made for the new lengths; both are coarse.
@@ -208,12 +209,13 @@ def test_figures_have_the_derivatives_of_their_differences(model: tuple[str, Des
 
 
 def test_full_solves_have_the_gradient_of_their_differences() -> None:
-    there, here = of_symmetry("odd"), {"cavity.half_width": 1.9e-4}
-    found = full(there, here, drive=WATT, gradient=True)
-    both = [full(there, {"cavity.half_width": factor * 1.9e-4}, drive=WATT).figures for factor in (1.002, 0.998)]
-    for figure in FIGURES:
-        expected = (both[0][figure] - both[1][figure]) / 0.004
-        # Each on a mesh of its own, stretched alike; the square of the step leaves 1e-3.
+    there, here, figures = of_symmetry("odd"), {"cavity.half_width": 1.9e-4}, ("peak_frequency", "peak_q", *FIGURES)
+    asked = {"drive": WATT, "frequency": "energy", "figures": figures}
+    found = full(there, here, gradient=True, **asked)
+    both = [full(there, {"cavity.half_width": factor * 1.9e-4}, **asked).figures for factor in (1.0002, 0.9998)]
+    for figure in figures:
+        expected = (both[0][figure] - both[1][figure]) / 0.0004
+        # Each on a mesh of its own, stretched alike; the square of the step, by the width of the peak, leaves 1e-3.
         assert found.gradient[figure][0] * 1.9e-4 == pytest.approx(
             expected, rel=3e-3, abs=1e-6 * abs(found.figures[figure])), figure
 

@@ -10,11 +10,10 @@ import pytest
 from own_recordings import MATERIALS, PLATE, STACK, any_recordings, conceal
 from test_geometry_straight import CHIP, chip
 
-from geometry.chip_section import volumes
+from geometry.chip_section import region_volumes, volumes
 from workbench.catalogue.catalogue import NO_AXIS
 from workbench.cli import main
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.observed import region_volumes
 
 CAMPAIGN = """
 [campaign]

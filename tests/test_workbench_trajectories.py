@@ -19,9 +19,9 @@ from workbench.acoustics.curved_cells import of_order
 from workbench.acoustics.forces import ParticleForces, particle_forces
 from workbench.acoustics.interpolant import Interpolant
 from workbench.acoustics.nodal import NodalMesh, interpolate
-from workbench.acoustics.particle_velocity import particle_velocity
+from workbench.acoustics.particle_velocity import particle_velocity, wall_mobilities
 from workbench.acoustics.starts import draw_starts
-from workbench.acoustics.trajectories import Fate, Trajectories, follow, record_times
+from workbench.acoustics.trajectories import CONTACT, Fate, Trajectories, follow, record_times
 from workbench.acoustics.traps import TrapReport, find_traps, focus_time
 from workbench.acoustics.walls import walls_of
 from workbench.files.errors import InputError
@@ -458,3 +458,88 @@ def test_bad_input_is_refused() -> None:
     large = replace(report, forces=replace(report.forces, particle=bead(997.0, 0.4e-3)))
     with pytest.raises(InputError, match="particle_radius: received '400 um'; expected a particle that fits into"):
         follow(large, times, particles=3)
+
+
+# --- next to walls ---------------------------------------------------------------------------------------------------
+
+
+def brenner(distance: float) -> float:
+    """Drag towards a plane wall over Stokes drag, of a sphere whose middle is that many radii away (Brenner 1961)."""
+    alpha, total = math.acosh(distance), 0.0
+    for n in range(1, 400):
+        half, whole = (n + 0.5) * alpha, (2 * n + 1) * alpha
+        if whole > 600.0:
+            break
+        top = 2.0 * math.sinh(whole) + (2 * n + 1) * math.sinh(2.0 * alpha)
+        bottom = 4.0 * math.sinh(half) ** 2 - (2 * n + 1) ** 2 * math.sinh(alpha) ** 2
+        total += n * (n + 1) / ((2 * n - 1) * (2 * n + 3)) * (top / bottom - 1.0)
+    return 4.0 / 3.0 * math.sinh(alpha) * total
+
+
+def test_the_drag_towards_a_wall_is_brenners_and_along_it_faxens() -> None:
+    distance = np.array([1.05, 1.2, 1.5, 2.0, 5.0, 20.0])
+    (_, d_along), (towards, d_towards) = wall_mobilities(distance)
+    np.testing.assert_allclose(towards, [1.0 / brenner(each) for each in distance], rtol=1e-2)
+    # Exact values along a wall: Goldman, Cox and Brenner, Chem. Eng. Sci. 22, 637 (1967).
+    exact = {10.0677: 1.0591, 3.7622: 1.1738, 2.3524: 1.3079, 1.5431: 1.5675}
+    found = wall_mobilities(np.array(list(exact)))[0][0]
+    np.testing.assert_allclose(found, [1.0 / each for each in exact.values()], rtol=1.2e-2)
+    step = 1e-6
+    for each, slope in ((0, d_along), (1, d_towards)):
+        ahead, behind = (wall_mobilities(distance + side * step)[each][0] for side in (1.0, -1.0))
+        np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), rtol=1e-5)
+    # At the wall it is not moved towards it; far away the drag is that of Stokes.
+    assert wall_mobilities(np.array([1.0]))[1][0][0] == 0.0
+    assert wall_mobilities(np.array([1e6]))[1][0][0] == pytest.approx(1.0, abs=2e-6)
+
+
+def test_the_slopes_of_a_velocity_near_walls_are_its_derivatives() -> None:
+    report = report_of(bead(radius=40e-6), radial=666.0, p0=4e5)
+    velocity = particle_velocity(report.forces, walls=walls_of(report.forces.mesh), holds=0.01)
+    # The last one is within reach of the floor, which holds it.
+    places = np.array([[1e-3, 60e-6], [3.9e-3, 0.3e-3], [-2e-3, 0.65e-3], [3.5e-3, 40e-6 * 1.015]])
+    step = 1e-9
+    cell = velocity.cells_at(np.abs(places))
+    slope = velocity(places, cell, slopes=True)[1]
+    for axis in (0, 1):
+        moved = np.zeros(2)
+        moved[axis] = step
+        difference = (velocity(places + moved, cell)[0] - velocity(places - moved, cell)[0]) / (2.0 * step)
+        np.testing.assert_allclose(slope[:, :, axis], difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
+
+
+def test_a_bead_comes_to_the_floor_as_brenners_drag_lets_it() -> None:
+    particle = bead(2200.0)
+    speed = 2 / 9 * (2200.0 - 997.0) * 9.80665 * 25e-12 / 0.890e-3
+    found = follow(silent(particle), np.linspace(0.0, 60.0, 4), particles=np.array([[1e-3, 50e-6]]), near_walls=True)
+    way = np.linspace(50e-6, 5e-6 * (1.0 + CONTACT), 200001) / 5e-6
+    expected = -np.trapezoid(1.0 / wall_mobilities(way)[1][0], way) * 5e-6 / speed
+    # Bounded by the estimated error of the last steps, 10 nm.
+    assert found.stopped_at[0] == pytest.approx(expected, rel=2e-3)
+    assert found.positions[0, -1, 1] == pytest.approx(5e-6 * (1.0 + CONTACT), abs=1e-9)
+    # Without that drag it would be there in two thirds of the time.
+    assert expected > 1.5 * 45e-6 / speed
+
+
+def test_beads_that_lie_on_the_floor_are_lifted_by_a_field_that_is_strong_enough() -> None:
+    ends = {}
+    for p0 in (1e4, 4e5):
+        report = report_of(bead(), up=9, p0=p0)
+        found = follow(report, record_times(600.0), particles=40, seed=2, near_walls=True, lying=True)
+        np.testing.assert_allclose(found.positions[:, 0, 1], 5e-6 * (1.0 + 2.0 * CONTACT), rtol=1e-3)
+        ends[p0] = found
+    assert (ends[1e4].fate == Fate.SEDIMENTED).all()
+    assert (ends[4e5].fate == Fate.LEVITATED).all()
+    # What lies there slides: a flow along the floor carries it, more slowly than the liquid.
+    report = silent(bead())
+    flow = np.zeros_like(report.forces.force)
+    flow[:, 0] = -1e-6 * report.forces.mesh.points[:, 0] / RADIUS
+    slid = follow(report, record_times(600.0), particles=20, flow=flow, near_walls=True, lying=True)
+    assert (slid.fate == Fate.SEDIMENTED).all()
+    np.testing.assert_allclose(slid.positions[:, -1, 0] / slid.positions[:, 0, 0], math.exp(-600.0 * 1e-6 / RADIUS),
+                               rtol=1e-3)
+    # The wall holds them one gap away, to the estimated error of a step.
+    np.testing.assert_allclose(slid.positions[:, -1, 1], 5e-6 * (1.0 + CONTACT), atol=1e-8)
+    # A light one lies under the lid.
+    light = follow(silent(bead(900.0)), record_times(1.0), particles=5, near_walls=True, lying=True)
+    np.testing.assert_allclose(HEIGHT - light.positions[:, 0, 1], 5e-6 * (1.0 + 2.0 * CONTACT), rtol=1e-3)

@@ -204,7 +204,7 @@ def test_files_of_an_earlier_run_go_and_their_names_are_printed(
     assert main(["simulate", chip, "--state", "filled", *QUICK, "-o", str(out)]) == 0
     assert "removed spectrum_empty.csv of an earlier run" in " ".join(capsys.readouterr().err.split())
     assert visible(out) == ["energy.png", "impedance.png", "merit.json", "notes.txt", "report.html", "spectrum.csv",
-                            "spectrum_filled.csv"]
+                            "spectrum_filled.csv", "warmth.png"]
 
 
 def test_a_folder_in_which_another_command_is_at_work_is_refused(

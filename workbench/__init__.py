@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from workbench.model.drive import parse_drive as parse_drive
     from workbench.readers import Reading as Reading
     from workbench.readers import read_recording as read_recording
+    from workbench.readers.energy_table import read_energy_recording as read_energy_recording
     from workbench.reduced.ranges import RangeModel as RangeModel
     from workbench.reduced.ranges import range_model as range_model
     from workbench.render.beads import draw_from_above as draw_from_above
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from workbench.results.circuit import fit_circuit as fit_circuit
     from workbench.results.comparison import Comparison as Comparison
     from workbench.results.comparison import compare as compare
+    from workbench.results.energy_recording import EnergyRecording as EnergyRecording
     from workbench.results.merit import Figures as Figures
     from workbench.results.merit import figures as figures
     from workbench.results.resonances import fit_resonances as fit_resonances
@@ -82,6 +84,8 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
     from workbench.simulation.channel import channel_figures as channel_figures
+    from workbench.simulation.energy_comparison import EnergyComparison as EnergyComparison
+    from workbench.simulation.energy_comparison import compare_energy as compare_energy
     from workbench.simulation.heating import LiquidWarming as LiquidWarming
     from workbench.simulation.heating import heating as heating
     from workbench.simulation.heating import liquid_warming as liquid_warming
@@ -94,6 +98,8 @@ if TYPE_CHECKING:
     from workbench.simulation.run import simulate as simulate
     from workbench.simulation.run import snapshot as snapshot
     from workbench.simulation.streaming import streaming as streaming
+    from workbench.simulation.warm import WarmState as WarmState
+    from workbench.simulation.warm import WarmUp as WarmUp
 
 #: The public names and the modules that define them.
 PUBLIC = {
@@ -104,6 +110,8 @@ PUBLIC = {
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.outcome",
+    "EnergyComparison": "workbench.simulation.energy_comparison",
+    "EnergyRecording": "workbench.results.energy_recording",
     "Evaluation": "workbench.design.evaluation",
     "Figures": "workbench.results.merit",
     "FittedResonance": "workbench.results.circuit",
@@ -124,6 +132,8 @@ PUBLIC = {
     "Spectrum": "workbench.results.spectrum",
     "Tolerance": "workbench.design.tolerance",
     "Trajectories": "workbench.acoustics.trajectories",
+    "WarmState": "workbench.simulation.warm",
+    "WarmUp": "workbench.simulation.warm",
     "Window": "workbench.acoustics.captures",
     "capture_statistics": "workbench.acoustics.captures",
     "light_curve": "workbench.acoustics.captures",
@@ -132,6 +142,7 @@ PUBLIC = {
     "bvd_impedance": "workbench.results.circuit",
     "channel_figures": "workbench.simulation.channel",
     "compare": "workbench.results.comparison",
+    "compare_energy": "workbench.simulation.energy_comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
     "draw_from_above": "workbench.render.beads",
@@ -153,6 +164,7 @@ PUBLIC = {
     "read_bench": "workbench.bench.setup",
     "read_campaign": "workbench.campaign.campaign",
     "read_chip": "geometry.chip",
+    "read_energy_recording": "workbench.readers.energy_table",
     "read_goal": "workbench.design.goal",
     "read_recording": "workbench.readers",
     "read_study": "workbench.design.plan",

@@ -26,9 +26,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from workbench.bench.compensation import Compensation, Load, fixture_from_load  # noqa: E402
+from known_fixture import fixture_from_load  # noqa: E402
+
+from workbench.bench.compensation import Compensation, Load  # noqa: E402
 from workbench.bench.rig import Rig, marker_path  # noqa: E402
 from workbench.bench.run_file import Run, read_run  # noqa: E402
 from workbench.bench.setup import BenchSetup, read_bench  # noqa: E402

@@ -36,9 +36,8 @@ sys.path[:0] = [str(ROOT)]
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.campaign.campaign import read_campaign  # noqa: E402
-from workbench.campaign.state import StateFit  # noqa: E402
 from workbench.commands.parsed_options import accuracy_option  # noqa: E402
-from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
+from workbench.diagnosis.appraisal import appraised  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
 from workbench.diagnosis.findings import Candidate, InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
@@ -61,7 +60,7 @@ SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
 NOISE = 0.005
 
 #: What is said of recordings that are explained, or of a cause: never by a run that was not finished.
-CLAIMS = ("explains the recordings", "explain the recordings", "of the mismatch", "nothing in the catalogue",
+CLAIMS = ("explains the recordings", "explain the recordings", "of the residual as stated", "nothing in the catalogue",
           "most likely")
 
 
@@ -149,7 +148,6 @@ class Replay:
         self._given = campaign, accuracy_option(options)
         self._kept: dict[tuple[str, str], Kept] = {}
         self._model: Model | None = None
-        self._stated: tuple[StateFit, ...] = ()
 
     def __call__(self, minutes: float | None) -> dict[str, Any]:
         started = time.perf_counter()
@@ -160,8 +158,7 @@ class Replay:
             search = Replayed(self._model)
             search.kept, search.budget = self._kept, math.inf if minutes is None else 60.0 * minutes
             search.__dict__["models"] = self._models
-            self._stated = self._stated or as_stated(search)
-            found = appraised(self._model, search.run(), self._stated, started=started)
+            found = appraised(self._model, search.run(), started=started)
         return {**diagnosis_record(found), "wall_seconds": search.clock,
                 "status": 0 if found.provisional is None else 3}
 

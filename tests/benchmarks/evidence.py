@@ -78,7 +78,7 @@ def chip(options: argparse.Namespace, kept: Measurements) -> None:
         print("| hypothesis | parameters | evidence of the search | Laplace | importance sampling | effective | s |")
         print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
         evidences = {each.explanation.hypothesis.name: each.explanation.log_evidence for each in found.found.final}
-        for name in (found.conclusion.decision.chosen.name, "nothing"):
+        for name in (found.decision.chosen.name, "nothing"):
             posterior, started = found.posterior(name), time.perf_counter()
             mean, error, effective = repeated(posterior, options.draws, options.repeats)
             seconds, laplace = time.perf_counter() - started, posterior.laplace().log_evidence

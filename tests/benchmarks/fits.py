@@ -34,10 +34,10 @@ from materials.registry import Registry  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import sweep  # noqa: E402
 from workbench.fitting.gel import gel_study  # noqa: E402
-from workbench.fitting.joint import COARSE, FINE, FitResult, fit_parameters, reweighted_descent  # noqa: E402
+from workbench.fitting.joint import FINE, FitResult, fit_parameters, reweighted_descent  # noqa: E402
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
-from workbench.fitting.search import FitSearch  # noqa: E402
+from workbench.fitting.search import COARSE, FitSearch  # noqa: E402
 from workbench.fitting.uncertainty import estimate_uncertainty  # noqa: E402
 from workbench.model.discretisation import ACCURACY  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402

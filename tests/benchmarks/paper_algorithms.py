@@ -95,7 +95,7 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
     def disc() -> Prepared:
         chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, DENSITY)
         measured = read_recording(ROOT / "tests/data/reference/free_disc_fitted_rho7500.csv").spectrum
-        return prepare(chip, Registry(), kind="pzt", name="free disc", measured=measured,
+        return prepare(chip, Registry(), kind="pzt", name="free disc", measured=measured, free=TRANSDUCER_TEN,
                        accuracy=fineness)
 
     def polymer() -> Prepared:
@@ -112,7 +112,7 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
     def real() -> Prepared:
         measured = read_recording(arguments.recordings / DISC).spectrum
         return prepare(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), Registry(), kind="pzt", name="real disc",
-                       measured=measured, accuracy=fineness)
+                       measured=measured, free=TRANSDUCER_TEN, accuracy=fineness)
 
     result = {
         "disc": Case("reference: free disc", disc, parts(FITTED, TRANSDUCER_TEN)),

@@ -30,6 +30,11 @@ CASES: Mapping[str, Mapping[str, float]] = {
     "weak bond": BOND,
     "gel that gas makes three times slower": {"couplant bubbles.void_fraction": 5e-4},
     "cavity 4 % higher": {"sidewall.thickness": 1.04 * 0.7e-3},
+    "cavity filled to 80 %": {"free surface.depth": 0.2},
+    "bubble under 30 % of the lid": {"bubble under the lid.area": 0.3},
+    "walls of PETG": {"sidewall of petg.share": 1.0},
+    "glycerol in the water": {"glycerol water 20 in the cavity.share": 1.0},
+    "lid in a holder": {"superstrate held at its rim.stiffness": 1e13},
 }
 
 #: The same in a disc by itself and with a polymer on it: constants that were fitted with a density that is too low.
@@ -66,7 +71,7 @@ def density(folder: Path) -> Diagnosis:
     found = bench.diagnosed(CONSTANTS | {f"{PLA}.{name}": "10 %" for name in ("shear_modulus", "bulk_modulus")})
     moduli = [found.model.index(f"{PLA}.{name}") for name in ("shear_modulus", "bulk_modulus")]
     without, left = ([abs(each.explanation.x[i] / found.model.parameters[i].start - 1.0) for i in moduli]
-                     for each in (found.found.base, found.conclusion.chosen))
+                     for each in (found.found.base, found.chosen))
     print(f"    moduli of the polymer are off by {max(without):.2g} without the effect, by {max(left):.2g} with it")
     return found
 

@@ -15,6 +15,7 @@ from support import started_at
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.fitting.joint import FitResult, fit_parameters
+from workbench.fitting.parameter import TRANSDUCER_TEN
 from workbench.fitting.prepare import material_starts, prepare
 from workbench.model.numbers import real_part
 from workbench.readers import read_recording
@@ -47,7 +48,7 @@ def named(result: FitResult) -> dict[str, float]:
 
 def test_ten_constants_of_a_disc_from_the_nominal_data_sheet() -> None:
     chip = disc_of(read_chip(CHIPS / "free_disc_25x2.toml"), "pzt4/acevedo_2026_initial", 7500.0)
-    prepared = prepare(chip, Registry(), kind="pzt", name="disc",
+    prepared = prepare(chip, Registry(), kind="pzt", name="disc", free=TRANSDUCER_TEN,
                        measured=read_recording(REFERENCE / "free_disc_fitted_rho7500.csv").spectrum)
     result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=0)
     match = result.recordings[0]

@@ -96,8 +96,9 @@ def arrived_share(found: Trajectories, at: FloatArray) -> FloatArray:
 def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureStatistics, ...]:
     """Statistics of the levitation, of every trap that holds particles, and of those that walls stop or nothing does.
 
-    Levitation counts every particle that comes to the height where it neither rises nor falls, wherever it ends. That
-    of a channel comes after the focusing across: of those that come to the place where they move to neither side.
+    Levitation counts the particles that stay at the height where they neither rise nor fall, those in traps included.
+    That of a channel comes after the focusing across: of those that stay at the place where they move to neither side,
+    on the floor or at the lid too. A particle that only passes counts in neither.
     """
     random = np.random.default_rng(seed)
 
@@ -125,10 +126,25 @@ def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureSt
                 found.trapped_at) for number, (r, z) in enumerate(found.rest, start=1) if np.isfinite(r)]
     no_time = np.full(found.count, np.nan)
     rows += [of("levitated, in no trap", ending(Fate.LEVITATED), no_time),
-             of("at a wall", ending(Fate.AT_WALL), found.stopped_at),
-             of(Fate.SEDIMENTED.words, ending(Fate.SEDIMENTED), found.stopped_at),
+             *(of(fate.words + place_across(found, ending(fate)), ending(fate), found.stopped_at)
+               for fate in (Fate.AT_WALL, Fate.AT_LID, Fate.SEDIMENTED)),
              of("still moving", ending(Fate.MOVING), no_time)]
     return tuple(rows)
+
+
+def place_across(found: Trajectories, which: IntArray) -> str:
+    """", in the middle of the channel" if the particles `which` (K,) of a straight channel are there at the end, or at
+    another one place, or if nine tenths of them are; empty otherwise."""
+    mesh = found.velocity.mesh
+    if 0 not in mesh.measure.focusing or not which.size:
+        return ""
+    ends = mesh.mirrors.folded(found.positions[which, -1])[0][:, 0]
+    middle = float(np.median(ends))
+    middle = next((place for place in (0.0, *mesh.mirrors.places) if abs(middle - place) <= found.within), middle)
+    there = float((np.abs(ends - middle) <= found.within).mean())
+    if there < UNTIL:
+        return ""
+    return f", {'' if there == 1.0 else 'nine tenths of them '}{mesh.measure.place_words(middle)}"
 
 
 def _first_crossing(times: FloatArray, level: FloatArray, share: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from skfem.assembly.dofs import Dofs
 
 from geometry.free_section import FreeSection
 from geometry.mesh import SectionMesh
-from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Piezoelectric
 from workbench.acoustics.nodal import NodalMesh, gradient, grid_nodes
 from workbench.fem.elements import Lagrange
 from workbench.fem.operators import FullOperators
@@ -76,6 +76,8 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
     for component, region in {pair for term in problem.terms for pair in term.unknowns}:
         nodes = mesh.nodes_of([region])
         nodal[component][nodes] = padded[operators.numbering[component][dofs[nodes]]]
+        if component in operators.shares:
+            nodal[component][nodes] *= operators.shares[component][dofs[nodes]]
     displacement = np.stack([nodal["u_r"], nodal["u_z"]], axis=1)
     velocity = -1j * omega * displacement
     stress = np.full((count, 4), np.nan + 0j)
@@ -90,14 +92,15 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
                 velocity[nodes] = slope / (1j * omega * density)
                 compressibility = 1.0 / (density * complex(values[f"{name}.sound_speed"]).real ** 2)
                 potential_energy = compressibility * np.abs(nodal["p"][nodes]) ** 2
-            case Piezoelectric() | IsotropicSolid():
+            case Piezoelectric() | IsotropicSolid() | CubicSolid():
                 strain = _strain(mesh, displacement, region, nodes)
                 if isinstance(material, Piezoelectric):
                     electric = -gradient(mesh, nodal["phi"], [region])[nodes]
                     stress[nodes], flux = _piezoelectric(strain, electric, name, values)
                     stored = np.sum(strain.conj() * stress[nodes], axis=1) + np.sum(electric.conj() * flux, axis=1)
                 else:
-                    stress[nodes] = _isotropic(strain, name, values)
+                    stress[nodes] = (_cubic(strain, material, values) if isinstance(material, CubicSolid)
+                                     else _isotropic(strain, name, values))
                     stored = np.sum(strain.conj() * stress[nodes], axis=1)
                 potential_energy = stored.real
         kinetic = density * np.sum(np.abs(velocity[nodes]) ** 2, axis=1)
@@ -157,6 +160,14 @@ def _isotropic(strain: Complex, name: str, values: Values) -> Complex:
     pressure = lame * strain[:, :3].sum(axis=1)
     normal = pressure[:, None] + 2.0 * shear * strain[:, :3]
     return np.column_stack([normal, shear * strain[:, 3]])
+
+
+def _cubic(strain: Complex, material: CubicSolid, values: Values) -> Complex:
+    """Stress (n, 4) in a crystal in plane strain."""
+    c11, c12, c44 = (complex(values[f"{material.name}.{key}"]) for key in ("c11", "c12", "c44"))
+    across, along = replace(material, c11=c11, c12=c12, c44=c44).stiffness
+    stiffness = np.array([[across, along, c12, 0], [along, across, c12, 0], [c12, c12, c11, 0], [0, 0, 0, c44]])
+    return np.asarray(strain @ stiffness)
 
 
 def _piezoelectric(strain: Complex, electric: Complex, name: str, values: Values) -> tuple[Complex, Complex]:

@@ -17,7 +17,7 @@ from materials.kinds import Fluid, Material
 from materials.registry import Registry
 from workbench.acoustics.conduction import Conduction, ThermalConstants, conduction, is_outer, mean_over
 from workbench.acoustics.fields import section_nodes
-from workbench.acoustics.heat_source import heat_source
+from workbench.acoustics.heat_source import HeatSource, heat_source
 from workbench.acoustics.nodal import NodalMesh
 from workbench.fem.solve import Solution
 from workbench.files.errors import InputError, choose, nearest_names
@@ -204,6 +204,16 @@ def thermal_constants(material: Material, problem: Problem | None = None) -> The
     return ThermalConstants(numbers["thermal_conductivity"], density, numbers["heat_capacity"])
 
 
+def lacking_constants(problem: Problem) -> str:
+    """A sentence that names the first material that conduction lacks a constant of; empty if none does."""
+    for material in problem.materials.values():
+        try:
+            thermal_constants(material, problem)
+        except InputError as error:
+            return str(error)
+    return ""
+
+
 def _with_constant(material: Material, name: str) -> tuple[str, ...]:
     """Materials of the package and of the same kind that have a constant: those of a similar name, or else the one of
     the nearest density."""
@@ -234,15 +244,20 @@ def thermal_influence(
         InputError: see :func:`conducted_heat`; an unknown part.
     """
     model, _ = conduction_of(problem, convection=convection, holder=holder, empty=empty)
+    return influence_on(part, model, None if solution is None else heat_source(solution, 1.0))
+
+
+def influence_on(part: str, model: Conduction, source: HeatSource | None) -> dict[str, float]:
+    """The thermal resistances (K/W) of :func:`thermal_influence` for a conduction and a distribution of the heat."""
     choose(part, model.constants, source="heat", field="part")
     influence = np.nan_to_num(model.temperature(model.averaging(part), driven=False))
     found = {region: float(model.averaging(region) @ influence) for region in model.constants}
-    for name in problem.mesh.mesh.boundaries:
+    for name in model.mesh.mesh.boundaries:
         if "|" in name and not is_outer(name) and set(name.split("|")) <= set(model.constants):
-            found[name] = float(mean_over(problem.mesh, model.size, name) @ influence)
-    if solution is not None:
+            found[name] = float(mean_over(model.mesh, model.size, name) @ influence)
+    if source is not None:
         found |= {place: float(load @ influence) / float(load.sum())
-                  for place, load in heat_source(solution, 1.0).loads.items() if load.sum() > 0.0}
+                  for place, load in source.loads.items() if load.sum() > 0.0}
     return found
 
 

@@ -26,10 +26,10 @@ class Motion:
     """The motion of particles of one `radius` (m) in a `velocity` field, from `starts` (P, 2), over `times` (n,).
 
     ``positions`` (P, n, 2) at `times`, of which the first is the start. ``levitated_at``, ``focused_at`` (P,) and
-    ``trapped_at`` (P, T) are the times (s) of the first arrival `within` a distance (m) of the height where the
-    particle neither rises nor falls, of the place across a channel where it moves to neither side, and of each of the
-    places `rest` (T, 2); ``stopped_at`` (P,) that at which its surface touched a wall. They
-    are NaN if that did not happen. ``away`` (P, 2) is the unit vector from that wall. `tolerance` (m) bounds the
+    ``trapped_at`` (P, T) are the times (s) from which the particle stays `within` a distance (m) of the height where it
+    neither rises nor falls, of the place across a channel where it moves to neither side, and of each of the places
+    `rest` (T, 2): one that passes has not arrived. ``stopped_at`` (P,) is the time at which its surface touched a wall.
+    They are NaN if that did not happen. ``away`` (P, 2) is the unit vector from that wall. `tolerance` (m) bounds the
     estimated error of every step.
     """
 
@@ -43,6 +43,7 @@ class Motion:
         self.positions = np.repeat(starts[:, None], len(times), axis=1)
         self.focused_at, self.levitated_at, self.stopped_at = np.full((3, count), np.nan)
         self.trapped_at = np.full((count, len(rest)), np.nan)
+        self._home = np.full((count, 2), np.nan)  # where it was last balanced along each direction
         self.away = np.zeros((count, 2))
         self.attempts = 0
         # Behind the axis or a plane of symmetry: rounding may take a particle there and back.
@@ -141,29 +142,37 @@ class Motion:
         self.place[which] = self._mirrored(path.at(share))
         self.stopped_at[which] = self.time[which] = start + share * path.step
         self.away[which] = self.walls.nearest(self.place[which])[1]
+        # On a wall nothing levitates; a line across a channel goes on down to its floor.
+        self.levitated_at[which] = np.nan
+        self.focused_at[which[~(np.abs(self.place[which, 0] - self._home[which, 0]) <= self.within)]] = np.nan
         for one in which:
             self.positions[one, self._next[one]:] = self.place[one]
         self._next[which] = len(self.times)
 
     def _arrive(self, which: IntArray, path: _Path, start: FloatArray) -> None:
-        """Note first arrivals of the particles `which` on the `path` of a step that began at the time `start`."""
+        """Note arrivals of the particles `which` on the `path` of a step that began at the time `start`, and those that
+        leave again."""
         for axis in self.velocity.mesh.measure.focusing:
             self._balance(which, path, start, axis)
         for number, rest in enumerate(self.rest):
             apart = np.linalg.norm(self._mirrored(path.end) - rest, axis=1)
+            self.trapped_at[which[apart > self.within], number] = np.nan
             new = (apart <= self.within) & np.isnan(self.trapped_at[which, number])
             if new.any():
                 share = self._trapped(path.of(new), rest)
                 self.trapped_at[which[new], number] = start[new] + share * path.step[new]
 
     def _balance(self, which: IntArray, path: _Path, start: FloatArray, axis: int) -> None:
-        """Note the particles that have come to where nothing moves them along one direction."""
-        arrived = (self.focused_at, self.levitated_at)[axis]
-        waiting = np.flatnonzero(np.isnan(arrived[which]))
-        there, goals = self.balanced(which[waiting], axis)
-        if there.any():
-            new = waiting[there]
-            some, goal = path.of(new), goals[there]
+        """Note the particles that have come to where nothing moves them along one direction, and those that left."""
+        arrived, home = (self.focused_at, self.levitated_at)[axis], self._home[:, axis]
+        looking = np.flatnonzero(~(np.abs(path.end[:, axis] - home[which]) <= self.within))
+        there, goals = self.balanced(which[looking], axis)
+        arrived[which[looking[~there]]] = np.nan
+        home[which[looking]] = np.where(there, goals, np.nan)
+        first = there & np.isnan(arrived[which[looking]])
+        if first.any():
+            new = looking[first]
+            some, goal = path.of(new), goals[first]
             share = _crossing(lambda at: np.abs(some.at(at)[:, axis] - goal) - self.within, len(new))
             arrived[which[new]] = start[new] + share * some.step
 

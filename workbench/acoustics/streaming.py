@@ -13,26 +13,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from materials.kinds import Fluid
+from workbench.acoustics.critical import RAYLEIGH_SLIP as RAYLEIGH_SLIP
+from workbench.acoustics.critical import SoundThere, critical_diameters
+from workbench.acoustics.critical import critical_diameter as critical_diameter
 from workbench.acoustics.fields import Fields
 from workbench.acoustics.flow_forces import TemperatureSlopes, absorption_force, thermoacoustic_force
 from workbench.acoustics.flow_walls import FlowBorder, WallSlip, flow_border, raised_edges
-from workbench.acoustics.forces import Excitation, excitation_of
+from workbench.acoustics.forces import Excitation, ParticleForces, excitation_of
 from workbench.acoustics.heat import peclet_number
 from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, gradient, integrate, raised, transfer
 from workbench.acoustics.slip import WallEdges, slip_velocity, stokes_drift, wall_edges, wall_fields
 from workbench.acoustics.stokes import StokesSolver
 from workbench.files.errors import InputError
-from workbench.model.particles import FluidProperties, Scattering, boundary_layer_thickness, viscosity
+from workbench.model.particles import viscosity
 from workbench.results.brief import Brief
-
-#: Largest slip of a standing wave along a plane wall, in units of v0^2 / c (Rayleigh 1884).
-RAYLEIGH_SLIP = 3.0 / 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -44,8 +44,8 @@ class Streaming(Brief):
     bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as known. ``slips`` hold the slip along every
     wall. ``net_flux`` is the largest share of the flow that enters a cell or patch of cells and does not leave
     it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left
-    out. ``critical_diameter`` m of a particle that radiation and streaming move alike (:func:`critical_diameter`), None
-    without a particle or if radiation does not move it.
+    out. ``critical_diameters`` m of a particle that radiation and this flow move alike along each direction, by its
+    name (``radial``, ``axial``, or ``lateral``, ``vertical``; `acoustics.critical`), empty without a particle.
     """
 
     excitation: Excitation
@@ -59,7 +59,13 @@ class Streaming(Brief):
     net_flux: float
     residual: float
     assumptions: tuple[str, ...]
-    critical_diameter: float | None = None
+    critical_diameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def critical_diameter(self) -> float | None:
+        """Diameter (m) of a particle that radiation and this flow move alike as seen from above: along the plane of
+        levitation of a round cavity, across a channel. NaN if no size is as fast, None without a particle."""
+        return self.critical_diameters.get(self.mesh.measure.directions[0])
 
     @property
     def carrier_velocity(self) -> FloatArray:
@@ -111,7 +117,7 @@ class Streaming(Brief):
 def acoustic_streaming(
     fields: Fields, *, fluid: Fluid, region: str, diffusivity: float | None = None,
     temperature: FloatArray | None = None, slopes: TemperatureSlopes | None = None,
-    scattering: Scattering | None = None, order: int | None = None,
+    forces: ParticleForces | None = None, order: int | None = None,
 ) -> Streaming:
     """The steady flow of `fluid` in `region` under the sound of `fields`.
 
@@ -120,7 +126,7 @@ def acoustic_streaming(
         temperature: K above ambient at the nodes (N,) of the mesh of `fields` (NaN outside of the region), or at those
             of the region alone, in their order; even unless given.
         slopes: change of the fluid with temperature; needed with a temperature.
-        scattering: of a particle, for its critical diameter.
+        forces: on a particle in this field, for its critical diameters.
         order: polynomial order of the flow's velocity, 2 or more; that of the fields unless given. On the chips of the
             package order 4 leaves 0.3 % rms of the flow and order 6 a tenth of that, in five times the time.
 
@@ -143,42 +149,29 @@ def acoustic_streaming(
     drift = stokes_drift(velocity, there, fields.frequency)
     drift[border.axis, 0] = 0.0
     slips = tuple(_slip(fields, fluid, each, nodes[each.neighbour], velocity_gradient, finer.order) for each in walls)
-    forces: dict[str, FloatArray] = {}
+    pushing: dict[str, FloatArray] = {}
     assumed = _open_words(opened, region)
     diffusivity = fluid.diffusivity_of_sound if diffusivity is None else diffusivity
     if diffusivity is None:
         assumed.append(f"The absorption of {fluid.name} is unknown; its force on the liquid is left out.")
     else:
-        forces["absorption"] = absorption_force(fluid, diffusivity, fields.frequency, pressure=pressure,
-                                                velocity=velocity)
+        if isinstance(fluid, Fluid) and fluid.absorbs_more and diffusivity == fluid.diffusivity_of_sound:
+            assumed.append(f"The absorption of {fluid.name} is a lower bound, and so is its force on the liquid.")
+        pushing["absorption"] = absorption_force(fluid, diffusivity, fields.frequency, pressure=pressure,
+                                                 velocity=velocity)
     if temperature is None:
         assumed.append("The temperature is taken as even: no force of sound or gravity on warmer liquid.")
     else:
-        forces |= _heat_forces(fields, fluid, slopes, temperature, finer, pressure, velocity)
+        pushing |= _heat_forces(fields, fluid, slopes, temperature, finer, pressure, velocity)
     causes, net_flux, residual = _flows(finer, border, viscosity(fluid), _at_nodes(slips, len(finer.points)), drift,
-                                        forces)
+                                        pushing)
     return Streaming(
         excitation=excitation_of(fields, fluid, region, amplitude=float(np.abs(pressure).max())), region=region,
         fluid=fluid, mesh=finer, velocity=sum(causes.values()) - drift, drift=drift, causes=causes, slips=slips,
         net_flux=net_flux, residual=residual, assumptions=tuple(assumed),
-        critical_diameter=None if scattering is None or not scattering.contrast_factor else critical_diameter(
-            scattering.contrast_factor, fluid, fields.frequency))
-
-
-def critical_diameter(
-    contrast_factor: float, fluid: FluidProperties, frequency: float, *, slip: float = RAYLEIGH_SLIP
-) -> float:
-    """Diameter (m) of a particle that radiation and streaming move alike: sqrt(12 s / |Phi|) delta.
-
-    The largest speeds in a standing wave are compared, that by radiation against Stokes drag and that of a slip of s
-    v0^2 / c; smaller particles follow the flow (Muller, Barnkob, Jensen and Bruus, Lab Chip 12, 4617, 2012).
-
-    Raises:
-        InputError: a contrast factor of zero, on which radiation does not act.
-    """
-    if contrast_factor == 0.0:
-        raise InputError("critical_diameter", "contrast_factor", contrast_factor, "a contrast factor other than zero")
-    return math.sqrt(12.0 * slip / abs(contrast_factor)) * boundary_layer_thickness(fluid, frequency)
+        critical_diameters={} if forces is None else dict(zip(mesh.measure.directions, critical_diameters(
+            forces, SoundThere(mesh=finer, pressure=pressure, velocity=velocity, velocity_gradient=there),
+            np.sum(list(causes.values()), axis=0)), strict=True)))
 
 
 def _checked(fields: Fields, fluid: Fluid, region: str) -> tuple[WallEdges, ...]:

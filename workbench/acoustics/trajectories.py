@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
+from workbench.acoustics.channel import focus_lines
 from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.motion import Motion
 from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.acoustics.particle_velocity import ParticleVelocity, particle_velocity
-from workbench.acoustics.starts import draw_starts
+from workbench.acoustics.starts import draw_starts, put_down
 from workbench.acoustics.traps import TrapReport
 from workbench.acoustics.walls import Walls, walls_of
 from workbench.files.errors import InputError, expect_number, expect_whole
@@ -30,9 +32,15 @@ ARRIVED = 0.1
 #: Estimated error of one step, as a share of the wavelength of sound: 15 nm at 1 MHz. Halved, no capture fraction of
 #: the shipped chips changes by 0.1 %.
 TOLERANCE = 1e-5
+#: Share of the time for which a particle must have stayed at its end to count as having arrived. Doubled, particles
+#: that arrive late count as moving; at zero, so many of those that circulate have arrived as happen to pass.
+STAYS = 0.1
 #: Times of the record unless given. They lie closer at the beginning, with the square of their number: the first of 30
 #: minutes after 0.06 s, the last but one 20 s before the end. Doubled, steps are taken that accuracy does not need.
 RECORDED = 181
+#: Gap in radii between a wall and a particle that touches it, where its drag is that next to walls: the roughness of a
+#: bead. Halved, beads of 10 um come to rest a second later, and as much later off the floor.
+CONTACT = 0.01
 #: Least vertical part of the unit vector from a wall for the wall to carry a weight: it slopes by up to 45 degrees.
 CARRIES = 0.7071
 #: Steps of the search for a place of rest next to a trap, and largest step as a share of the wavelength of sound: half
@@ -49,16 +57,17 @@ STRIP = 1.5
 
 class Fate(IntEnum):
     """The end of a particle within the time. A wall, or the surface of an open well, that carries its net weight lets
-    it settle (``SEDIMENTED``), any other stops it; in a channel, one that has come to its place across, and still rises
-    or falls there, is focused."""
+    it settle (``SEDIMENTED``), the lid holds one that sound or flow press to it, any other wall stops it. One that
+    stays at its height is levitated; in a channel, one that stays at its place across, and still rises or falls there,
+    is focused."""
 
-    MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED, FOCUSED = range(6)
+    MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED, FOCUSED, AT_LID = range(7)
 
     @property
     def words(self) -> str:
         """The fate in words."""
         return ("still moving", "levitated", "in a trap", "at a wall", "settled on the floor, lid or surface",
-                "focused across the channel")[self]
+                "focused across the channel", "held at the lid")[self]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -69,10 +78,11 @@ class Trajectories(Brief):
     (particles,) in radians, which do not change and, in a straight section, stand for the place along the channel.
     ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap of one that is trapped, -1
     otherwise. ``rest`` (traps, 2) are the places where weight and flow let a particle rest next to the traps of the
-    report, NaN for a trap that holds none. ``levitated_at``, ``focused_at``, ``trapped_at`` (particles,) s: the first
-    arrival at the height where the particle neither rises nor falls, at the place across a channel where it moves to
-    neither side, and at the trap that it is in at the end; ``stopped_at`` that at a wall; NaN without. ``within`` m is
-    the distance that counts as arrival.
+    report, NaN for a trap that holds none. ``levitated_at``, ``focused_at``, ``trapped_at`` (particles,) s: the time
+    from which the particle stays at the height where it neither rises nor falls, at the place across a channel where it
+    moves to neither side, and at the trap that it is in at the end; NaN for one that only passed, or that stays for
+    less than :data:`STAYS` of the time. ``stopped_at`` is the time at which it came to a wall, NaN without. ``within``
+    m is the distance that counts as arrival, ``lying`` whether they lay on a wall at the start.
     """
 
     report: TrapReport
@@ -89,6 +99,7 @@ class Trajectories(Brief):
     trapped_at: FloatArray
     stopped_at: FloatArray
     within: float
+    lying: bool = False
 
     @property
     def forces(self) -> ParticleForces:
@@ -119,6 +130,13 @@ class Trajectories(Brief):
         return f"{self.count} particles over {self.times[-1]:.4g} s: {ends}\n{self.forces}"
 
 
+def time_text(seconds: float) -> str:
+    """A time in words."""
+    if seconds < 60.0:
+        return f"{seconds:.3g} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.3g} min"
+
+
 def record_times(duration: float) -> FloatArray:
     """:data:`RECORDED` times from 0 to `duration` (s), closer at the beginning."""
     return np.asarray(duration * np.linspace(0.0, 1.0, RECORDED) ** 2)
@@ -127,7 +145,7 @@ def record_times(duration: float) -> FloatArray:
 def follow(
     report: TrapReport, times: FloatArray, *, particles: int | FloatArray = 200, seed: int = 0,
     flow: FloatArray | None = None, voltage_factor: float = 1.0, tolerance: float | None = None,
-    progress: Progress = no_progress,
+    near_walls: bool = False, lying: bool = False, progress: Progress = no_progress,
 ) -> Trajectories:
     """Follow particles in the field of `report` and record them at `times` (n,), ascending from 0 s.
 
@@ -136,6 +154,10 @@ def follow(
         flow: velocity (N, 2) in m/s with which the liquid carries a particle, at the nodes of ``report.forces.mesh``.
         voltage_factor: of the voltage that the field was computed for; forces grow with its square.
         tolerance: estimated error of a step in m; :data:`TOLERANCE` of the wavelength unless given.
+        near_walls: whether the drag is that next to walls (`particle_velocity`), which particles then touch at a gap of
+            :data:`CONTACT` radii.
+        lying: whether start points that are drawn lie on the wall below them (above, if the particle is light). Walls
+            then hold particles, which slide along them and may leave, and `near_walls` is taken as true.
 
     Raises:
         InputError: times that do not ascend from 0, a start outside the cavity or nearer to a wall than the particle's
@@ -149,25 +171,36 @@ def follow(
     _check(times, voltage_factor, tolerance)
     expect_whole(seed, SEED, source="trajectories", field="seed", low=0)
     random, walls = np.random.default_rng(seed), walls_of(forces.mesh)
-    velocity = particle_velocity(forces, flow=flow, voltage_factor=voltage_factor)
+    velocity = particle_velocity(forces, flow=flow, voltage_factor=voltage_factor, holds=CONTACT if lying else 0.0,
+                                 walls=walls if near_walls or lying else None)
+    contact = radius * (1.0 + (0.5 * CONTACT if lying else CONTACT if near_walls else 0.0))
     if isinstance(particles, int):
         if particles < 1:
             raise InputError("trajectories", "particles", particles, "at least one particle")
-        starts = draw_starts(forces.mesh, walls, particles, radius=radius, random=random)
+        starts = draw_starts(forces.mesh, walls, particles, radius=contact, random=random)
+        if lying:
+            down = -1.0 if net_weight(forces.particle, forces.fluid) > 0.0 else 1.0
+            starts = put_down(forces.mesh, walls, starts, radius=radius * (1.0 + 2.0 * CONTACT), down=down)
     else:
         starts = np.array(particles, dtype=float)
         _check_starts(starts, velocity, walls, radius)
     rest = rest_places(report, velocity, walls)
-    motion = Motion(velocity, walls, starts, times, radius=radius, rest=rest,
+    motion = Motion(velocity, walls, starts, times, radius=contact, rest=rest,
                     within=ARRIVED * 0.25 * wavelength, tolerance=tolerance)
     motion.run(progress)
-    fate, trap = _fates(motion, net_weight(forces.particle, forces.fluid))
+    if 0 in forces.mesh.measure.focusing:
+        motion.focused_at[~_on_a_line(motion, forces)] = np.nan
+    if lying:
+        motion.levitated_at[_lies(motion, radius)] = np.nan
+    fate, trap = _fates(motion, net_weight(forces.particle, forces.fluid), _lies(motion, radius) if lying else None)
     trapped = fate == Fate.TRAPPED
+    levitated_at = np.where(_stays(motion, motion.levitated_at), motion.levitated_at, np.nan)
+    focused_at = np.where(_stays(motion, motion.focused_at), motion.focused_at, np.nan)
     return Trajectories(
         report=report, velocity=velocity, voltage_factor=voltage_factor, times=times, positions=motion.positions,
         azimuths=random.uniform(0.0, 2.0 * np.pi, len(starts)), fate=fate, trap=trap, rest=rest,
-        levitated_at=motion.levitated_at, focused_at=motion.focused_at, stopped_at=motion.stopped_at,
-        within=motion.within,
+        levitated_at=levitated_at, focused_at=focused_at, stopped_at=motion.stopped_at,
+        within=motion.within, lying=lying,
         trapped_at=np.where(trapped, motion.trapped_at[np.arange(len(starts)), trap] if rest.size else np.nan, np.nan),
     )
 
@@ -205,22 +238,48 @@ def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) ->
     return found
 
 
-def _fates(motion: Motion, weight: float) -> tuple[IntArray, IntArray]:
-    """The fate (P,) of every particle of a finished motion and the trap (P,) that it is in; `weight` in N."""
+def _fates(motion: Motion, weight: float, lies: NDArray[np.bool_] | None) -> tuple[IntArray, IntArray]:
+    """The fate (P,) of every particle of a finished motion and the trap (P,) that it is in; `weight` in N, `lies` (P,)
+    whether a wall holds it."""
     count = len(motion.place)
     fate, trap = np.full(count, int(Fate.MOVING)), np.full(count, -1)
     for axis in sorted(motion.velocity.mesh.measure.focusing, reverse=True):
-        fate[motion.balanced(np.arange(count), axis)[0]] = (Fate.FOCUSED, Fate.LEVITATED)[axis]
+        fate[_stays(motion, (motion.focused_at, motion.levitated_at)[axis])] = (Fate.FOCUSED, Fate.LEVITATED)[axis]
     if motion.rest.size:
         apart = np.linalg.norm(motion.positions[:, -1, None] - motion.rest, axis=2)
         apart = np.where(np.isnan(apart), np.inf, apart)
         trapped = apart.min(axis=1) <= motion.within
         fate[trapped], trap[trapped] = Fate.TRAPPED, apart.argmin(axis=1)[trapped]
-    stopped = ~np.isnan(motion.stopped_at)
+    stopped = ~np.isnan(motion.stopped_at) if lies is None else lies | ~np.isnan(motion.stopped_at)
     carried = motion.away[:, 1] * np.sign(weight) >= CARRIES
-    fate[stopped] = np.where(carried, Fate.SEDIMENTED, Fate.AT_WALL)[stopped]
+    under_lid = motion.away[:, 1] <= -CARRIES
+    fate[stopped] = np.where(carried, Fate.SEDIMENTED, np.where(under_lid, Fate.AT_LID, Fate.AT_WALL))[stopped]
     trap[stopped] = -1
     return fate, trap
+
+
+def _lies(motion: Motion, radius: float) -> NDArray[np.bool_]:
+    """Whether a wall holds each particle at the end, where it may slide; the direction from that wall is noted."""
+    distance, away = motion.walls.nearest(motion.positions[:, -1])
+    lies = distance < radius * (1.0 + 2.0 * CONTACT)
+    motion.away[lies] = away[lies]
+    return np.asarray(lies)
+
+
+def _stays(motion: Motion, at: FloatArray) -> NDArray[np.bool_]:
+    """Whether each particle stays, from a time (P,) in s on, for :data:`STAYS` of the time at least."""
+    return np.asarray(at <= (1.0 - STAYS) * motion.times[-1])
+
+
+def _on_a_line(motion: Motion, forces: ParticleForces) -> NDArray[np.bool_]:
+    """Whether each particle of a channel ends at a line that the sound focuses to, True for all without such a line.
+
+    In the middle of a roll nothing moves a particle to either side, and it is not focused.
+    """
+    places = [line.place for line in focus_lines(forces)]
+    if not places:
+        return np.ones(len(motion.place), dtype=bool)
+    return np.asarray((np.abs(motion.positions[:, -1, :1] - places) <= 2.0 * motion.within).any(axis=1))
 
 
 def _check(times: FloatArray, voltage_factor: float, tolerance: float) -> None:

@@ -156,8 +156,8 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
                          f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "
                          "them")
-    return Control(name, value, low, high, number.stated, number.unit, number.tied, shown_unit=shown, factor=factor,
-                   narrowed=narrowed)
+    return Control(name, value, low, high, number.stated, number.unit, number.tied, material=number.material,
+                   shown_unit=shown, factor=factor, narrowed=narrowed)
 
 
 def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
@@ -165,7 +165,7 @@ def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
     parsed = ParameterName.parse(name)
     if parsed.is_dimension:
         found = length_number(chip, name)
-        return replace(found, stated=found.stated or assumed_by_role(name, value))
+        return replace(found, stated=found.stated or assumed_by_role(name, value, found.material))
     owner = next((each for each in problem.materials.values() if each.name == parsed.owner), None)
     stated = None if owner is None else coefficient_number(owner, parsed.local).stated
     return Number(name, value, stated=stated, unit=parsed.unit)

@@ -194,7 +194,8 @@ _FIELDS = """
   <div class="card wide at">
     <b>Fields</b><span id="fields_at" style="flex: 1; white-space: nowrap; overflow: hidden; text-overflow: ellipsis"
     :title="fields_at">{{ fields_at }}</span>
-    <v-btn size="x-small" variant="text" id="follow" v-if="!shown.follows" @click="trigger('follow')">back to f0</v-btn>
+    <v-btn size="x-small" variant="text" id="follow" v-if="!shown.follows" @click="trigger('follow')">
+      back to the operating point</v-btn>
     <v-btn size="x-small" :variant="in_space ? 'tonal' : 'text'" id="space" v-if="has_space"
            @click="trigger('space')">{{ in_space ? 'section' : 'in space' }}</v-btn></div>
   <div class="card wide" v-if="in_space && space"><img id="space_picture" :src="space" style="width: 100%" /></div>

@@ -75,6 +75,9 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
         found += [card("f0", "f0", "resonance f0", "MHz", ".5f", 1e-6, "Hz"),
                   card("z_min", "Z_min", "smallest |Z|", "Ω", ".4g", si_unit="Ω"),
                   card("q", "Q", "quality factor Q", "", ".4g")]
+    if view.peak is not None:
+        found.append({"id": "peak", "name": "energy peak", "value": f"{1e-6 * view.peak.frequency:.4f} MHz",
+                      "note": view.peak.words})
     if view.comparison is not None:
         found.append({"id": "mape", "name": "off the recording", "value": f"{view.comparison.mape_percent:.3g} %",
                       "note": "mean of |Z|"})

@@ -16,15 +16,19 @@ from geometry.mesh import SectionMesh
 from geometry.names import CAVITY
 from geometry.section import cut_section
 from geometry.stretch import canonical_names
-from materials.kinds import Fluid, Material
+from materials.kinds import Fluid, IsotropicSolid, Material
+from materials.registry import Registry
 from workbench.acoustics.fields import Fields, fields
 from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, find_traps
 from workbench.model.drive import Drive
 from workbench.model.numbers import ParameterName, placed
-from workbench.model.particles import Particle
+from workbench.model.particles import Particle, particle_from
 from workbench.model.shaped_mesh import shaped
 from workbench.reduced.ranges import RangeModel
+
+#: The particle whose potential is drawn if the chip's state names none: a material, and its radius (m).
+BEAD = ("polystyrene", 5e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,13 @@ def section_fields(
     present = with_numbers(fluid, values)
     assert isinstance(present, Fluid)
     return SectionFields(values, found, find_traps(particle_forces(found, particle, fluid=present, region=CAVITY)))
+
+
+def usual_bead(registry: Registry) -> Particle:
+    """The particle of a chip that names none."""
+    material = registry.load(BEAD[0])
+    assert isinstance(material, IsotropicSolid)
+    return particle_from(material, BEAD[1])
 
 
 def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:

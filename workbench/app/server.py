@@ -24,6 +24,7 @@ from geometry.measure import Axisymmetric
 from workbench.app import guard, plot
 from workbench.app.background import FAILURES, Background
 from workbench.app.entry import slider_number, typed_number, typed_tolerance
+from workbench.app.operating import operating_frequency
 from workbench.app.page import lay_out
 from workbench.app.panels import DrawnField, curve, described, embedded, figure_cards, next_picture
 from workbench.app.section_fields import SectionFields
@@ -379,12 +380,11 @@ class LiveView:
         return plot.PlotScale.of(self.session.band, shown or [np.array([1.0, 1e3])])
 
     def _shown(self) -> float:
-        """The frequency (Hz) of the fields: the one that was clicked, or else f0, or else the middle of the band."""
+        """The frequency (Hz) of the fields: the one that was clicked, or else the operating point."""
         if self._frequency is not None:
             return self._frequency
-        if self._view is not None and "f0" in self._view.figures:
-            return self._view.figures["f0"]
-        return 0.5 * sum(self.session.band)
+        peak, merit = (None, {}) if self._view is None else (self._view.peak, self._view.figures)
+        return operating_frequency(self.session.chip, peak, merit.get("f0"), self.session.band)
 
     def _show_frequency(self) -> None:
         frequency = self._shown()

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
+from types import MappingProxyType
 
 import numpy as np
 
@@ -23,21 +24,20 @@ from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
 from geometry.stretch import admissible_range, moving_together
-from materials.kinds import IsotropicSolid
 from materials.registry import Registry
 from workbench.app.controls import RELATIVE_REACH, Control, controls, is_inside, wraps
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
 from workbench.app.local import SMALL_RANK, LocalModel, along, in_halves, local_model, local_ranges
-from workbench.app.section_fields import SectionFields, moved_chip, section_fields
+from workbench.app.operating import EnergyPeaks
+from workbench.app.section_fields import SectionFields, moved_chip, section_fields, usual_bead
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.fem.operators import assemble
 from workbench.fem.solve import sweep
 from workbench.files.errors import InputError, choose
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.drive import Drive, wired
 from workbench.model.numbers import Stated, placed
-from workbench.model.particles import Particle, particle_from
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
 from workbench.results.spectrum import Spectrum
@@ -55,9 +55,6 @@ WIDE = 1.5
 WIDE_LIMIT = 150
 #: Stages of models, in words.
 NEAR, WHOLE = "near the numbers of the file", "all ranges"
-
-#: The particle whose potential is drawn if the chip's state names none: a material, and its radius (m).
-BEAD = ("polystyrene", 5e-6)
 
 
 class NotReady(RuntimeError):
@@ -117,14 +114,14 @@ class Session:
         # A simulation of the saved chip gives the shown results.
         self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
-        self.drive: Drive = VoltageDrive() if drive is None else drive
+        self.drive: Drive = wired(drive, chip)
         self.recording, self.recording_name = recording, recording_name
         self._growing = growing
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)
         self.problem = build(device, band=self.band, accuracy=accuracy)
-        stated = device.particle
-        self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
+        self._peaks = EnergyPeaks(device, self.drive)
+        self.particle, self.particle_stated = device.particle or usual_bead(self.registry), device.particle is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
         self._stated = dict(self._controls)
@@ -233,13 +230,16 @@ class Session:
         with self._lock:
             return self._controls[choose(name, self._controls, source="live view", field=field)]
 
-    def stated_chip(self) -> Chip:
-        """The chip of the file with the tolerances that were typed; radii of one length share theirs."""
+    def stated_chip(self, values: Mapping[str, float] = MappingProxyType({})) -> Chip:
+        """The chip with lengths among `values` (SI) and with the tolerances that its file states or that were typed.
+
+        Radii of one length share theirs.
+        """
         with self._lock:
-            typed = {name: each.tolerance for name, each in self._controls.items()
-                     if each.is_dimension and each.stated != self._stated[name].stated}
-        return self.chip.with_tolerances({
-            other: tolerance for name, tolerance in typed.items() for other in moving_together(self.chip, name)})
+            stated = {name: each.tolerance for name, each in self._controls.items()
+                      if each.is_dimension and each.tolerance is not None}
+        return moved_chip(self.chip, values).with_tolerances({
+            other: tolerance for name, tolerance in stated.items() for other in moving_together(self.chip, name)})
 
     def typed_uncertainties(self) -> dict[str, float]:
         """Standard uncertainties (SI) of constants that were typed, by name."""
@@ -249,7 +249,7 @@ class Session:
 
     def present_chip(self) -> Chip:
         """The chip with its present lengths."""
-        return moved_chip(self.chip, self.values)
+        return self.stated_chip(self.values)
 
     def moved_constants(self) -> dict[str, float]:
         """The moved constants of materials (SI); a chip's file does not hold them."""
@@ -266,7 +266,7 @@ class Session:
         """
         values = {name: number if number == each.value or not each.is_dimension else each.saved(number)
                   for name, number in self.values.items() for each in (self.control(name),)}
-        chip, constants = moved_chip(self.chip, values), self.moved_constants()
+        chip, constants = self.stated_chip(values), self.moved_constants()
         if constants:
             told = ", ".join(f"{name} = {self._controls[name].told(number)}" for name, number in constants.items())
             words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {told}.\n"
@@ -420,14 +420,15 @@ class Session:
             local = next((each for each in self._local if each.holds(model, values)), None)
         if local is not None or model.rank <= SMALL_RANK:
             response = model(values) if local is None else local(values)
-            return spectrum_view(response, deviations, model.error, self.recording)
-        found = spectrum_view(in_halves(model, values), {} if hurried else deviations, model.error, self.recording)
+            return spectrum_view(response, deviations, model.error, self.recording, self._peaks)
+        found = spectrum_view(in_halves(model, values), {} if hurried else deviations, model.error, self.recording,
+                              self._peaks)
         return replace(found, complete=not hurried)
 
     def completed(self, view: SpectrumView) -> SpectrumView:
         """A hurried spectrum, completed with the effect of the tolerances."""
         deviations = {each.name: each.deviation for each in self.controls}
-        return spectrum_view(view.response, deviations, view.error, self.recording)
+        return spectrum_view(view.response, deviations, view.error, self.recording, self._peaks)
 
     def section(self, frequency: float) -> SectionFields:
         """The fields of the present numbers at a `frequency` (Hz) within the band.
@@ -480,15 +481,7 @@ class Session:
         with self._lock:
             held = self.values if values is None else values
             constants = {name: number for name, number in held.items() if not self._controls[name].is_dimension}
-            chip = moved_chip(self.stated_chip(), held)
-            return Present(chip, self.state, constants, self.registry, self.band, self.accuracy)
-
-
-def _bead(registry: Registry) -> Particle:
-    """The particle of a chip that names none."""
-    material = registry.load(BEAD[0])
-    assert isinstance(material, IsotropicSolid)
-    return particle_from(material, BEAD[1])
+            return Present(self.stated_chip(held), self.state, constants, self.registry, self.band, self.accuracy)
 
 
 def _told(model: RangeModel) -> str:

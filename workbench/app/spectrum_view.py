@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from workbench.app.operating import EnergyPeaks
 from workbench.reduced.ranges import Response
 from workbench.results.comparison import Comparison, compare
 from workbench.results.merit import Figures, NoResonance, figures
 from workbench.results.spectrum import Spectrum
+from workbench.simulation.energy import EnergyPeak
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -25,7 +27,8 @@ class SpectrumView:
     and ``no_resonance`` gives the reason. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of |Z|,
     relative, all standard and to first order; empty and None if no number has a tolerance. ``error`` is the model's
     error at its last check by full solves (infinite without one), ``estimate`` its own estimate here. ``comparison`` is
-    with the recording, if there is one that overlaps. ``complete`` is whether the effect of tolerances was computed.
+    with the recording, if there is one that overlaps. ``peak`` is the largest one of the energy in the cavity, if it
+    has one. ``complete`` is whether the effect of tolerances was computed.
     """
 
     response: Response
@@ -35,6 +38,7 @@ class SpectrumView:
     spread: Real | None
     error: float
     comparison: Comparison | None
+    peak: EnergyPeak | None = None
     complete: bool = True
 
     @property
@@ -48,10 +52,10 @@ class SpectrumView:
 
 
 def spectrum_view(
-    response: Response, deviations: Mapping[str, float], error: float, recording: Spectrum | None
+    response: Response, deviations: Mapping[str, float], error: float, recording: Spectrum | None, peaks: EnergyPeaks,
 ) -> SpectrumView:
     """The results of the spectrum of a model with this `error`; `deviations` are standard ones of the numbers (SI, by
-    name), independent of each other."""
+    name), independent of each other, and `peaks` has the energy's peaks."""
     names = tuple(name for name, each in deviations.items() if each > 0.0)
     changes = response.gradient(names) * np.array([deviations[name] for name in names]) if names else None
     merit: dict[str, float] = {}
@@ -65,7 +69,7 @@ def spectrum_view(
         merit = {"f0": found.f0, "z_min": found.z_min, "q": found.q}
         moved = {} if changes is None else deviations_of_figures(response.spectrum, changes, found)
     return SpectrumView(response, merit, moved, reason, _spread(response.impedance, changes), error,
-                        _compared(recording, response.spectrum))
+                        _compared(recording, response.spectrum), peaks(response))
 
 
 def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) -> dict[str, float]:

@@ -57,19 +57,14 @@ def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
     """The device's own spectrum, with the uncertainties due to its noise and to the recordings' noise.
 
     The uncertainty that all recordings share (of the reference resistor and the channels' gains) is not included: it
-    cancels with a load, and is a factor without one.
-
-    Raises:
-        InputError: a recording does not cover the frequencies, or bends too much between its points.
+    cancels with a load, and is a factor without one. Raises InputError if a recording does not cover the frequencies or
+    bends too much between its points.
     """
     x, of_x = measured.impedance, _noise(measured)
     frequency = measured.frequency
     zero = np.zeros_like(x)
     s, of_s = (zero, zero.real) if compensation.short is None else _at(compensation.short, frequency, "short")
-    if compensation.open is None:
-        o, of_o = None, zero.real
-    else:
-        o, of_o = _at(compensation.open, frequency, "open")
+    o, of_o = (None, zero.real) if compensation.open is None else _at(compensation.open, frequency, "open")
     value, by_x, by_s, by_o = _transform(x, s, o)
     if compensation.load is None:
         parts = [by_x * of_x, by_s * of_s, by_o * of_o]
@@ -83,11 +78,7 @@ def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
                  whole * (by_o / value - o_in_load / of_load) * of_o]
         value = whole
     noise = np.sqrt(np.sum([np.abs(part) ** 2 for part in parts], axis=0))
-    return _spectrum(measured, value, noise)
-
-
-def _spectrum(measured: Spectrum, value: Complex, noise: Real) -> Spectrum:
-    """The device's spectrum; without an uncertainty if no recording states one."""
+    # Without an uncertainty if no recording states one.
     return Spectrum(measured.frequency, value, noise if np.all(noise > 0.0) else None, measured.origin)
 
 
@@ -95,12 +86,8 @@ def _transform(x: Complex, s: Complex, o: Complex | None) -> tuple[Complex, Comp
     """T(x) and its derivatives with respect to x, s and o (the last zero without an open)."""
     if o is None:
         return x - s, np.ones_like(x), -np.ones_like(x), np.zeros_like(x)
-    # T = (x - s)(o - s) / (o - x)
     value = (x - s) * (o - s) / (o - x)
-    by_x = ((o - s) / (o - x)) ** 2
-    by_s = -((o - s) + (x - s)) / (o - x)
-    by_o = (x - s) / (o - x) - value / (o - x)
-    return value, by_x, by_s, by_o
+    return (value, ((o - s) / (o - x)) ** 2, -((o - s) + (x - s)) / (o - x), (x - s) / (o - x) - value / (o - x))
 
 
 def _noise(spectrum: Spectrum) -> Real:
@@ -108,8 +95,7 @@ def _noise(spectrum: Spectrum) -> Real:
 
 
 def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
-    """A standard (n,) ohm and its noise on `frequency`: as recorded there, else interpolated if that is accurate
-    enough."""
+    """A standard (n,) ohm and its noise on `frequency`: as recorded there, else interpolated if accurate enough."""
     places = np.minimum(np.searchsorted(standard.frequency, frequency - 0.005), len(standard.frequency) - 1)
     if np.all(np.abs(standard.frequency[places] - frequency) <= 0.005):  # half the generator's resolution
         return standard.impedance[places], _noise(standard)[places]
@@ -125,18 +111,14 @@ def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
                          f"second one, predicted from its neighbours, is missed by {bend:.1f} times what its noise or "
                          f"{100 * _BEND:g} % allow")
     # A fixture is smooth, its recording is not: a straight line between the nearest points follows both to the noise.
-    real, imaginary = (np.interp(frequency, standard.frequency, part)
-                       for part in (standard.impedance.real, standard.impedance.imag))
-    value = np.empty(len(frequency), dtype=np.complex128)
-    value.real, value.imag = real, imaginary
+    value = np.interp(frequency, standard.frequency, standard.impedance)
     return value, np.interp(frequency, standard.frequency, _noise(standard))
 
 
 def _bend(standard: Spectrum) -> float:
-    """Error of the prediction of each inner point by its neighbours: the root mean square relative to the allowed
-    error.
+    """Root mean square error of the prediction of each inner point by its neighbours, relative to the allowed error.
 
-    It is divided by four, because the error of a line between points is a quarter of its error over twice the distance.
+    It is divided by four: the error of a line between points is a quarter of its error over twice the distance.
     """
     if len(standard.frequency) < 3:
         return math.inf
@@ -147,50 +129,3 @@ def _bend(standard: Spectrum) -> float:
     expected = 1.5 * math.sqrt(2.0) * noise[1:-1] / 4.0
     allowed = np.maximum(3.0 * expected, _BEND * np.abs(z[1:-1]))
     return float(np.sqrt(np.mean((missed / allowed) ** 2)))
-
-
-@dataclass(frozen=True)
-class Fixture:
-    """A fixture known by its elements rather than point by point: the measured impedance is ``gain`` Z + j w
-    ``inductance`` (henry). ``uncertainty`` of the gain and of the inductance, standard."""
-
-    gain: complex
-    inductance: float
-    uncertainty: tuple[float, float]
-
-    def remove(self, measured: Spectrum) -> Spectrum:
-        """The device's spectrum without the fixture."""
-        omega = 2.0 * np.pi * measured.frequency
-        value = (measured.impedance - 1j * omega * self.inductance) / self.gain
-        noise = np.sqrt((_noise(measured) / abs(self.gain)) ** 2 + (omega * self.uncertainty[1] / abs(self.gain)) ** 2
-                        + (np.abs(value) * self.uncertainty[0] / abs(self.gain)) ** 2)
-        return _spectrum(measured, value, noise)
-
-
-def fixture_from_load(load: Load, *, band: tuple[float, float]) -> Fixture:
-    """The gain and the series inductance of a fixture from a known resistor, recorded within `band` (Hz).
-
-    It serves a recording whose load was not measured at the device's own frequencies: linear least squares over the
-    points of the band, equally weighted, the uncertainties from the residual.
-
-    Raises:
-        ValueError: fewer than 4 points in the band.
-    """
-    inside = (load.recorded.frequency >= band[0]) & (load.recorded.frequency <= band[1])
-    if np.count_nonzero(inside) < 4:
-        raise ValueError(f"{np.count_nonzero(inside)} points from {band[0]:g} to {band[1]:g} Hz; at least 4 are needed")
-    omega = 2.0 * np.pi * load.recorded.frequency[inside]
-    z = load.recorded.impedance[inside]
-    # Re Z = R Re g, Im Z = R Im g + w L; the inductance in units of its largest reactance keeps the system even.
-    top = float(omega.max())
-    zero, one = np.zeros_like(omega), np.ones_like(omega)
-    design = np.vstack([np.column_stack([load.resistance * one, zero, zero]),
-                        np.column_stack([zero, load.resistance * one, omega / top])])
-    right = np.concatenate([z.real, z.imag])
-    solution, *_ = np.linalg.lstsq(design, right, rcond=None)
-    left = float(np.sum((right - design @ solution) ** 2)) / (len(right) - 3)
-    covariance = left * np.linalg.inv(design.T @ design)
-    relative = load.tolerance / math.sqrt(3.0)
-    gain = complex(solution[0], solution[1])
-    return Fixture(gain, float(solution[2] / top),
-                   (math.hypot(math.sqrt(covariance[0, 0]), abs(gain) * relative), math.sqrt(covariance[2, 2]) / top))

@@ -29,12 +29,12 @@ class PointImpedance:
     scatter: float
 
 
-def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
-    """The mean impedance of several captures. In every fit the first amplitude is across device and resistor, the
-    second across the resistor.
+def impedance(fits: Sequence[SineFit], resistance: float, *, probe: bool = False) -> PointImpedance:
+    """The mean impedance (ohm) of several captures.
 
-    Raises:
-        ValueError: no captures, or the reference channel holds no signal at all.
+    In every fit the first amplitude is across device and resistor, the second across the resistor of so many ohm. With
+    a current `probe` the first is across the device, the second is its current in units of 1 V / `resistance`. Raises
+    ValueError without captures, or if the reference channel holds no signal at all.
     """
     if not fits:
         raise ValueError("no captures to take an impedance from")
@@ -42,7 +42,7 @@ def impedance(fits: Sequence[SineFit], resistance: float) -> PointImpedance:
     if np.any(reference == 0.0):
         raise ValueError("the voltage across the reference resistor is zero")
     of_total, of_reference = (np.array([fit.uncertainty[k] for fit in fits]) for k in (0, 1))
-    values = resistance * (total - reference) / reference
+    values = resistance * (total - (0.0 if probe else 1.0) * reference) / reference
     # dZ = (R / V_R) dV - (R V / V_R^2) dV_R; both are analytic, so real and imaginary part have equal uncertainties.
     single = resistance / np.abs(reference) * np.hypot(of_total, np.abs(total / reference) * of_reference)
     # The plain mean, not one weighted by its own uncertainties: captures of one point are equals.

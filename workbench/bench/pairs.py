@@ -36,20 +36,19 @@ class WaveformPair:
 
 
 def pairs_spectrum(
-    pairs: Sequence[WaveformPair], values: Sequence[PointImpedance], resistance: float, tolerance: float
+    pairs: Sequence[WaveformPair], values: Sequence[PointImpedance], resistance: float, tolerance: float, *,
+    probe: bool = False,
 ) -> Spectrum:
-    """The pairs as a spectrum, measured with a reference resistor of so many ohm and limits as a fraction.
+    """The pairs and their impedances `values` as a spectrum; limits of the resistor (ohm) as a fraction.
 
-    `values` are their impedances.
-
-    Raises:
-        ValueError: frequencies that do not rise from pair to pair.
+    With a current `probe` the resistance is that of the probe (V/A). Raises ValueError if frequencies do not rise.
     """
     frequency = np.array([pair.fit.frequency for pair in pairs])
     impedances = np.array([value.value for value in values])
     noise = np.array([value.random for value in values])
     common = np.abs(impedances) * tolerance / math.sqrt(3.0)
-    settings = {"reference resistor": f"{resistance:g} ohm, limits {tolerance:.3%}", "compensation": "none"}
+    means = {"current probe": f"{resistance:g} V/A"} if probe else {"reference resistor": f"{resistance:g} ohm"}
+    settings = {**{name: f"{value}, limits {tolerance:.3%}" for name, value in means.items()}, "compensation": "none"}
     return Spectrum(frequency, impedances, np.hypot(noise, common),
                     Origin("measured", ", ".join(pair.name for pair in pairs), settings=settings))
 

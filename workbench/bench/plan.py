@@ -62,16 +62,18 @@ def next_target(setup: BenchSetup, measured: Sequence[Measured]) -> Target | Non
     for level in setup.levels:
         at_level = [point for point in measured if point.level == level]
         first = [point for point in at_level if point.pass_number == 0]
-        frequency = _next_of_first(setup.sweep, first)
+        if setup.sweep.kind == "adaptive":
+            frequency = _adaptive(setup.sweep, first)
+        else:
+            frequency = _unvisited(setup.sweep, 0, setup.sweep.grid().tolist(), first)
         if frequency is not None:
             return Target(frequency, level, 0)
-        found = sorted({point.frequency for point in first})
+        visited = sorted({point.frequency for point in first})
         for number in range(1, setup.sweep.passes):
-            seen = {point.frequency for point in at_level if point.pass_number == number}
-            order = found if _rising(setup.sweep, number) else found[::-1]
-            left = next((f for f in order if f not in seen), None)
-            if left is not None:
-                return Target(left, level, number)
+            on_pass = [point for point in at_level if point.pass_number == number]
+            frequency = _unvisited(setup.sweep, number, visited, on_pass)
+            if frequency is not None:
+                return Target(frequency, level, number)
     return None
 
 
@@ -82,16 +84,11 @@ def expected_points(setup: BenchSetup) -> int:
     return first * sweep.passes * len(setup.levels)
 
 
-def _rising(sweep: SweepPlan, number: int) -> bool:
-    return sweep.direction == "up" or (sweep.direction == "both" and number % 2 == 0)
-
-
-def _next_of_first(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
-    if sweep.kind == "linear":
-        seen = {point.frequency for point in points}
-        grid = [float(f) for f in sweep.grid()]
-        return next((f for f in (grid if _rising(sweep, 0) else grid[::-1]) if f not in seen), None)
-    return _adaptive(sweep, points)
+def _unvisited(sweep: SweepPlan, number: int, rising: Sequence[float], points: Sequence[Measured]) -> float | None:
+    """The next of the `rising` frequencies on pass `number`, in its direction, that none of its `points` has."""
+    upwards = sweep.direction == "up" or (sweep.direction == "both" and number % 2 == 0)
+    seen = {point.frequency for point in points}
+    return next((f for f in (rising if upwards else reversed(rising)) if f not in seen), None)
 
 
 def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
@@ -103,11 +100,10 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     to the resolution or to the noise, the remaining points repeat the existing frequencies.
     """
     even = max(8, round(_EVEN_SHARE * sweep.points))
-    start = _settable(np.linspace(sweep.low, sweep.high, even))
     seen = {point.frequency for point in points}
-    for frequency in start:
-        if frequency not in seen:
-            return float(frequency)
+    for start in _settable(np.linspace(sweep.low, sweep.high, even)).tolist():
+        if start not in seen:
+            return float(start)
     if len(points) >= sweep.points:
         return None
     spectrum = combined_points(points)
@@ -146,8 +142,7 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
     """Relative error (n,) of the cubic through the two nearest points on either side at each point, zero at the ends,
     and the error that noise would cause.
 
-    It is that of the reflection coefficient, as in :meth:`workbench.results.spectrum.Spectrum.interpolant`, because
-    that is bounded.
+    It is that of the reflection coefficient, as in :meth:`Spectrum.interpolant`, because that is bounded.
     """
     frequency, impedance = spectrum.frequency, spectrum.impedance
     assert spectrum.uncertainty is not None  # combined_points() always states it
@@ -172,9 +167,7 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def combined_points(points: Sequence[Measured]) -> Spectrum:
-    """Points as a spectrum in rising order; points of one frequency by their weighted mean.
-
-    The uncertainty (ohm) is that of the noise alone.
+    """Points as a spectrum in rising order, equal frequencies by weighted mean; uncertainty (ohm) of the noise alone.
     """
     frequency = np.array([point.frequency for point in points])
     impedance = np.array([point.impedance for point in points])

@@ -2,11 +2,9 @@
 
 The generator cannot be asked for its amplitude and has no output switch, so a process that dies leaves its drive on.
 Before the drive is first switched on a marker is written beside the run; it is removed once the drive is known to be
-off again. Whoever opens the port next sends the safe state before any setting, marker or not; the marker informs
-people, and lets the next run record the event.
-
-The oscilloscope shows that the drive is off, if its last capture at the present drive showed it well. Without such a
-capture, or with an oscilloscope that fails, the reply of the generator has to suffice.
+off again. Whoever opens the port next sends the safe state first, marker or not; the marker informs people, and lets
+the next run record the event. The oscilloscope shows that the drive is off, if its last capture at the present drive
+showed it well; otherwise the reply of the generator has to suffice.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -29,18 +26,15 @@ from workbench.instruments.opening import open_bench
 from workbench.instruments.tektronix import DIVISIONS
 
 #: Number of attempts to open the bench anew to switch the drive off, and the pause (s) between them.
-_ATTEMPTS_OFF = 5
-_PAUSE_OFF = 1.0
+_ATTEMPTS_OFF, _PAUSE_OFF = 5, 1.0
 
 #: Divisions of the screen from top to bottom that a sine may fill, and below which a finer scale is worth setting. The
 #: scales follow each other by up to 2.5, so the first must exceed the second by more than that.
-_FULL = 7.2
-_SPARSE = 2.6
+_FULL, _SPARSE = 7.2, 2.6
 
 #: Least peak-to-peak size, in converter steps, of a capture that shows the drive well, and the share of it that may
 #: remain when the drive is off.
-_TELLING = 20.0
-_LEFT = 0.5
+_TELLING, _LEFT = 20.0, 0.5
 
 #: Largest number of steps of auto-ranging.
 _RANGINGS = 12
@@ -73,8 +67,7 @@ class Rig:
         self.connect()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-                 ) -> None:
+    def __exit__(self, *_error: object) -> None:
         try:
             self.make_safe()
         finally:
@@ -106,8 +99,8 @@ class Rig:
     def make_safe(self) -> None:
         """Switch the drive off, through a new connection if need be, and check it with the oscilloscope if possible.
 
-        Raises:
-            DriveLeftOn: the generator cannot be reached, or does not obey, and was last seen driving; the marker stays.
+        Raises DriveLeftOn if the generator cannot be reached, or does not obey, and was last seen driving; the marker
+        stays.
         """
         last: Exception | None = None
         for attempt in range(_ATTEMPTS_OFF):
@@ -154,15 +147,15 @@ class Rig:
     def capture(self) -> tuple[Waveform, Waveform]:
         """Capture once across device and resistor, and across the resistor, on the present ranges."""
         _, oscilloscope = self._opened()
-        channels = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
-        found = oscilloscope.capture(channels)
-        missing = [channel for channel in channels if channel not in found]
+        total, reference = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
+        captured = oscilloscope.capture((total, reference))
+        missing = [channel for channel in (total, reference) if channel not in captured]
         if missing:
-            raise InstrumentError(f"{self.setup.oscilloscope.port}: a capture of channels {channels} came without "
-                                  f"{missing}")
+            raise InstrumentError(f"{self.setup.oscilloscope.port}: a capture of channels {(total, reference)} came "
+                                  f"without {missing}")
         if self._state is not None:
-            self._shown = found[channels[0]]
-        return found[channels[0]], found[channels[1]]
+            self._shown = captured[total]
+        return captured[total], captured[reference]
 
     def ranged_capture(self) -> tuple[Waveform, Waveform]:
         """Capture with both channels on ranges that they fill well, found by trying.
@@ -184,8 +177,7 @@ class Rig:
         return pair
 
     def _still_driven(self) -> bool:
-        """Whether the oscilloscope still shows the drive after the generator was told to be off; no if it cannot tell.
-        """
+        """Whether the oscilloscope still shows the drive after it was switched off; no if it cannot tell."""
         before = self._shown
         if before is None or np.ptp(before.volts) < _TELLING * before.volts_per_count:
             return False
@@ -196,8 +188,7 @@ class Rig:
         return bool(np.ptp(now.volts) > _LEFT * np.ptp(before.volts))
 
     def _prepare(self) -> None:
-        """Set averages, time base and first scales. The time base is that of the middle of the band: it need not
-        follow."""
+        """Set averages, first scales and the time base of the middle of the band, which need not follow."""
         _, oscilloscope = self._opened()
         setup = self.setup
         oscilloscope.set_averages(setup.acquisition.averages)

@@ -1,12 +1,11 @@
 """One HDF5 file per run, and beside it, while the run lasts, a journal that no interruption can spoil.
 
-HDF5 keeps its tables in memory and rewrites them in place: a process killed at the wrong moment leaves a file that
-cannot be opened, with all that was in it (its single-writer mode protects readers, not the data). So every point goes
-to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next one is
-measured. When the run ends, is interrupted in an orderly way, or is resumed, the journal is folded into RUN.h5, which
-is written anew beside the old one and takes its place in one step. RUN.h5 ends in a digest of its content, which is
-checked before HDF5 reads the file: on damaged files the library may end the process. A record cut short by a kill or a
-power cut is recognised and dropped: it is the point that was being written, which is measured again.
+HDF5 rewrites its tables in place: a process killed at the wrong moment leaves a file that cannot be opened. So every
+point goes to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next
+one is measured. When the run ends, is interrupted in an orderly way, or is resumed, the journal is folded into RUN.h5,
+which is written anew beside the old one and takes its place in one step. RUN.h5 ends in a digest of its content, which
+is checked before HDF5 reads the file: on damaged files the library may end the process. A record cut short by a kill
+or a power cut is recognised and dropped: that point is measured again.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -114,14 +112,13 @@ def journal_path(path: Path) -> Path:
 
 
 class Journal:
-    """A run that is being written: an added entry is on the disk when :meth:`add` returns.
-
-    Raises:
-        InputError: the journal belongs to another run than RUN.h5.
-    """
+    """A run that is being written: an added entry is on the disk when :meth:`add` returns."""
 
     def __init__(self, path: Path, run: Run) -> None:
-        """Open the journal of `run`, from :func:`read_run` or a new one, after its last whole record."""
+        """Open the journal of `run`, from :func:`read_run` or a new one, after its last whole record.
+
+        Raises InputError if the journal at `path` belongs to another run.
+        """
         self.path = path
         self.run = run
         beside = journal_path(path)
@@ -165,8 +162,7 @@ class Journal:
     def __enter__(self) -> Journal:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-                 ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def _write(self, text: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -175,14 +171,15 @@ class Journal:
                  **arrays)  # type: ignore[arg-type]  # numpy's stub takes every keyword for its flag
         payload = stream.getvalue()
         place = self._stream.tell()
-        left = memoryview(_RECORD.pack(_MAGIC, len(payload), zlib.crc32(payload)) + payload)
+        record = memoryview(_RECORD.pack(_MAGIC, len(payload), zlib.crc32(payload)) + payload)
         try:
-            while left:
-                left = left[self._stream.write(left):]
+            while (written := self._stream.tell() - place) < len(record):
+                self._stream.write(record[written:])
             os.fsync(self._stream.fileno())
         except BaseException:
-            if left:
-                # The next record must not stand after half a record; a whole one stays.
+            # The next record must not stand after half a record; a whole one stays. The stream's position tells which
+            # it is, also where an interrupt came between the system's call and its result.
+            if self._stream.tell() - place < len(record):
                 self._stream.truncate(place)
                 self._stream.seek(place)
             raise
@@ -199,11 +196,7 @@ def exists(path: Path) -> bool:
 
 
 def read_run(path: Path) -> Run:
-    """The run at `path`, with the entries that only its journal holds.
-
-    Raises:
-        InputError: no such run, or not a run file.
-    """
+    """The run at `path`, with the entries that only its journal holds. Raises InputError if there is no run file."""
     path = Path(path)
     beside = journal_path(path)
     run = _read_hdf5(path) if path.exists() else None
@@ -255,10 +248,9 @@ def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArra
     """Write the HDF5 file whole, in place of an existing one; `results` are arrays by group and name.
 
     Layout: the attributes of ``/`` are the run's; ``/points`` holds one dataset for each number of a point (n,), e.g.
-    ``frequency``, ``impedance``, ``uncertainty``; ``/captures/000000`` and so on hold the arrays of one point, ``raw``
-    compressed; ``/events`` time and text; ``/results`` derived results for other programs, which are not read back.
-    Tables and ``raw`` have checksums (fletcher32) for other programs; a line with the digest of the whole file follows
-    the HDF5 content.
+    ``impedance``; ``/captures/000000`` and so on the arrays of one point, ``raw`` compressed; ``/events`` time and
+    text; ``/results`` results for other programs, which are not read back. Tables and ``raw`` have checksums
+    (fletcher32); a line with the digest of the whole file follows the HDF5 content.
     """
     import h5py
 

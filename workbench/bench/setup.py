@@ -35,9 +35,10 @@ Everything else has a default, given with the classes below.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,10 +112,10 @@ class Acquisition:
     """The acquisition of a point.
 
     ``captures`` are made after ``settle`` (s), of about ``periods`` periods each, averaged ``averages`` times by the
-    oscilloscope. Single captures averaged afterwards are the better way: an averaged record comes over the wire with
-    only 8 bit as well, and without the noise that lets the fit see between two steps of the converter. A point at which
-    an instrument fails is tried ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of
-    the oscilloscope, 3 % by the maker's data sheet; load compensation removes it.
+    oscilloscope. Captures averaged afterwards are better: an averaged record has only 8 bit as well, and lacks the
+    noise that lets the fit see between two steps of the converter. A point at which an instrument fails is tried
+    ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of the oscilloscope, 3 % by the
+    maker's data sheet; load compensation removes it.
     """
 
     averages: int = 1
@@ -129,8 +130,7 @@ class Acquisition:
 class Standards:
     """Recordings (run files or spectra) of the fixture open, shorted and loaded.
 
-    ``load_resistance`` (ohm) and ``load_tolerance`` (limits, as a fraction) are those of the load; ``columns`` is a
-    column map for spectra with unclear headings.
+    ``load_resistance`` (ohm) and ``load_tolerance`` (limits, a fraction) are the load's; ``columns`` is a column map.
     """
 
     open: Path | None = None
@@ -143,11 +143,7 @@ class Standards:
 
 @dataclass(frozen=True)
 class BenchSetup:
-    """The content of BENCH.toml.
-
-    ``levels`` (V peak to peak, open circuit); ``metadata`` is device, state, temperature, gel, operator and note as
-    they were written.
-    """
+    """The content of BENCH.toml; ``levels`` in V peak to peak (open circuit), ``metadata`` as they were written."""
 
     path: str
     text: str
@@ -191,11 +187,42 @@ def _fraction(table: FileTable, key: str, default: float) -> float:
     return value
 
 
-def _seconds(table: FileTable, key: str, default: float) -> float:
-    value = table.quantity(key, "time", default)
-    if value < 0.0:
-        raise table.error(key, "a time not below zero")
-    return value
+#: The reading of a field by its name: a whole number between limits, a quantity above zero, a share, a time, or a
+#: choice. Any other field is one line of text.
+_WHOLE = {"baud": (1, 10_000_000), "averages": (1, 128), "captures": (1, 1000), "periods": (2, 250),
+          "attempts": (1, 100), "points": (16, 10_000), "repeats": (1, 1000),
+          **dict.fromkeys(("channel_total", "channel_reference"), (1, 4)),
+          **dict.fromkeys(("probe_total", "probe_reference"), (1, 10))}
+_POSITIVE = {"resistance": "resistance", "device_voltage": "peak-to-peak voltage", "device_current": "current",
+             "step": "frequency"}
+_SHARES = ("tolerance", "resolution", "gain_accuracy")
+_SECONDS = ("timeout", "pause", "acquisition_timeout", "settle")
+_CHOICES = {"kind": KINDS, "direction": DIRECTIONS, "trigger": ("CH1", "CH2", "CH3", "CH4", "EXT")}
+
+
+def _values(table: FileTable, kind: type[Any], *, but: Collection[str] = ()) -> dict[str, Any]:
+    """The fields of the dataclass `kind`, except those in `but`, by the rules for their names."""
+    values: dict[str, Any] = {}
+    for field in fields(kind):
+        key = field.name
+        default: Any = None if field.default is MISSING else field.default
+        if key in but:
+            continue
+        if key in _WHOLE:
+            values[key] = table.whole(key, default, low=_WHOLE[key][0], high=_WHOLE[key][1])
+        elif key in _POSITIVE:
+            values[key] = _positive(table, key, _POSITIVE[key], default)
+        elif key in _SHARES:
+            values[key] = _fraction(table, key, default)
+        elif key in _SECONDS:
+            values[key] = table.quantity(key, "time", default)
+            if values[key] < 0.0:
+                raise table.error(key, "a time not below zero")
+        elif key in _CHOICES:
+            values[key] = table.choice(key, _CHOICES[key], default)
+        else:
+            values[key] = _line(table, key, default)
+    return values
 
 
 def _line(table: FileTable, key: str, default: str | None = None) -> str:
@@ -210,72 +237,41 @@ def _path(table: FileTable, key: str, folder: Path) -> Path | None:
 def read_bench(path: Path | str) -> BenchSetup:
     """Read BENCH.toml; paths in it are relative to its folder.
 
-    Raises:
-        InputError: anything missing, unknown, or beyond an instrument.
+    Raises InputError for anything missing, unknown, or beyond an instrument.
     """
     path = Path(path)
     root = FileTable.read(path).only(_TABLES)
 
-    def table(name: str, keys: tuple[str, ...]) -> FileTable:
-        return root.table(name, expected=f"a table, [{name}]").only(keys)
+    def table(name: str, keys: type[Any] | tuple[str, ...]) -> FileTable:
+        known = keys if isinstance(keys, tuple) else tuple(field.name for field in fields(keys))
+        return root.table(name, expected=f"a table, [{name}]").only(known)
 
-    sweep = _sweep(table("sweep", ("centre", "span", "from", "to", "kind", "step", "points", "resolution", "direction",
-                                   "repeats")))
-    reference = table("reference", ("resistance", "tolerance"))
-    limits = table("limits", ("device_voltage", "device_current"))
-    acquisition = table("acquisition", tuple(f.name for f in fields(Acquisition)))
-    averages = acquisition.whole("averages", 1, low=1, high=128)
-    if averages not in AVERAGES:
+    acquisition = table("acquisition", Acquisition)
+    acquired = Acquisition(**_values(acquisition, Acquisition))
+    if acquired.averages not in AVERAGES:
         raise acquisition.error("averages", "one of " + ", ".join(map(str, AVERAGES)))
-    default = Acquisition()
     device = table("device", _METADATA)
     return BenchSetup(
         path=root.source, text=path.read_text(encoding="utf-8"),
-        generator=_generator(table("generator", tuple(f.name for f in fields(GeneratorSettings)))),
-        oscilloscope=_oscilloscope(table("oscilloscope", tuple(f.name for f in fields(OscilloscopeSettings)))),
-        reference=ReferenceResistor(_positive(reference, "resistance", "resistance"),
-                                    _fraction(reference, "tolerance", 0.0)),
-        sweep=sweep, levels=_levels(table("drive", ("amplitude",))),
-        limits=Limits(_positive(limits, "device_voltage", "peak-to-peak voltage", Limits.device_voltage),
-                      _positive(limits, "device_current", "current", Limits.device_current)),
-        acquisition=Acquisition(
-            averages=averages, captures=acquisition.whole("captures", default.captures, low=1, high=1000),
-            periods=acquisition.whole("periods", default.periods, low=2, high=250),
-            settle=_seconds(acquisition, "settle", default.settle),
-            attempts=acquisition.whole("attempts", default.attempts, low=1, high=100),
-            gain_accuracy=_fraction(acquisition, "gain_accuracy", default.gain_accuracy),
-        ),
-        standards=_standards(table("compensation", tuple(f.name for f in fields(Standards))), path.parent),
+        generator=GeneratorSettings(**_values(table("generator", GeneratorSettings), GeneratorSettings)),
+        oscilloscope=_oscilloscope(table("oscilloscope", OscilloscopeSettings)),
+        reference=ReferenceResistor(**_values(table("reference", ReferenceResistor), ReferenceResistor)),
+        sweep=_sweep(table("sweep", ("centre", "span", "from", "to", "kind", "step", "points", "resolution",
+                                     "direction", "repeats"))),
+        levels=_levels(table("drive", ("amplitude",))), limits=Limits(**_values(table("limits", Limits), Limits)),
+        acquisition=acquired, standards=_standards(table("compensation", Standards), path.parent),
         metadata={key: _line(device, key) for key in device},
     )
 
 
-def _generator(table: FileTable) -> GeneratorSettings:
-    default = {f.name: f.default for f in fields(GeneratorSettings) if f.default is not MISSING}
-    return GeneratorSettings(
-        port=_line(table, "port"), model=_line(table, "model", str(default["model"])),
-        baud=table.whole("baud", GeneratorSettings.baud, low=1, high=10_000_000),
-        timeout=_seconds(table, "timeout", GeneratorSettings.timeout),
-        pause=_seconds(table, "pause", GeneratorSettings.pause),
-    )
-
-
 def _oscilloscope(table: FileTable) -> OscilloscopeSettings:
-    channels = {key: table.whole(key, default, low=1, high=4)
-                for key, default in (("channel_total", 1), ("channel_reference", 2))}
-    if channels["channel_total"] == channels["channel_reference"]:
+    settings = OscilloscopeSettings(**_values(table, OscilloscopeSettings))
+    if settings.channel_total == settings.channel_reference:
         raise table.error("channel_reference", "another channel than channel_total")
-    probes = {key: table.whole(key, 10, low=1, high=10) for key in ("probe_total", "probe_reference")}
-    for key, factor in probes.items():
-        if factor not in PROBES:
+    for key in ("probe_total", "probe_reference"):
+        if getattr(settings, key) not in PROBES:
             raise table.error(key, " or ".join(map(str, PROBES)))
-    return OscilloscopeSettings(
-        port=_line(table, "port"), model=_line(table, "model", OscilloscopeSettings.model),
-        baud=table.whole("baud", OscilloscopeSettings.baud, low=1, high=10_000_000), **channels, **probes,
-        trigger=table.choice("trigger", ("CH1", "CH2", "CH3", "CH4", "EXT"), "CH1"),
-        timeout=_seconds(table, "timeout", OscilloscopeSettings.timeout),
-        acquisition_timeout=_seconds(table, "acquisition_timeout", OscilloscopeSettings.acquisition_timeout),
-    )
+    return settings
 
 
 def _sweep(table: FileTable) -> SweepPlan:
@@ -288,15 +284,11 @@ def _sweep(table: FileTable) -> SweepPlan:
     else:
         raise InputError(table.source, "sweep", sorted(given), "centre (and span), or from and to")
     low, high = (round(f / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION for f in (low, high))
-    step = _positive(table, "step", "frequency", SweepPlan.step)
-    if not high - low >= step:
-        raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz", f"a rising band of {step:g} Hz or more")
-    return SweepPlan(
-        low, high, kind=table.choice("kind", KINDS, "linear"), step=step,
-        points=table.whole("points", SweepPlan.points, low=16, high=10_000),
-        resolution=_fraction(table, "resolution", SweepPlan.resolution),
-        direction=table.choice("direction", DIRECTIONS, "up"), repeats=table.whole("repeats", 1, low=1, high=1000),
-    )
+    values = _values(table, SweepPlan, but=("low", "high"))
+    if not high - low >= values["step"]:
+        raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz",
+                         f"a rising band of {values['step']:g} Hz or more")
+    return SweepPlan(low, high, **values)
 
 
 def _levels(table: FileTable) -> tuple[float, ...]:

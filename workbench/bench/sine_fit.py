@@ -44,10 +44,8 @@ class SineFit:
 def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) -> SineFit:
     """Fit all channels of one capture; `frequency` (Hz) is the generator's setting, searched for if not given.
 
-    Only whole periods are used, so that harmonics and a faulty offset do not leak into the amplitude.
-
-    Raises:
-        NoSine: less than one period in the record, no common time axis, or no frequency the fit settles on.
+    Only whole periods are used, so that harmonics and a faulty offset do not leak into the amplitude. Raises NoSine for
+    less than one period in the record, no common time axis, or no frequency the fit settles on.
     """
     first = waveforms[0]
     for other in waveforms[1:]:
@@ -62,7 +60,9 @@ def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) 
     signal = np.stack([w.volts for w in waveforms])
     if frequency is None:
         frequency = _search(signal, first.step)
-    used = _whole_periods(len(first.volts), first.step * frequency)
+    # The number of samples that hold the greatest whole number of periods.
+    whole = math.floor(len(first.volts) * first.step * frequency + 1e-9)
+    used = min(len(first.volts), round(whole / (first.step * frequency)))
     if used == 0:
         raise NoSine(f"{len(first.volts)} samples of {first.step:.6g} s hold less than one period of "
                      f"{frequency:.6g} Hz")
@@ -79,12 +79,6 @@ def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) 
     steps = _quantisation(np.abs(amplitude) / quantum, spread / quantum) * quantum
     return SineFit(omega / (2.0 * np.pi), amplitude, np.hypot(random, steps), parameters[:, 2], spread,
                    spread / quantum)
-
-
-def _whole_periods(samples: int, periods_per_sample: float) -> int:
-    """The number of samples that hold the greatest whole number of periods."""
-    whole = math.floor(samples * periods_per_sample + 1e-9)
-    return min(samples, round(whole / periods_per_sample))
 
 
 def _settle(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -34,9 +35,9 @@ class LevelSpectrum(Brief):
     """The spectrum at one drive level (V peak to peak, open circuit).
 
     ``spectrum`` carries the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``, a
-    fraction of Z that all points share (resistor or load, channels' gains). ``uncompensated`` is as measured. ``drift``
-    is the root mean square disagreement of the passes over their noise, nan for one pass. ``flags`` are sentences about
-    the whole, ``point_flags`` (Hz, words) about points.
+    fraction of Z that all points share. ``uncompensated`` is as measured. ``drift`` is the root mean square
+    disagreement of the passes over their noise, nan for one pass. ``flags`` are about the whole, ``point_flags`` (Hz,
+    words) about points.
     """
 
     level: float
@@ -50,11 +51,7 @@ class LevelSpectrum(Brief):
 
 
 def read_compensation(standards: Standards) -> Compensation:
-    """The recordings that BENCH.toml names: run files, or spectra in any format of :mod:`workbench.readers`.
-
-    Raises:
-        InputError: a file is missing or is no recording.
-    """
+    """The recordings that BENCH.toml names: run files, or spectra in any format of :mod:`workbench.readers`."""
     columns = None if standards.columns is None else readers.read_column_map(standards.columns)
     load = None
     if standards.load is not None and standards.load_resistance is not None:
@@ -76,12 +73,9 @@ def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
 
 def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tuple[LevelSpectrum, ...]:
     """A spectrum for every drive level with two frequencies or more, in the setup's order."""
-    found = []
-    for level in setup.levels:
-        points = [point for point in run.points if point.level == level]
-        if len({point.frequency for point in points}) >= 2:
-            found.append(_level_spectrum(level, points, run, setup, compensation))
-    return tuple(found)
+    by_level = [(level, [point for point in run.points if point.level == level]) for level in setup.levels]
+    return tuple(_level_spectrum(level, points, run, setup, compensation) for level, points in by_level
+                 if len({point.frequency for point in points}) >= 2)
 
 
 def results(
@@ -174,9 +168,6 @@ def _flags(
     if drift > _DRIFT:
         found.append(f"passes disagree by {drift:.1f} times their noise: the device or the bench drifts; the "
                      "uncertainty was enlarged by as much")
-    counts: dict[str, int] = {}
-    for _, flag in words:
-        kind = flag.split(":")[0]
-        counts[kind] = counts.get(kind, 0) + 1
+    counts = Counter(flag.split(":")[0] for _, flag in words)
     found += [f"{kind}: {count} points" for kind, count in counts.items()]
     return tuple(found)

@@ -29,14 +29,12 @@ _PAUSE = 0.2
 
 #: Amplitude in converter steps below which a point is flagged, since the rounding error is equal in every capture (up
 #: to 1 % at 6 steps, 0.4 % at 12), and amplitude in units of its uncertainty below which it is flagged.
-_FEW_STEPS = 6.0
-_NEAR_NOISE = 20.0
+_FEW_STEPS, _NEAR_NOISE = 6.0, 20.0
 
 #: Largest relative deviation of the signal's frequency from the set one, and largest factor between the amplitude
 #: across the whole circuit and its expectation behind the generator's fifty ohm. Both instruments are within 1e-4 and
 #: 10 % by their makers; only gross faults are meant (a setting that was not taken, a record of the point before).
-_FREQUENCY_OFF = 3e-4
-_AMPLITUDE_OFF = 1.5
+_FREQUENCY_OFF, _AMPLITUDE_OFF = 3e-4, 1.5
 
 #: Factor above a limit at which it counts as exceeded: the uncertainty of the readings.
 _OVER = 1.05
@@ -55,23 +53,15 @@ class Implausible(InstrumentError):
 
 
 def measure(
-    setup: BenchSetup,
-    path: Path | str,
-    *,
-    resume: bool = False,
-    sleep: Callable[[float], None] = time.sleep,
-    progress: Progress = no_progress,
-    on_point: Callable[[Run], object] = lambda _run: None,
+    setup: BenchSetup, path: Path | str, *, resume: bool = False, sleep: Callable[[float], None] = time.sleep,
+    progress: Progress = no_progress, on_point: Callable[[Run], object] = lambda _run: None,
 ) -> Run:
     """Measure everything that `setup` asks for into the run file `path`; with `resume` only the missing points.
 
     `on_point` is called with the run after every point. Every finished point is on the disk at any moment; the drive is
-    off when this returns or raises.
-
-    Raises:
-        InputError: the run exists and `resume` was not asked for, or was made with another BENCH.toml.
-        BenchFailure: an instrument failed more often than allowed; the run can be resumed.
-        LimitExceeded: the device saw more than it may.
+    off when this returns or raises. Raises InputError if the run exists and `resume` is off, or it was made with
+    another BENCH.toml; BenchFailure if an instrument failed more often than allowed (the run can be resumed);
+    LimitExceeded if the device saw more than it may.
     """
     path = Path(path)
     marker = marker_path(path)
@@ -86,8 +76,12 @@ def measure(
                 _note(journal, f"resumed with {len(run.points)} points")
             if left_on:
                 _note(journal, "the process before this one had left the drive on; it was switched off first")
+            expected = expected_points(setup)
             try:
-                _sweep(setup, rig, journal, sleep=sleep, progress=progress, on_point=on_point)
+                while (target := next_target(setup, journal.run.points)) is not None:
+                    journal.add(_insistently(setup, rig, journal, target, sleep))
+                    progress("points", min(len(journal.run.points) / expected, 1.0))
+                    on_point(journal.run)
             except BaseException as error:
                 try:
                     rig.make_safe()
@@ -116,17 +110,6 @@ def _existing(path: Path, setup: BenchSetup, *, resume: bool) -> Run | None:
 
 def _note(journal: Journal, text: str) -> None:
     journal.add(Event(time.time(), text))
-
-
-def _sweep(
-    setup: BenchSetup, rig: Rig, journal: Journal, *, sleep: Callable[[float], None], progress: Progress,
-    on_point: Callable[[Run], object],
-) -> None:
-    expected = expected_points(setup)
-    while (target := next_target(setup, journal.run.points)) is not None:
-        journal.add(_insistently(setup, rig, journal, target, sleep))
-        progress("points", min(len(journal.run.points) / expected, 1.0))
-        on_point(journal.run)
 
 
 def _insistently(
@@ -186,8 +169,7 @@ def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> RunPoi
 def _allowed(setup: BenchSetup, rig: Rig, target: Target) -> float:
     """The amplitude (V peak to peak, open circuit) to drive with: the level, unless the device would see too much.
 
-    If the level could exceed a limit with some passive device, the device is first measured at an amplitude that
-    cannot.
+    If the level could exceed a limit with some passive device, the device is first measured below it.
     """
     safe = math.floor(setup.safe_amplitude / AMPLITUDE_RESOLUTION + 1e-9) * AMPLITUDE_RESOLUTION
     if target.level <= safe:
@@ -219,8 +201,7 @@ def _doubts(
 ) -> list[str]:
     """Doubts about a point, in words; the part before the colon names the kind.
 
-    Raises:
-        Implausible: the signal is not that of the amplitude that was set.
+    Raises Implausible if the signal is not that of the amplitude that was set.
     """
     flags = []
     whole = value + setup.reference.resistance

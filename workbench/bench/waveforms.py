@@ -1,17 +1,16 @@
 """Waveforms saved by an oscilloscope: one channel per file, or all of them in one.
 
-Tables of time and channels are read by `workbench.instruments.waveform_table`, whatever their maker; here are the CSV
-that the TDS1000 and TDS2000 series of Tektronix write, and ISF.
-CSV: settings stand in columns 1 and 2 of the first rows, beside the samples, which are time in column 4 and volts
-in column 5; there is no row of headings. Numbers may look like ``-00.018940000000``, and a line may have been added by
-hand.
-ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block of CURVE.
+Tables of time and channels are read by `workbench.instruments.waveform_table`; here are the CSV of the TDS1000 and
+TDS2000 series of Tektronix, and ISF. CSV: settings stand in columns 1 and 2 of the first rows, beside the samples,
+which are time in column 4 and volts in column 5, without headings. Numbers may look like ``-00.018940000000``, and a
+line may have been added by hand. ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block
+of CURVE.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +19,13 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
-from workbench.instruments.waveform_table import READ, decoded, read_table, waveform_table
+from workbench.instruments.waveform_table import READ, UNNAMED, decoded, read_table, signal_unit, waveform_table
 
 _PAIR = re.compile(r"CH(\d)", re.IGNORECASE)
+#: The channel in a name of LeCroy's: C1Trace00000.csv.
+_SHORT = re.compile(r"(?<![A-Za-z0-9])C([1-8])(?!\d)", re.IGNORECASE)
+
+_A_NAME = "a name with the channel in it, such as F0003CH1.CSV or C1Trace00000.csv"
 
 #: Steps of the converter per division, in all files seen.
 _STEPS_PER_DIVISION = 25.0
@@ -32,22 +35,17 @@ _FLAT = 3.0
 
 
 def read_waveform(path: Path) -> Waveform:
-    """Read the one saved waveform of a file, in any of the formats.
-
-    Raises:
-        InputError: as in :func:`read_channels`, or several channels.
-    """
+    """The one saved waveform of a file; raises InputError as :func:`read_channels`, or for several channels."""
     found = read_channels(path)
     if len(found) != 1:
         raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in found), "one channel")
     return next(iter(found.values()))
 
 
-def read_channels(path: Path) -> dict[int, Waveform]:
-    """The waveforms of a file by channel, in any of the formats.
+def read_channels(path: Path, *, wanted: Collection[int] | None = None) -> dict[int, Waveform]:
+    """The waveforms of a file by channel, in any of the formats; of a table the `wanted` ones alone, if given.
 
-    Raises:
-        InputError: none of them, cut short, not in volts, an envelope, or not on even time steps.
+    Raises InputError: none of them, cut short, neither in volts nor in amperes, an envelope, or on uneven time steps.
     """
     path = Path(path)
     data = _content(path)
@@ -59,10 +57,21 @@ def read_channels(path: Path) -> dict[int, Waveform]:
         lines = decoded(data)
         table = waveform_table(lines)
         if table is None:
-            raise InputError(str(path), "format", _first(lines), READ)
+            raise InputError(str(path), "format", next((line[:60] for line in lines if line.strip()), ""), READ)
+        waveforms = read_table(str(path), lines, table, wanted=wanted)
+        if UNNAMED in waveforms:
+            named = _channel_of(path)
+            if named is None:
+                raise InputError(str(path), "file", path.name, _A_NAME)
+            waveforms = {int(named[1]): replace(waveforms[UNNAMED], channel=int(named[1]))}
         return {number: replace(each, clipped=_flat_topped(each.raw.astype(float)))
-                for number, each in read_table(str(path), lines, table).items()}
+                for number, each in waveforms.items()}
     return {found.channel: found}
+
+
+def _channel_of(path: Path) -> re.Match[str] | None:
+    """The channel in the name of a file."""
+    return _PAIR.search(path.name) or _SHORT.search(path.name)
 
 
 def _content(path: Path) -> bytes:
@@ -79,24 +88,17 @@ def _is_tds(data: bytes) -> bool:
         for line in data[:4000].splitlines()[:12])
 
 
-def _first(lines: Sequence[str]) -> str:
-    return next((line[:60] for line in lines if line.strip()), "")
-
-
 def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str, tuple[Path, Path]]:
     """Files in pairs, (total, reference) by the common part of their names; folders stand for the files in them.
 
     The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV. A file that holds several channels is a
-    pair with itself, whatever its name.
-
-    Raises:
-        InputError: a name without a channel of a file that does not hold both, or half a pair.
+    pair with itself. Raises InputError for half a pair, or a name without a channel of a file that does not hold both.
     """
     given: dict[str, dict[int, Path]] = {}
     for path in _files(paths):
         held = _held(path)
-        channel = _PAIR.search(path.name)
-        if len(held) > 1 or (held and channel is None):
+        channel = _channel_of(path)
+        if len(held) > 1 or (held and held != (UNNAMED,) and channel is None):
             for wanted in (total, reference):
                 if wanted not in held:
                     raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in held),
@@ -105,8 +107,8 @@ def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str
             continue
         if channel is None:
             _content(path)  # raises if there is no such file
-            raise InputError(str(path), "file", path.name, "a table with all channels in it (time, CH1, CH2), or a "
-                             "name with the channel in it, such as F0003CH1.CSV")
+            raise InputError(str(path), "file", path.name, f"a table with all channels in it (time, CH1, CH2), or "
+                             f"{_A_NAME}")
         name = path.name[:channel.start()] + path.name[channel.end():]
         given.setdefault(str(path.parent / name), {})[int(channel.group(1))] = path
     pairs: dict[str, tuple[Path, Path]] = {}
@@ -172,9 +174,7 @@ def _read_csv(path: str, data: bytes) -> Waveform:
     if len(times) != declared:
         raise InputError(path, "rows", f"{len(times)} samples", f"the {declared} of 'Record Length'; the file is cut "
                          "short or was edited")
-    unit = settings.get("Vertical Units", "V")
-    if unit not in ("V", "Volts"):
-        raise InputError(path, "Vertical Units", unit, "V")
+    unit, factor = signal_unit(path, "Vertical Units", settings.get("Vertical Units", "V"))
     if settings.get("Pt Fmt", "Y") != "Y":
         raise InputError(path, "Pt Fmt", settings["Pt Fmt"], "Y: samples, not an envelope of peak detection")
     step = _setting(path, settings, "Sample Interval")
@@ -184,15 +184,15 @@ def _read_csv(path: str, data: bytes) -> Waveform:
     if np.any(wrong):
         index = int(np.argmax(wrong))
         raise InputError(path, f"sample {index + 2}", float(time[index + 1]), f"{step:g} s after the one before it")
-    quantum = _setting(path, settings, "Vertical Scale") / _STEPS_PER_DIVISION
-    signal = np.array(volts)
+    quantum = factor * _setting(path, settings, "Vertical Scale") / _STEPS_PER_DIVISION
+    signal = factor * np.array(volts)
     raw = np.round(signal / quantum)
     source = settings.get("Source", "")
     named = _PAIR.fullmatch(source) or _PAIR.search(Path(path).name)
     if named is None:
         raise InputError(path, "Source", source, "CH1 to CH4: a channel, not a calculated trace")
     return Waveform(int(named.group(1)), signal, raw.astype(np.int16), float(time[0]), step, quantum,
-                    _flat_topped(raw))
+                    _flat_topped(raw), unit)
 
 
 def _is_number(cell: str) -> bool:
@@ -211,16 +211,14 @@ def _setting(path: str, settings: Mapping[str, str], name: str) -> float:
 
 def _read_isf(path: str, data: bytes) -> Waveform:
     """The one record of samples in the file; some firmware appends an envelope of the same acquisition."""
-    samples, place = [], 0
-    others = []
+    samples, others, place = [], [], 0
     while place < len(data):
         header, block, place = _next_record(path, data, place)
         if _word(path, header, "PT_FMT") == "Y":
             samples.append((header, block))
         else:
             others.append(_word(path, header, "PT_FMT"))
-        while place < len(data) and data[place:place + 1] in b"\r\n; ":
-            place += 1
+        place = len(data) - len(data[place:].lstrip(b"\r\n; "))
     if len(samples) != 1:
         kinds = ", ".join(others) or "none"
         raise InputError(path, "PT_FMT", f"{len(samples)} records of samples (others: {kinds})",
@@ -239,17 +237,17 @@ def _read_isf(path: str, data: bytes) -> Waveform:
     points = round(_value(path, header, "NR_PT"))
     if len(raw) != points:
         raise InputError(path, "CURVE", f"{len(raw)} samples", f"the {points} of NR_PT")
-    if _word(path, header, "YUNIT") not in ("V", "Volts"):
-        raise InputError(path, "YUNIT", _word(path, header, "YUNIT"), "V")
+    unit, factor = signal_unit(path, "YUNIT", _word(path, header, "YUNIT"))
     channel = re.search(r"Ch(\d)", _word(path, header, "WFID"))
     if channel is None:
         raise InputError(path, "WFID", _word(path, header, "WFID"), "a channel, not a calculated trace")
-    quantum, step = _value(path, header, "YMULT"), _value(path, header, "XINCR")
-    volts = (raw - _value(path, header, "YOFF")) * quantum + _value(path, header, "YZERO")
+    quantum, step = factor * _value(path, header, "YMULT"), _value(path, header, "XINCR")
+    volts = (raw - _value(path, header, "YOFF")) * quantum + factor * _value(path, header, "YZERO")
     start = _value(path, header, "XZERO") - _value(path, header, "PT_OFF") * step
     if kind == "u":
         raw -= 128.0 if width == 1 else 32768.0
-    return Waveform(int(channel.group(1)), volts, raw.astype(np.int16), start, step, quantum, _flat_topped(raw))
+    return Waveform(int(channel.group(1)), volts, raw.astype(np.int16), start, step, quantum, _flat_topped(raw),
+                    unit)
 
 
 def _next_record(path: str, data: bytes, place: int) -> tuple[dict[str, str], bytes, int]:

@@ -10,7 +10,7 @@ import numpy as np
 from workbench.campaign.campaign import Campaign
 from workbench.campaign.state import DeviceState, StateFit
 from workbench.files.errors import InputError
-from workbench.fitting.measurement_model import log_ratio
+from workbench.fitting.measurement_model import log_ratio, rms
 
 #: Two recordings are exchanged where that leaves less than this share of the rms residual of either state.
 EXCHANGED = 0.5
@@ -46,4 +46,4 @@ def _rms(state: DeviceState, fit: StateFit, other: DeviceState) -> float:
         return float(np.inf)
     inside = (there >= low) & (there <= high)
     predicted = np.interp(there[inside], own, fit.impedance)
-    return float(np.sqrt(np.mean(np.abs(log_ratio(predicted, other.measured.impedance[inside])) ** 2)))
+    return rms(log_ratio(predicted, other.measured.impedance[inside]))

@@ -57,6 +57,8 @@ from typing import Any
 
 from geometry.names import TRANSDUCER
 from geometry.stretch import canonical_names
+from materials.assumed import is_lossless
+from materials.kinds import Piezoelectric
 from materials.registry import Registry, user_registry
 from workbench.campaign.knowledge import read_knowledge
 from workbench.campaign.state import DeviceState as DeviceState
@@ -65,7 +67,7 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.files.names import check_name, check_title
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
-from workbench.model.numbers import Number, ParameterName
+from workbench.model.numbers import Number, ParameterName, word_list
 from workbench.results.brief import Brief
 
 #: Knowledge beside the numbers that the campaign names: that of the files of chip and materials, or none.
@@ -155,6 +157,26 @@ class Campaign(Brief):
             if name != chosen:
                 found[chosen] = (*found.get(chosen, ()), name)
         return found
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Statements on numbers that count as exact, as zero, or as one."""
+        result = []
+        if self.is_exact:
+            files = word_list(list(dict.fromkeys(state.chip.file for state in self.states)))
+            result.append(
+                "All lengths and solids count as exact, since no file states how exactly they are known: an error "
+                f"of one of them may pass for missing physics. State a tolerance of each length in {files}, such as "
+                'thickness = { value = "20 um", tolerance = "5 um" }, and an uncertainty of each coefficient in the '
+                "file of its material, or both in [known] of a campaign file.")
+        for name in dict.fromkeys(m.name for state in self.states for m in state.materials.values()
+                                  if isinstance(m, Piezoelectric) and is_lossless(m)):
+            result.append(
+                f"{name} states no loss, and none is assumed here, unlike in a simulation: its resonances are "
+                "narrower than any that is recorded. State mechanical_q and dielectric_loss_tangent in an entry of "
+                "your own, or fit the disc.")
+        tied = [f"{name} stands for {word_list(others)}" for name, others in self.tied.items() if name in self.known]
+        return (*result, *([f"Radii that coincide are one parameter: {'; '.join(tied)}."] if tied else []))
 
     @cached_property
     def recorded(self) -> tuple[DeviceState, ...]:

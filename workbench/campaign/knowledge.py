@@ -142,7 +142,9 @@ def _uncertainty(
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
     entry, parsed = table.content[written], ParameterName.parse(name)
     if entry == ASSUMED and parsed.is_dimension:
-        return assumed_by_role(name, stated_number(name, states)).deviation
+        material = next((state.numbers[parsed.shared].material for state in states if parsed.shared in state.numbers),
+                        "")
+        return assumed_by_role(name, stated_number(name, states), material).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
     found = parse_quantity(entry, "dimensionless" if share else parsed.quantity, source=table.source,

@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
+from geometry.straight import check_stated_length
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
 from workbench.campaign.observation import Observation, read_observations
 from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource
 from workbench.files.tables import FileTable
+from workbench.fitting.measurement_model import rms
+from workbench.fitting.noise import correlation_length
 from workbench.fitting.prepare import check_device, in_band
-from workbench.fitting.uncertainty import correlation_length
 from workbench.model.device_numbers import bench_number, device_numbers
 from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
@@ -122,16 +124,19 @@ def data_rows(states: Sequence[DeviceState]) -> list[slice]:
     return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
+def reduced_chi_square(log: Complex, noise: Real, data: int) -> float:
+    """Reduced chi-square of ln(Z_model / Z_measured) (n,), each point of so many real `data` (`DeviceState.data`)."""
+    return float(np.mean(np.abs(log / noise) ** 2) / data)
+
+
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real, *, data: int = 2) -> StateFit:
     """A state whose ln(Z_model / Z_measured) (n,) is `log`, each point of so many real `data` (`DeviceState.data`)."""
-    return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / data), float(np.sqrt(np.mean(np.abs(log) ** 2))),
-                    correlation_length(log / noise), impedance)
+    return StateFit(name, reduced_chi_square(log, noise, data), rms(log), correlation_length(log / noise), impedance)
 
 
 def rms_of_impedance(states: Sequence[DeviceState], log: Sequence[Complex]) -> float:
     """The rms of ln(Z / Z_measured) (n,) of some states over all points, observations beside Z left out."""
-    squares = [np.abs(each) ** 2 for state, each in zip(states, log, strict=True) if state.observation is None]
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
+    return rms(np.concatenate([each for state, each in zip(states, log, strict=True) if state.observation is None]))
 
 
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
@@ -151,6 +156,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     chip = table.content.get("chip")
     if not isinstance(chip, Chip):
         chip = read_chip(folder / table.text("chip", expected=_expected(table, "a Chip", "file")))
+    check_stated_length(chip.measure, chip.file, "the impedance, which is compared with the recording,")
     if "state" in table:
         state = chip.state(table.choice("state", [each.name for each in chip.states]))
     elif len(chip.states) == 1:

@@ -36,6 +36,7 @@ from workbench.catalogue.effect import (
     other_than_stated,
     with_terms,
 )
+from workbench.catalogue.handling import filling, gripped, made_of
 from workbench.catalogue.transducer import transducer
 from workbench.model.fluid_slopes import fluid_slopes
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterName
@@ -144,7 +145,7 @@ def _profiled(device: Device, effect: Effect) -> str:
         profiled |= {CAVITY} if profiled else set()  # what they enclose
         for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
             across = set(integral.place.split("|")) & set(integral.opposite.split("|"))
-            own = {integral.place} if integral.radius_fraction or integral.skin else across
+            own = {*integral.place.split("|")} if integral.radius_fraction or integral.skin else across
             for region in own & profiled:
                 return region
     return ""
@@ -451,5 +452,5 @@ def bench(device: Device) -> Iterator[Effect]:
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, meniscus, ports, soaked, top, couplant, bonds, joints, solid_hypotheses, lengths, shapes, transducer,
-    bench)
+    cavity_fluid, meniscus, filling, ports, soaked, top, gripped, couplant, bonds, joints, solid_hypotheses, made_of,
+    lengths, shapes, transducer, bench)

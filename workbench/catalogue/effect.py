@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from materials.kinds import Fluid, IsotropicSolid, Material
@@ -75,6 +76,17 @@ class Device:
         assert isinstance(found, Fluid)
         return found
 
+    @cached_property
+    def by_name(self) -> tuple[Material, ...]:
+        """The materials of the registry, each name by the entry that it means alone; without those that mean none."""
+        found = []
+        for name in dict.fromkeys(each.partition("/")[0] for each in self.registry.names()):
+            try:
+                found.append(self.registry.load(name, notes=[]))
+            except ValueError:
+                continue
+        return tuple(found)
+
     def holding(self, region: str) -> tuple[DeviceState, ...]:
         return tuple(state for state in self.states if region in state.materials)
 
@@ -116,7 +128,8 @@ def neighbours(state: DeviceState, region: str) -> tuple[str, str]:
 
 def with_terms(
     label: str, region: str, kind: str, about: str, states: Sequence[DeviceState],
-    terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
+    terms: Callable[[DeviceState], Iterable[Term]],
+    values: Callable[[DeviceState], Mapping[str, complex]] = lambda _: {},
     *, free: tuple[FreeParameter, ...] | None = None,
 ) -> Effect:
     """The hypothesis that brings `terms` into `states`, with all numbers neutral at first.

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
+from geometry.straight import check_stated_length
+from workbench.commands.compare_energy import is_of_energy, run_compare_energy
 from workbench.commands.parsed_options import model_options, output_folder, reading_option
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
@@ -24,9 +26,10 @@ from workbench.report.comparison import (
     write_comparison_report,
 )
 from workbench.report.figures import figures_record
-from workbench.report.resonances import resonances_record, resonances_table
-from workbench.report.simulation import simulation_record
+from workbench.report.resonances import resonance_notes, resonances_record, resonances_table
+from workbench.report.simulation import ENERGY_PICTURE, simulation_record
 from workbench.results.comparison import compare
+from workbench.results.coupling import plate_of
 from workbench.results.merit import measured_figures
 from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import write_spectrum
@@ -35,14 +38,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 #: Files of `compare`.
-OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv", "impedance.png", "residual.png"))
+OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv", "impedance.png", "residual.png",
+                                    ENERGY_PICTURE))
 
 
 def run_compare(options: argparse.Namespace, console: Console) -> int:
-    """``workbench compare``: a recording beside the simulation of a chip."""
+    """``workbench compare``: a recording, of impedance or of focusing, beside the simulation of a chip."""
+    if is_of_energy(options):
+        return run_compare_energy(options, OUTPUTS, console)
     reading = reading_option(options, options.recording, console)
     measured, found = reading.spectrum, [finding.message for finding in reading.findings]
     chip = read_chip(options.chip)
+    check_stated_length(chip.measure, chip.file, "the impedance, which the recording is compared with,")
     model = model_options(options, chip)
     model = replace(model, band=_common_band(options, model.band, measured.frequency),
                     points=max(model.points, 2 * len(measured.frequency) - 1))
@@ -52,7 +59,9 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
         show(run.state, "done", 1.0)
     comparison = compare(measured, run.spectrum)
     write_spectrum(run.spectrum, folder / "spectrum.csv")
-    merit, reason = measured_figures(measured)
+    merit, reason = measured_figures(measured, plate_of(chip, run.problem.materials))
+    if merit is not None and merit.is_weak:
+        found.append(f"the recording: {merit.weakness}")
     resonances = {"measured": resonances_of(comparison.measured), "simulated": run.resonances}
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,
@@ -68,7 +77,8 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     print_table(f"{chip.name}, {run.state}", compared_figures_table(comparison))
     print_table("", distance_table(comparison))
     print_table("", resonances_table(resonances))
-    print_paragraph(next_step)
+    for text in (*resonance_notes(resonances), next_step):
+        print_paragraph(text)
     for text in (*found, *run.findings):
         say_finding(text, console)
     return 0

@@ -28,7 +28,7 @@ from workbench.files.quantities import ProgramSource
 from workbench.files.writing import write_json
 from workbench.readers import READ_AS
 from workbench.report.diagnosis import (
-    LEFT,
+    RESIDUAL,
     diagnosis_record,
     established_table,
     remainder_table,
@@ -73,7 +73,7 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     if found.provisional is None:
         return 0
     console.print(f"not finished; what is known so far is in {folder}", style="yellow", markup=False)
-    return INTERRUPTED if found.interrupted else NOT_FINISHED
+    return INTERRUPTED if found.found.interrupted else NOT_FINISHED
 
 
 def print_diagnosis(found: Diagnosis) -> None:
@@ -81,7 +81,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     print_paragraph(found.headline)
     if found.established:
         print_table("", established_table(found))
-    print_table(LEFT, remainder_table(found))
+    print_table(RESIDUAL, remainder_table(found))
     for text in (*found.findings, found.next_measurement):
         if text:
             print_paragraph(text)

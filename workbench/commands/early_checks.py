@@ -80,7 +80,7 @@ def check_early(options: argparse.Namespace) -> None:
 
 def check_motion(options: argparse.Namespace) -> None:
     """See that `particles` is given a drive, a time, a number of particles and a seed, sizes and convection above zero,
-    and ways for heat to leave only with a flow by heat.
+    and ways for heat to leave only where there is heat.
 
     Raises:
         InputError: anything else.
@@ -95,9 +95,9 @@ def check_motion(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise InputError("command line", "--seed", options.seed, "a whole number of 0 or more, such as 0")
     for field, text in (("--holder", options.holder), ("--convection", options.convection)):
-        if text is not None and options.flow != "heat":
-            raise InputError("command line", field, text, f"no {field[2:]} beside --flow {options.flow}, which leaves "
-                             "heat out; or --flow heat")
+        if text is not None and options.cold and options.flow != "heat":
+            raise InputError("command line", field, text, f"no {field[2:]} beside --cold and --flow {options.flow}, "
+                             "which leave heat out; or --flow heat")
     for field, text, dimension, example in (
             ("--window", options.window, "length", ""), ("--particle-radius", options.particle_radius, "length", ""),
             ("--convection", options.convection, "heat transfer coefficient", ', such as "10 W/(m^2 K)"')):

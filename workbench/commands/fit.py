@@ -26,10 +26,10 @@ from workbench.fitting.batch import (
     summarise,
 )
 from workbench.fitting.prepare import DEFAULT
-from workbench.fitting.record import refusals
+from workbench.fitting.record import held_names, refusals
 from workbench.jobs.workers import Task, Workers, begin_workers
 from workbench.readers import READ_AS
-from workbench.report.fit import derived_table, gel_table, match_table, parameter_table, without_prior
+from workbench.report.fit import derived_table, for_terminal, gel_table, match_table, parameter_table
 from workbench.report.fit_batch import batch_columns_table, devices_table, summary_record, write_batch_report
 
 if TYPE_CHECKING:
@@ -87,7 +87,9 @@ def _thicknesses(text: str | None) -> tuple[float, ...]:
 def _tell(done: Done, console: Console, wanted: str | None) -> int:
     """Print what was found; the exit status."""
     print_table(f"{done.prepared.material.name}, {done.result.algorithm}",
-                without_prior(parameter_table(done.result, done.prepared)))
+                for_terminal(parameter_table(done.result, done.prepared)))
+    if done.result.held:
+        print_line(f"held, although uncertain too: {held_names(done.result)}")
     derived = derived_table(done.result, done.prepared)
     if derived is not None:
         print_table("", derived)

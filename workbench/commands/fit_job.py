@@ -19,13 +19,24 @@ from workbench.files.writing import write_json
 from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished
 from workbench.fitting.gel import GelCase, gel_study, with_gel
 from workbench.fitting.joint import FitResult, fit_parameters
-from workbench.fitting.prepare import Prepared, free_region, material_starts, prepare, prepare_together, with_material
+from workbench.fitting.prepare import (
+    DEFAULT,
+    KINDS,
+    Prepared,
+    free_region,
+    material_starts,
+    other_ceramics,
+    prepare,
+    prepare_together,
+    with_material,
+)
 from workbench.fitting.record import (
     Source,
     paper_result,
     refusals,
     registry_entry,
     source,
+    tried,
 )
 from workbench.jobs.interruption import SAVED
 from workbench.jobs.progress import Progress, no_progress
@@ -68,8 +79,10 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     starts = material_starts(prepared, registry, settings.starts)
     match settings.algorithm:
         case "joint":
+            others = material_starts(prepared, registry, other_ceramics(prepared, registry, settings.starts))
             result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, starts=starts,
-                                    tries=settings.tries, progress=progress)
+                                    others=others, tries=settings.tries, progress=progress)
+            result = tried(result, prepared, registry, settings.tries, progress)
         case _:
             result = _as_published(prepared, starts, progress)
     progress("writing", 0.95)
@@ -149,9 +162,12 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         band = tuple(own if asked is None else asked for asked, own in zip(member.band, chip.band, strict=True))
         if not 0.0 < band[0] < band[1]:
             raise InputError(member.name, "band", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+        free = member.free
+        if settings.algorithm != "joint":
+            free = tuple(each for item in free for each in (KINDS[member.kind] if item == DEFAULT else (item,)))
         parts.append(prepare(
             chip, registry, kind=member.kind, name=member.name, measured=reading.spectrum, state=member.state,
-            material=member.material, region=member.region, free=member.free, band=(band[0], band[1]),
+            material=member.material, region=member.region, free=free, band=(band[0], band[1]),
             accuracy=settings.accuracy, check=not settings.force))
         sources.append(source(member.recording, member.chip, findings=[str(f.message) for f in reading.findings]))
     return (parts[0] if len(parts) == 1 and not job.own else prepare_together(parts, own=job.own)), tuple(sources)

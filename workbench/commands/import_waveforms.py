@@ -27,16 +27,20 @@ OUTPUTS = Outputs("import", names=("ratios.csv", "spectrum.csv"))
 
 
 def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
-    """``workbench import``: ratios of pairs of waveforms and, with a resistor, the impedance."""
+    """``workbench import``: ratios of pairs of waveforms and, with a resistor or current probe, the impedance."""
     resistance, tolerance = _resistor(options)
-    if options.total == options.reference:
-        raise InputError("command line", "--reference", options.reference, "another channel than --total")
-    pairs = pair_files(options.files, total=options.total, reference=options.reference)
-    found = []
-    refused = []
+    probe = options.current is not None
+    second = options.current if probe else options.reference
+    if options.total == second:
+        raise InputError("command line", "--current" if probe else "--reference", second, "another channel than "
+                         "--total")
+    pairs = pair_files(options.files, total=options.total, reference=second)
+    found, refused, unstated = [], [], False
     for name, (total, reference) in pairs.items():
         try:
-            waveforms = _waveforms(options, total, reference)
+            waveforms = _waveforms((total, options.total), (reference, second))
+            _check_units(waveforms, (total, reference), probe=probe, resistance=resistance)
+            unstated |= waveforms[1].unit != "A"
             found.append(WaveformPair(name, fit_sines(waveforms), any(w.clipped for w in waveforms)))
         except (InputError, NoSine) as error:
             refused.append(f"{name}: {error}")
@@ -49,15 +53,22 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
     found.sort(key=lambda pair: pair.fit.frequency)
     write_ratios(found, folder / "ratios.csv")
     values = None
+    if probe and resistance is None:
+        resistance = 1.0
+        if unstated:
+            console.print(f"CH{second} states no unit: its numbers are taken as ampere; --resistance \"0.1 ohm\" "
+                          "states a probe of 0.1 V/A", style="yellow", markup=False)
     if resistance is not None:
-        values = [impedance([pair.fit], resistance) for pair in found]
+        values = [impedance([pair.fit], resistance, probe=probe) for pair in found]
         if len(found) > 1:
             frequencies = [pair.fit.frequency for pair in found]
             if len(set(frequencies)) < len(frequencies):
                 raise InputError("command line", "FILE", [f"{f:.6g} Hz" for f in frequencies],
-                                 "pairs of different frequencies; without --resistance only ratios are written")
-            write_spectrum(pairs_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
-    print_table(f"CH{options.total} over CH{options.reference}", pairs_table(found, values))
+                                 "pairs of different frequencies; without --resistance or --current only ratios are "
+                                 "written")
+            spectrum = pairs_spectrum(found, values, resistance, tolerance, probe=probe)
+            write_spectrum(spectrum, folder / "spectrum.csv")
+    print_table(f"CH{options.total} over CH{second}", pairs_table(found, values))
     if len(found) == 1 and values is not None:
         console.print("one frequency: no spectrum.csv was written, which takes captures at two frequencies or more",
                       style="yellow", markup=False)
@@ -68,12 +79,30 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
     return 1 if refused else 0
 
 
-def _waveforms(options: argparse.Namespace, total: Path, reference: Path) -> tuple[Waveform, Waveform]:
-    """The two channels of a pair, in one file or in two."""
-    if total == reference:
-        channels = read_channels(total)
-        return channels[options.total], channels[options.reference]
-    return read_waveform(total), read_waveform(reference)
+def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Waveform, Waveform]:
+    """The two channels of a pair, each a file and its channel, in one file or in two."""
+    if total[0] == reference[0]:
+        channels = read_channels(total[0], wanted=(total[1], reference[1]))
+        return channels[total[1]], channels[reference[1]]
+    return read_waveform(total[0]), read_waveform(reference[0])
+
+
+def _check_units(
+    waveforms: tuple[Waveform, Waveform], files: tuple[Path, Path], *, probe: bool, resistance: float | None
+) -> None:
+    """Raise if a voltage is in amperes, or if a current needs a probe's volts per ampere or has no use for them."""
+    total, second = waveforms
+    if total.unit == "A":
+        raise InputError(str(files[0]), f"CH{total.channel}", "A", "V: --total names the channel of the voltage")
+    if second.unit == "A" and not probe:
+        raise InputError(str(files[1]), f"CH{second.channel}", "A", "V across the resistor; of a current through the "
+                         f"device --current {second.channel} without --resistance makes Z = V / I")
+    if second.unit == "A" and resistance is not None:
+        raise InputError("command line", "--resistance", f"{resistance:g} ohm", f"none, since CH{second.channel} is in "
+                         "A")
+    if second.unit == "V" and probe and resistance is None:
+        raise InputError(str(files[1]), f"CH{second.channel}", "V", "A, or the volts per ampere of the current probe: "
+                         '--resistance "0.1 ohm" for 0.1 V/A')
 
 
 def _resistor(options: argparse.Namespace) -> tuple[float | None, float]:

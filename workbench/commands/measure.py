@@ -21,7 +21,7 @@ from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.files.output import begin
 from workbench.files.ownership import Outputs
-from workbench.report.measurement import measured_figures_table, write_measurement
+from workbench.report.measurement import measured_figures_table, weak_resonances, write_measurement
 from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
@@ -122,5 +122,7 @@ def _write_results(
     for found in levels:
         for flag in found.flags:
             console.print(f"{found.level:g} Vpp: {flag}", style="yellow", markup=False)
+    for text in weak_resonances(levels):
+        console.print(text, style="yellow", markup=False)
 
 

@@ -11,10 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from workbench import __version__
-
-#: Shown by every command that has a drive.
-DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
-              '"0.1 W" constant input power')
+from workbench.commands.driven_options import DRIVE_HELP, KEPT_COLD, with_warmth
 
 #: Accuracy of Z that meshes are made for (`workbench.model.discretisation.ACCURACY`).
 ACCURACY = "0.05 %"
@@ -71,8 +68,7 @@ def _with_model(sub: argparse.ArgumentParser) -> None:
     _with_band(sub)
     _with_accuracy(sub)
     _with_filling(sub)
-    # For the commands without these options.
-    sub.set_defaults(points=481, at=None, full=False, relative_error=1e-4, drive="10 Vpp")
+    sub.set_defaults(points=481, at=None, full=False, relative_error="0.01 %", drive="10 Vpp", **KEPT_COLD)
 
 
 def _with_accuracy(sub: argparse.ArgumentParser) -> None:
@@ -103,7 +99,7 @@ def _with_recording(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--format", metavar="NAME",
                      help="format of the recording: workbench, e4990a, 4294a, touchstone, labone, bode100, gamry, "
                           "biologic, zplot, hioki, lines or table (default: found out)")
-    sub.add_argument("--correction", choices=("negate", "conjugate"),
+    sub.add_argument("--correction", choices=("negate", "conjugate", "signs"),
                      help="put a wrong phase right, on your word (default: as recorded)")
     sub.add_argument("--without-outliers", action="store_true",
                      help="leave out the points that the findings name with their rows: those that leave their "
@@ -122,8 +118,9 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--at", metavar="FREQ", help="frequency of the fields, or \"energy\" or \"f0\"; by default the "
                      "chip's operating point, or the largest peak of the energy in the cavity under the drive")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
-    sub.add_argument("--relative-error", type=float, default=1e-4, metavar="ERROR",
-                     help="relative error of the reduced model's impedance (default 0.0001)")
+    with_warmth(sub)
+    sub.add_argument("--relative-error", default="0.01 %", metavar="ERROR",
+                     help="relative error of the reduced model's impedance (default \"0.01 %%\")")
     sub.add_argument("--no-pictures", action="store_true",
                      help="leave out the pictures of fields and solid model (default: drawn)")
     sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
@@ -175,6 +172,7 @@ def _render(sub: argparse.ArgumentParser) -> None:
     _with_model(sub)
     sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default as of simulate)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    with_warmth(sub)
     sub.add_argument("--field", action="append", metavar="NAME", help="displacement, pressure, gorkov, cutaway, "
                      "losses or mesh (may be repeated; default all)")
     sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
@@ -191,17 +189,16 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--minutes", type=float, default=30.0, metavar="M", help="time to follow them for (default 30)")
     sub.add_argument("--count", type=int, default=200, metavar="N", help="number of particles (default 200)")
     sub.add_argument("--seed", type=int, default=0, metavar="N", help="of their start points (default 0)")
+    sub.add_argument("--start", choices=("spread", "floor"), default="spread",
+                     help="where they are at switch-on: spread over the cavity (default), or on its floor")
     sub.add_argument("--flow", choices=("heat", "sound", "none"), default="heat",
                      help="what moves the liquid: heat beside sound (default), sound alone, or nothing")
-    sub.add_argument("--convection", metavar="H",
-                     help='heat that leaves the outside, such as "20 W/(m^2 K)" (default 10 W/(m^2 K): still air)')
-    sub.add_argument("--holder", metavar="BOUNDARY",
-                     help="outer boundary held at ambient temperature, such as substrate|outside (default: none)")
+    with_warmth(sub)
     sub.add_argument("--particle", metavar="NAME", help="its material (default: of the state)")
     sub.add_argument("--particle-radius", metavar="LENGTH", help='such as "5 um" (default: of the state)')
     sub.add_argument("--window", metavar="RADIUS",
                      help="radius about the axis, or distance from the middle of a channel, within which the light "
-                     "curve counts them (default: half the cavity's)")
+                     "curve counts them (default: a quarter of the cavity's)")
     sub.add_argument("--no-pictures", action="store_true", help="leave pictures and animation out (default: drawn)")
     sub.add_argument("--no-animation", action="store_true", help="leave the animation out (default: a GIF)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
@@ -268,9 +265,11 @@ def _tolerance(sub: argparse.ArgumentParser) -> None:
                           "none)")
     follows = sub.add_mutually_exclusive_group()
     follows.add_argument("--track", dest="tracking", action="store_true",
-                         help="the drive follows f0 of each chip, as a bench does (default)")
+                         help="the drive follows the resonance of each chip, as a bench does (default)")
     follows.add_argument("--fixed-frequency", dest="tracking", action="store_false",
-                         help="the drive stays at f0 of the chip as stated")
+                         help="the drive stays at that of the chip as stated")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the drive, or the resonance that it follows, "
+                     "\"energy\" or \"f0\" (default as of simulate)")
     sub.add_argument("--samples", type=int, default=2000, metavar="N",
                      help="samples of the yield (default 2000, whose interval is 2 %% to either side)")
     sub.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples (default 0)")
@@ -312,10 +311,12 @@ def _fit(sub: argparse.ArgumentParser) -> None:
                            help="joint (default): all parameters at once, with intervals; paper: as Acevedo-Espinosa "
                                 "et al. printed theirs")
         found.add_argument("--start", action="append", default=[], metavar="MATERIAL",
-                           help="a further start: the free parameters as this material has them (may be repeated)")
+                           help="a further start: the free parameters as this material has them (may be repeated); all "
+                                "others stay: --material takes the whole entry. Where the recording stays unexplained, "
+                                "all ceramics are tried")
         found.add_argument("--tries", type=int, default=32, metavar="N",
-                           help="further descents, at most, where the recording stays unexplained: from neighbours of "
-                                "the best end, then from the prior (default 32)")
+                           help="further descents, at most, where the recording stays unexplained: from other ceramics "
+                                "and neighbours of the best end, then from the prior (default 32)")
         found.add_argument("--force", action="store_true",
                            help="fit a recording that seems to be of another device, and save a fit that was not "
                                 "accepted")
@@ -329,7 +330,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
         found.add_argument("--free", metavar="A,B,C",
                            help="parameters: coefficients such as c33 or c33.loss, dimensions such as "
                                 "transducer.thickness, bench elements such as bench.series_resistance; default stands "
-                                "for those of the paper (which are the default)")
+                                "for the constants of a ceramic that the recording shows, or the moduli of a sample")
         with_search(found)
         _with_recording(found)
         _with_model(found)
@@ -457,6 +458,8 @@ def _import(sub: argparse.ArgumentParser) -> None:
                      help="channel across device and reference resistor (default 1)")
     sub.add_argument("--reference", type=int, default=2, metavar="N",
                      help="channel across the reference resistor (default 2)")
+    sub.add_argument("--current", type=int, metavar="N", help="channel of a current probe: --total is then across the "
+                     "device, and --resistance the volts per ampere of a probe in V (default: none)")
     sub.add_argument("--resistance", metavar="R", help='the reference resistor, such as "0.5 ohm" (default: none; only '
                      "the ratio of the two channels is written)")
     sub.add_argument("--tolerance", default="0 %", metavar="LIMITS", help='of the resistor, such as "1 %%" (default 0)')
@@ -479,7 +482,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
     "study": ("figures of a chip over ranges of its dimensions and materials, resumable, with pictures", _study),
-    "compare": ("compare a recorded impedance with the simulation of a chip", _compare),
+    "compare": ("compare a recorded impedance, or focusing over frequency, with a simulated chip", _compare),
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
     "render": ("draw the fields of a chip at one frequency", _render),

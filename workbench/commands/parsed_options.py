@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
+from geometry.chip_section import outer_boundaries
 from geometry.operating_point import parse_operating_point
 from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
-from workbench.files.errors import InputError
+from workbench.acoustics.heat import STILL_AIR
+from workbench.files.errors import InputError, choose
 from workbench.files.output import begin
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.model.discretisation import Discretisation, discretisation
-from workbench.model.drive import Drive, parse_drive
+from workbench.model.drive import Drive, parse_drive, wired
+from workbench.simulation.warm import WarmUp
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,6 +46,7 @@ class ModelOptions:
     relative_error: float
     drive: Drive
     accuracy: float | Discretisation
+    warm: WarmUp | None
 
 
 def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
@@ -59,9 +63,41 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
     return ModelOptions(
         registry=user_registry(options.materials, inviscid=options.inviscid), band=band, points=options.points, at=at,
-        full=options.full, relative_error=options.relative_error, drive=parse_drive(options.drive),
-        accuracy=accuracy_option(options),
+        full=options.full, relative_error=relative_error_option(options), drive=wired(parse_drive(options.drive), chip),
+        accuracy=accuracy_option(options), warm=warm_option(options, chip),
     )
+
+
+def warm_option(options: argparse.Namespace, chip: Chip) -> WarmUp | None:
+    """The ways for the heat of the drive to leave; None for a liquid kept at its stated temperature.
+
+    Raises:
+        InputError: a liquid that is kept and a drive that follows its warmth, an unknown boundary, or a convection that
+            is not positive.
+    """
+    if options.cold and options.follow:
+        raise InputError("command line", "--follow", "--follow and --cold", "one of both: a chip that is kept at its "
+                         "temperature keeps its peak")
+    convection = STILL_AIR if options.convection is None else parse_quantity(
+        options.convection, "heat transfer coefficient", source="command line", field="--convection")
+    if not convection > 0.0:
+        raise InputError("command line", "--convection", options.convection, "a heat transfer coefficient above zero, "
+                         'such as "10 W/(m^2 K)"')
+    if options.holder is not None:
+        choose(options.holder, outer_boundaries(chip), source="command line", field="--holder")
+    return None if options.cold else WarmUp(convection, options.holder, options.follow)
+
+
+def relative_error_option(options: argparse.Namespace) -> float:
+    """The relative error of the reduced model that the options state, per cent or a plain number.
+
+    Raises:
+        InputError: neither.
+    """
+    try:
+        return float(options.relative_error)
+    except ValueError:
+        return parse_quantity(options.relative_error, "share", source="command line", field="--relative-error")
 
 
 def accuracy_option(options: argparse.Namespace) -> float:

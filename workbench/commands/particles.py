@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from geometry.chip_section import outer_boundaries
 from workbench.acoustics.captures import Window, capture_statistics
-from workbench.acoustics.heat import STILL_AIR
 from workbench.acoustics.trajectories import Trajectories
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import run_state, simulated
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
-from workbench.files.errors import choose
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
@@ -25,22 +22,25 @@ from workbench.report.particles import (
     captures_table,
     flow_answer,
     flow_record,
-    motion_answer,
     motion_record,
     write_light_curve,
     write_particles_report,
     write_trajectories,
 )
+from workbench.report.warm import warm_record
 from workbench.simulation.beads import carrier_of, trajectories, with_particle
-from workbench.simulation.liquid_motion import LiquidMotion, liquid_motion
+from workbench.simulation.gathering import statement
+from workbench.simulation.heating import softening_words
+from workbench.simulation.liquid_motion import FlowCause, LiquidMotion, liquid_motion
 from workbench.simulation.run import Simulation, Snapshot, snapshot
+from workbench.simulation.warm import WarmUp
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Radius of the window of the light curve unless stated, as a share of the cavity's. A quarter of evenly spread
-#: particles is in it; doubled, all are.
-WINDOW = 0.5
+#: Radius of the window of the light curve unless stated, as a share of the cavity's. A sixteenth of evenly spread
+#: particles is in it, a quarter in a channel; doubled, rings beside the axis leave the curve flat.
+WINDOW = 0.25
 
 #: Files of `particles`.
 OUTPUTS = Outputs("particles", names=(
@@ -55,29 +55,32 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
     model = model_options(options, chip)
     device = carrier_of(chip, options.state, model.registry)
     outer = _quantity(options.window, "length", "--window") or WINDOW * min(hole.inner_radius for hole in chip.holes)
-    convection = _quantity(options.convection, "heat transfer coefficient", "--convection") or STILL_AIR
-    if options.holder is not None:
-        choose(options.holder, outer_boundaries(chip), source="command line", field="--holder")
     window, name, folder = Window(outer=outer), device.state.name, output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         shot = _field(chip, name, model, show)
-        moving = liquid_motion(shot, by=options.flow, registry=model.registry, convection=convection,
-                               holder=options.holder)
+        # A liquid that is kept at its temperature has no flow by heat.
+        cause = FlowCause.SOUND if options.cold and options.flow == FlowCause.HEAT else options.flow
+        up = model.warm or WarmUp()
+        moving = liquid_motion(shot, by=cause, registry=model.registry, convection=up.convection, holder=up.holder)
         found = trajectories(shot, 60.0 * options.minutes, particles=options.count, seed=options.seed,
-                             flow=moving.velocity, progress=partial(simulated, show, name))
+                             flow=moving.velocity, start=options.start, progress=partial(simulated, show, name))
         pictures, files = _drawn(found, moving, window, folder, animated=not options.no_animation) \
             if not options.no_pictures else ([], {})
         show(name, "done", 1.0)
+    answer = statement(name, found.report, moving, found)
+    answer = replace(answer, sentences=(*softening_words(shot, moving.heat), *answer.sentences))
     files = {**files, "all positions, times and fates": write_trajectories(found, folder / "trajectories.npz"),
              "the light curve": write_light_curve(found, window, folder / "light_curve.csv")}
     write_json(folder / "particles.json", {"chip": chip.name, "chip_file": str(options.chip), "state": name,
-                                           **motion_record(found, window), "liquid": flow_record(moving),
-                                           "findings": list(shot.findings)})
-    write_particles_report(shot, found, moving, pictures, files, folder)
+                                           **motion_record(found, window, answer), **warm_record(shot),
+                                           "liquid": flow_record(moving), "findings": list(shot.findings)})
+    write_particles_report(shot, found, moving, answer, pictures, files, folder)
     print_table(chip.name, captures_table(capture_statistics(found)))
     if isinstance(shot, Simulation):
         print_paragraph(str(shot.operating))
-    print_paragraph(motion_answer(found))
+    if shot.warm is not None:
+        print_paragraph(str(shot.warm))
+    print_paragraph(str(answer))
     print_paragraph(flow_answer(moving))
     for text in shot.findings:
         say_finding(text, console)
@@ -93,7 +96,7 @@ def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
             f"the field is that of {run.fields.frequency / 1e6:.6g} MHz, the middle of the band, because there is no "
             f"f0: {run.no_resonance}. State the frequency of the generator by --at", *run.findings))
     return snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
-                    accuracy=model.accuracy, progress=partial(simulated, show, name))
+                    accuracy=model.accuracy, warm=model.warm, progress=partial(simulated, show, name))
 
 
 def _quantity(text: str | None, dimension: str, field: str) -> float | None:

@@ -30,7 +30,7 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
     folder = output_folder(options, Outputs("render", field_files(name), kept=tuple(field_files("*"))))
     with progress_bars(console) as show:
         shot = snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,
-                        accuracy=model.accuracy, progress=partial(simulated, show, name)) \
+                        accuracy=model.accuracy, warm=model.warm, progress=partial(simulated, show, name)) \
             if isinstance(model.at, float) else run_state(chip, name, model, show)
         show(name, "pictures", SIMULATED)
         paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]
@@ -41,6 +41,8 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
         print_line(str(path))
     if isinstance(shot, Simulation):
         print_line(str(shot.operating))
+    if shot.warm is not None:
+        print_line(str(shot.warm))
     if shot.traps is not None:
         print_line(str(shot.traps))
     return 0

@@ -13,6 +13,7 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
+from geometry.straight import straight_findings
 from workbench.commands.export import export_solids, solid_names
 from workbench.commands.parsed_options import ModelOptions, model_options, output_folder
 from workbench.commands.states import SIMULATED, field_files, run_state, state_sizes, write_fields
@@ -27,7 +28,7 @@ from workbench.model.problem import fill
 from workbench.reduced.at_point import NotEnriched
 from workbench.render import gallery
 from workbench.render.canvas import Picture
-from workbench.report.resonances import resonances_table
+from workbench.report.resonances import resonance_notes, resonances_table
 from workbench.report.simulation import (
     ENERGY_PICTURE,
     gathering_record,
@@ -36,8 +37,9 @@ from workbench.report.simulation import (
     without_resonance,
     write_simulation_report,
 )
+from workbench.report.warm import WARMTH_PICTURE
 from workbench.results.spectrum import write_spectrum
-from workbench.simulation.gathering import gathering
+from workbench.simulation.gathering import Gathering, gathering
 from workbench.simulation.run import DrawnState, Simulation
 
 if TYPE_CHECKING:
@@ -71,7 +73,8 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         pictures, solid_view = beside.pictures(), beside.solid_view()
     # The last state is the one the device works in: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
-    answers = [found for found in map(gathering, runs) if found is not None]
+    answers = [found for run in runs
+               if (found := gathering(run, registry=model.registry, kept=options.cold)) is not None]
     write_json(folder / "merit.json", {
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
         "states": {run.state: simulation_record(run) for run in runs},
@@ -81,20 +84,35 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         discard(path)
-    print_table(chip.name, simulated_figures_table(chip, runs))
-    print_table("", resonances_table({run.state: run.resonances for run in runs}))
-    for run in reversed(runs):
-        if run.energy is not None or options.at is not None:
-            print_paragraph(f"State {run.state}: {run.operating}")
-    for answer in reversed(answers):
-        print_paragraph(str(answer))
-    for text in dict.fromkeys(text for run in runs for text in run.findings):
-        say_finding(text, console)
-    for text in without_resonance(runs):
-        console.print(text, style="yellow", markup=False)
+    _print_results(chip, runs, answers, console, is_stated=options.at is not None)
     if failed:
         raise _of_state(failed)
     return 0
+
+
+def _print_results(
+    chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], console: Console, *, is_stated: bool
+) -> None:
+    """Print the results, the last state's first; that of a dry state has its frequency if it `is_stated`."""
+    first = straight_findings(chip.measure, chip.electrodes)
+    for text in first:
+        say_finding(text, console)
+    print_table(chip.name, simulated_figures_table(chip, runs))
+    circuits = {run.state: run.resonances for run in runs}
+    print_table("", resonances_table(circuits))
+    for text in resonance_notes(circuits):
+        print_paragraph(text)
+    for run in reversed(runs):
+        if run.energy is not None or is_stated:
+            print_paragraph(f"State {run.state}: {run.operating}")
+        if run.warm is not None:
+            print_paragraph(str(run.warm))
+    for answer in reversed(answers):
+        print_paragraph(str(answer))
+    for text in dict.fromkeys(text for run in runs for text in run.findings if text not in first):
+        say_finding(text, console)
+    for text in without_resonance(runs):
+        console.print(text, style="yellow", markup=False)
 
 
 def _of_state(failed: Mapping[str, RuntimeError]) -> RuntimeError:
@@ -106,7 +124,8 @@ def _of_state(failed: Mapping[str, RuntimeError]) -> RuntimeError:
 def simulation_outputs(chip: Chip, states: Sequence[str]) -> Outputs:
     """The files of `simulate` for some states of a chip."""
     return Outputs("simulate", working=("unfinished_*.csv",), names=(
-        "report.html", "merit.json", "spectrum.csv", "impedance.png", ENERGY_PICTURE, "cad.png", *solid_names(chip),
+        "report.html", "merit.json", "spectrum.csv", "impedance.png", ENERGY_PICTURE, WARMTH_PICTURE, "cad.png",
+        *solid_names(chip),
         *(name for state in states for name in (f"spectrum_{state}.csv", f"unfinished_{state}.csv",
                                                 *field_files(state)))))
 

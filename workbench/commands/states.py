@@ -33,7 +33,7 @@ def run_state(
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, model)
     return simulate_state(
         chip, name, registry=model.registry, band=model.band, points=model.points, at=model.at, full=model.full,
-        relative_error=model.relative_error, drive=model.drive, accuracy=model.accuracy,
+        relative_error=model.relative_error, drive=model.drive, accuracy=model.accuracy, warm=model.warm,
         on_point=points.add if points else None, known=points.known if points else None,
         on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),

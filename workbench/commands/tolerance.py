@@ -21,11 +21,11 @@ from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.report.tolerance import (
     drive_in_words,
-    figures_table,
     sensitivities_table,
     sobol_table,
     tightening_table,
     tolerance_record,
+    uncertain_figures_table,
     unclear_tightenings,
     write_samples,
     write_tolerance_report,
@@ -59,7 +59,7 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     with progress_bars(console) as show:
         found = tolerance(
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=model.drive,
-            thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
+            thermal_resistance=resistance, at=model.at, tracking=options.tracking, samples=options.samples,
             sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
             band=model.band, accuracy=model.accuracy, jobs=jobs_option(options),
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
@@ -97,7 +97,7 @@ def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]
 def _tell(found: Tolerance, console: Console) -> None:
     """Print what was found."""
     title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
-    print_table(title, figures_table(found))
+    print_table(title, uncertain_figures_table(found))
     print_table("what matters", sensitivities_table(found))
     if found.sobol is not None:
         print_table("shares of the variance", sobol_table(found))

@@ -10,7 +10,7 @@ Further full solves check it; where they find it wanting they join it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.plausible import as_text
+from workbench.acoustics.sound_energy import SoundEnergy, sound_energy
 from workbench.design.cavity import Cavity
+from workbench.design.resonance import HALF, Impedance, ResonantQuantity, Responding
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.operators import FullOperators
@@ -48,6 +50,8 @@ ROUNDS = 8
 SWEPT, FEWEST = 5, 16
 #: Relative error of |Z| that is left to the rough spectrum: two resonances whose depths differ less may be confused.
 ROUGH = 0.03
+#: Part of the level below which a peak of the energy is too low to be the largest one: a tenth of its energy.
+DEEP = 0.5 * float(np.log(10.0))
 #: Points of the rough spectrum for the half-power width of the narrowest resonance met.
 ACROSS = 3
 #: A basis that is not as good as asked for keeps directions smaller by this.
@@ -77,8 +81,9 @@ class Bases:
     ``frequency`` (n,) Hz.
 
     ``sketch`` is what errors are estimated with; ``rows`` (n, m, r) the pressure at the cavity's nodes, None without a
-    cavity. ``error`` and ``pressure_error`` are the largest relative errors of Z and of the pressure's root mean square
-    at f0 that full solves have found.
+    cavity; ``sound`` and ``sweeping_sound`` the energy in the cavity of both, None without a fluid. ``error`` and
+    ``pressure_error`` are the largest relative errors of Z and of the pressure's root mean square where the chip is
+    driven that full solves have found.
     """
 
     operating: ReducedOperators
@@ -88,12 +93,17 @@ class Bases:
     frequency: Real
     error: float
     pressure_error: float
+    sound: SoundEnergy | None = None
+    sweeping_sound: SoundEnergy | None = None
 
     def arrays(self) -> dict[str, Real]:
         """The arrays that full solves gave; :func:`stored_bases` makes the rest again from the problem."""
         found = {"operating": self.operating.matrices, "sketch": self.sketch, "sweeping": self.sweeping.matrices,
                  "frequency": self.frequency, "errors": np.array([self.error, self.pressure_error])}
-        return found if self.rows is None else {**found, "rows": self.rows}
+        sounds = {"sound": self.sound, "sweeping_sound": self.sweeping_sound}
+        return {**found, **({} if self.rows is None else {"rows": self.rows}), **{
+            name: each.operators.matrices for name, each in sounds.items() if each is not None
+            and isinstance(each.operators, ReducedOperators)}}
 
     def pressure(self, states: Complex) -> Complex:
         """At the cavity's nodes (n, m, k), of reduced states (r, k)."""
@@ -118,62 +128,76 @@ def stored_bases(
         return ReducedOperators(integrals, Coefficients.of(integrals), arrays[name], np.arange(len(integrals)))
 
     error, pressure_error = map(float, arrays["errors"])
-    return Bases(reduced("operating", by_place), arrays["sketch"], arrays.get("rows"), reduced("sweeping", False),
-                 arrays["frequency"], error, pressure_error)
+    small, sweeping = reduced("operating", by_place), reduced("sweeping", False)
+
+    whole, moving = sound_energy(operators), range_keys(ranges)
+    sounds = [None if whole is None else whole.stored(arrays[name], moving, problem.values)
+              for name in ("sound", "sweeping_sound")]
+    return Bases(small, arrays["sketch"], arrays.get("rows"), sweeping, arrays["frequency"], error, pressure_error,
+                 *sounds)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The rough spectrum at one point: ``values`` there, its ``sweep``, the frequency it is ``driven`` at and the
-    half-power ``width`` of its deepest resonance (Hz)."""
+    """The rough spectrum at one point: ``values`` there, its ``sweep``, the ``level`` of each response over it, the
+    frequencies the chip is ``driven`` at and the least half-power ``width`` of the resonances there (Hz)."""
 
     values: Values
     sweep: Solution
-    driven: float
+    level: Mapping[ResonantQuantity, Real]
+    driven: tuple[float, ...]
     width: float
 
 
 def bases_of(
-    made: RangeModel, stated: float | None, places: Sequence[Cavity], *, tolerance: float, by_place: bool, seed: int,
-    progress: Progress = no_progress,
+    made: RangeModel, responses: Sequence[ResonantQuantity], stated: float | None, places: Sequence[Cavity], *,
+    tolerance: float, by_place: bool, seed: int, progress: Progress = no_progress,
 ) -> Bases:
-    """The bases for what a range model is of, for states at the frequency `stated` (Hz), or at f0.
+    """The bases for the problem of a range model.
 
     Args:
+        responses: those at whose resonances states are needed.
+        stated: a further frequency (Hz) of states.
         places: the cavity, if there is one that a figure is of.
-        tolerance: relative error of Z at f0; the pressure's is :data:`OF_PRESSURE` times as much.
+        tolerance: relative error of Z where the chip is driven; the pressure's is :data:`OF_PRESSURE` times as much.
         by_place: whether the operators are to know where losses are.
 
     Raises:
         InputError: nothing resonates in the band.
         NotConfirmed: full solves find larger errors after all rounds.
     """
-    names = tuple(ParameterName.parse(name).key for name in made.ranges)
-    points = _Points(made, qmc.Sobol(len(names), seed=seed), stated)
+    names, moving = tuple(ParameterName.parse(name).key for name in made.ranges), range_keys(made.ranges)
+    whole, own = sound_energy(made.reduced.full), made.problem.values
+
+    def sound_of(model: ReducedModel) -> SoundEnergy | None:
+        return None if whole is None else whole.on(model.basis, moving, own)
+
+    points = _Points(made, qmc.Sobol(len(names), seed=seed), tuple(responses), stated, sound_of(made.compact))
     moves = np.array([REACH * (high - low) for low, high in made.ranges.values()])
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
         rough = points.drawn(max(FEWEST, SWEPT * len(names)) + CHECKED, pool)
-        sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED])
+        sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED], sound_of)
         width = min(each.width for each in rough)
-        first = rough[: max(LEAST, TAKEN * len(names))]
-        columns = list(pool.map(lambda each: _columns(made, each, names, moves, width), first))
+        first = [(each, at) for each in rough[: max(LEAST, TAKEN * len(names))] for at in each.driven]
+        columns = list(pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), first))
         for turn in range(ROUNDS):
             operating = made.reduced.spanning(np.concatenate(columns, axis=1), smallest_part(tolerance))
-            checked = points.drawn(CHECKED, pool)
-            fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each.values).linearised(each.driven),
+            checked = [(each, at) for each in points.drawn(CHECKED, pool) for at in each.driven]
+            fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each[0].values).linearised(each[1]),
                                   checked))
-            error, pressure_error = _errors(operating, places, checked, fulls)
+            error, pressure_error = _errors(operating, places, whole, [each for each, _ in checked], fulls)
             progress("figures", (turn + 1.0) / ROUNDS)
             if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
                 break
-            columns += pool.map(lambda each: _columns(made, each, names, moves, width), checked)
+            columns += pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), checked)
         else:
             raise NotConfirmed(error, pressure_error, tolerance)
     band = made.frequency[-1] - made.frequency[0]
     grid = np.linspace(made.frequency[0], made.frequency[-1], int(np.ceil(ACROSS * band / width)) + 1)
-    small = compacted(operating, range_keys(made.ranges), made.problem.values, by_place=by_place)
+    small = compacted(operating, moving, own, by_place=by_place)
     rows = places[0].pressure_rows(operating.basis) if places else None
-    return Bases(small.operators, small.sketch, rows, sweeping, grid, error, pressure_error)
+    return Bases(small.operators, small.sketch, rows, sweeping.operators, grid, error, pressure_error,
+                 sound_of(operating), sound_of(sweeping))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +206,9 @@ class _Points:
 
     made: RangeModel
     sampler: qmc.Sobol
+    responses: tuple[ResonantQuantity, ...]
     stated: float | None
+    sound: SoundEnergy | None
 
     def drawn(self, count: int, pool: ThreadPoolExecutor) -> list[_Sample]:
         low, high = (np.array(ends) for ends in zip(*self.made.ranges.values(), strict=True))
@@ -192,30 +218,43 @@ class _Points:
     def _sample(self, point: Real) -> _Sample:
         numbers = dict(zip(self.made.ranges, map(float, point), strict=True))
         values = placed(self.made.problem.values, numbers)
-        sweep = ReducedSystem(self.made.compact.operators, values).sweep(self.made.frequency)
-        magnitude = np.abs(sweep.impedance)
-        lowest = int(np.argmin(magnitude))
-        driven = float(sweep.frequency[lowest]) if self.stated is None else self.stated
-        return _Sample(values, sweep, driven, _width(sweep.frequency, magnitude, lowest))
+        system = ReducedSystem(self.made.compact.operators, values)
+        sweep = system.sweep(self.made.frequency)
+        model = Responding(system, values, self.sound)
+        # The impedance's resonance counts where nothing is followed, too.
+        level = {each: each.sampled(model, sweep) for each in self.responses or (Impedance(),)}
+        found = [response.deepest(each) for response, each in level.items()]
+        lowest = [int(np.argmin(each)) if index is None else index
+                  for index, each in zip(found, level.values(), strict=True)]
+        driven = [] if self.stated is None else [self.stated]
+        driven += [float(sweep.frequency[index]) for index in lowest] if self.responses else []
+        width = min(_width(sweep.frequency, each, index) for index, each in zip(lowest, level.values(), strict=True))
+        return _Sample(values, sweep, level, tuple(driven), width)
 
 
-def _width(frequency: Real, magnitude: Real, lowest: int) -> float:
+def _width(frequency: Real, level: Real, lowest: int) -> float:
     """About the half-power width (Hz) of the resonance at an index; to the ends of the band where it goes on."""
-    high = np.flatnonzero(magnitude >= np.sqrt(2.0) * magnitude[lowest])
+    high = np.flatnonzero(level >= level[lowest] + HALF)
     below, above = high[high < lowest], high[high > lowest]
     return float(frequency[above[0] if above.size else -1] - frequency[below[-1] if below.size else 0])
 
 
-def _columns(made: RangeModel, sample: _Sample, names: tuple[str, ...], moves: Real, width: float) -> Complex:
+def _columns(
+    made: RangeModel, sample: _Sample, driven: float, names: tuple[str, ...], moves: Real, width: float
+) -> Complex:
     """The full state (size, n) at a point and what moves of frequency and parameters change it by, over the root of
     the charge."""
-    found = FullSystem(made.reduced.full, sample.values).linearised(sample.driven, names)
+    found = FullSystem(made.reduced.full, sample.values).linearised(driven, names)
     moved = np.column_stack([width * found.by_frequency, found.by_parameter * moves])
     return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
 
 
-def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_Sample]) -> ReducedOperators:
-    """The operators of the rough spectrum: as few vectors as leave :data:`ROUGH` of |Z| at points not used for them."""
+def _sweeping(
+    model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_Sample],
+    sound_of: Callable[[ReducedModel], SoundEnergy | None],
+) -> ReducedModel:
+    """The model of the rough spectrum: as few vectors as leave :data:`ROUGH` of each level at points not used for
+    them, where it is within :data:`DEEP` of its least."""
     states = np.concatenate([each.sweep.states / np.sqrt(np.abs(each.sweep.charge)) for each in taken], axis=1)
     whole = model.truncated(states, 0.0)
     if not whole.sizes.size:
@@ -223,20 +262,33 @@ def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_
         raise InputError("design model", "band", f"{low} to {high}", "a band in which the chip resonates")
     smallest = FINER * float(whole.sizes.max())
     while True:
-        found = whole.coarser(smallest**2).operators
-        off = max(float(np.abs(np.log(np.abs(
-            ReducedSystem(found, each.values).sweep(each.sweep.frequency).charge / each.sweep.charge))).max())
-            for each in checked)
-        if off <= ROUGH or found.size == whole.operators.size:
+        found = whole.coarser(smallest**2)
+        off = _off(found, checked, sound_of(found))
+        if off <= ROUGH or found.operators.size == whole.operators.size:
             return found
         smallest *= FINER
 
 
+def _off(model: ReducedModel, checked: Sequence[_Sample], sound: SoundEnergy | None) -> float:
+    """The largest difference of a level of a rough `model` at some points."""
+    off = 0.0
+    for each in checked:
+        system = ReducedSystem(model.operators, each.values)
+        there = Responding(system, each.values, sound)
+        sweep = system.sweep(each.sweep.frequency)
+        for response, level in each.level.items():
+            deep = slice(None) if isinstance(response, Impedance) else level <= level.min() + DEEP
+            off = max(off, float(np.abs(response.sampled(there, sweep) - level)[deep].max()))
+    return off
+
+
 def _errors(
-    operating: ReducedModel, places: Sequence[Cavity], samples: Sequence[_Sample], fulls: Sequence[LinearisedState]
+    operating: ReducedModel, places: Sequence[Cavity], whole: SoundEnergy | None, samples: Sequence[_Sample],
+    fulls: Sequence[LinearisedState],
 ) -> tuple[float, float]:
     """The largest relative errors of Z and of the pressure (root mean square) against full states."""
     rows = [place.pressure_rows(operating.basis) for place in places]
+    energy = None if whole is None else whole.on(operating.basis)
     errors, pressures = [0.0], [0.0]
     for sample, full in zip(samples, fulls, strict=True):
         small = ReducedSystem(operating.operators, sample.values).linearised(full.frequency)
@@ -244,4 +296,9 @@ def _errors(
         for place, row in zip(places, rows, strict=True):
             exact = np.append(full.state, 0.0)[place.rows]
             pressures.append(float(np.linalg.norm(row @ small.state - exact) / np.linalg.norm(exact)))
+        if whole is not None and energy is not None:
+            at = np.array([full.frequency])
+            exact_energy = whole.density(at, full.state[:, None], sample.values)
+            found = energy.density(at, small.state[:, None], sample.values)
+            pressures.append(0.5 * abs(float(found[0] / exact_energy[0]) - 1.0))
     return max(errors), max(pressures)

@@ -16,12 +16,14 @@ from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import LOSS_SHARE, Figure, figure_named
 from workbench.design.model import DesignModel
 from workbench.design.requirement import Requirement
-from workbench.model.drive import Drive
+from workbench.model.drive import Drive, VoltageDrive
 
 Real = NDArray[np.float64]
 
-#: Figures that are the same at every drive.
-UNDRIVEN = ("f0", "z_min", "q", "trap_height", "trap_offset", "trap_radius")
+#: Figures that are the same at every drive, and those that are the same at every voltage: the peak of the energy, which
+#: the drive follows, is elsewhere under a constant power or behind a generator.
+UNDRIVEN = ("f0", "z_min", "q")
+OF_VOLTAGE = ("trap_height", "trap_offset", "trap_radius", "peak_frequency", "peak_q")
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ def driven_figures(names: Sequence[str], requirements: Sequence[Requirement], dr
     asked += [(each.figure, each.drive or drive) for each in requirements]
     found: dict[tuple[str, str], DrivenFigure] = {}
     for each, at in asked:
-        undriven = each.name in UNDRIVEN or each.name.startswith(LOSS_SHARE)
+        alike = each.name in OF_VOLTAGE or each.name.startswith(LOSS_SHARE)
+        undriven = each.name in UNDRIVEN or (alike and all(isinstance(one, VoltageDrive) for one in (drive, at)))
         key = each.name, "" if undriven or str(at) == str(drive) else str(at)
         found.setdefault(key, DrivenFigure(each.name if not key[1] else f"{each.name} at {at}", each,
                                            drive if undriven else at))

@@ -9,30 +9,36 @@ frequencies. Where the drive follows f0, a change of a number moves the frequenc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.chip import Chip
 from geometry.names import parent_place
+from geometry.operating_point import AT_ENERGY, AT_F0
+from workbench.acoustics.sound_energy import SoundEnergy
 from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
-from workbench.design.dual import Dual, dual_derivative
+from workbench.design.dual import Dual
 from workbench.design.figures import LOSS_SHARE, QUOTIENTS, with_parts
-from workbench.design.resonance import Linearisable, Resonance, find_resonance
-from workbench.design.trapping import FoundTrap, NoTrap, find_trap, largest_square, trap_focus_time
+from workbench.design.resonance import Energy, Impedance, Resonance, ResonantQuantity, Responding, find_resonance
+from workbench.design.trapping import FoundTrap, NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
+from workbench.fem.level import drive_level
 from workbench.fem.linearised import LinearisedState, by_frequency, difference_frequencies, slope_columns
 from workbench.fem.solve import Solution
-from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.drive import Drive, VoltageDrive, wired
 from workbench.model.numbers import ParameterName
+from workbench.model.problem import FilledChip
 from workbench.results.brief import Brief
 from workbench.results.merit import NoResonance
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Figures of the spectrum, and those that need no fluid.
+#: Figures of the spectrum, those of the energy over frequency, and those that need no fluid.
 OF_RESONANCE = ("f0", "z_min", "q")
+OF_PEAK = ("peak_frequency", "peak_q")
 ELECTRICAL = ("voltage", "power", "heating")
 #: Figures of the particle's trap.
 OF_TRAP = ("trap_height", "trap_offset", "trap_radius", "trap_depth", "axial_stiffness", "radial_stiffness",
@@ -43,12 +49,61 @@ OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 @dataclass(frozen=True)
 class Operation:
-    """The operation of a chip: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
+    """The operation of a chip: its ``drive``; the ``frequency`` (Hz) it is driven at, or the word of
+    `geometry.operating_point.OPERATING_POINTS` for the resonance that the drive follows, None for that of the chip;
     ``thermal_resistance`` (K/W) of regions for heating, the key "" standing for all regions not named."""
 
     drive: Drive = field(default_factory=VoltageDrive)
-    frequency: float | None = None
+    frequency: float | str | None = None
     thermal_resistance: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, device: FilledChip) -> Operation:
+        """The operation of a chip in a state.
+
+        Unless stated, its frequency is that of the chip file, or else the largest peak of the energy of sound in the
+        cavity; in a cavity without a liquid the drive follows f0 instead of that. The drive is as the chip states its
+        wiring.
+
+        Raises:
+            InputError: see `workbench.model.drive.wired`.
+        """
+        stated = device.chip.operating_point if self.frequency is None else self.frequency
+        if stated is None or isinstance(stated, str):
+            stated = AT_ENERGY if device.is_wet and stated != AT_F0 else AT_F0
+        return replace(self.wired(device.chip), frequency=stated)
+
+    def wired(self, chip: Chip) -> Operation:
+        """The operation with the drive as the chip states its wiring.
+
+        Raises:
+            InputError: see `workbench.model.drive.wired`.
+        """
+        return replace(self, drive=wired(self.drive, chip))
+
+    @property
+    def words(self) -> str:
+        """The frequency in words."""
+        match self.frequency:
+            case None:
+                return "as the chip states"
+            case str():
+                return {AT_ENERGY: "follows the largest peak of the energy in the cavity", AT_F0: "follows f0"}[
+                    self.frequency]
+            case _:
+                return f"{self.frequency / 1e6:.4f} MHz"
+
+    @property
+    def follows(self) -> ResonantQuantity | None:
+        """The response whose resonance the drive follows, None at a stated frequency.
+
+        Raises:
+            ValueError: the operation is not yet that of a chip (:meth:`of`).
+        """
+        if self.frequency is None:
+            raise ValueError("the frequency is that of a chip: ask for Operation.of(device) first")
+        if self.frequency == AT_ENERGY:
+            return Energy(self.drive)
+        return Impedance() if self.frequency == AT_F0 else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,43 +180,71 @@ class FigureValues:
                           {name: each.gradient for name, each in found.items()} if self.question.names else None)
 
 
-def needs_resonance(question: Question) -> bool:
-    """Whether an answer begins with a spectrum."""
-    return question.operation.frequency is None or bool(set(question.figures) & set(OF_RESONANCE))
+def responses(figures: Collection[str], *operations: Operation) -> tuple[ResonantQuantity, ...]:
+    """The responses whose resonances the figures need at some operations, each once."""
+    found = [each.follows for each in operations if each.follows is not None]
+    if set(figures) & set(OF_RESONANCE):
+        found.append(Impedance())
+    if set(figures) & set(OF_PEAK):
+        found += [Energy(each.drive) for each in operations]
+    return tuple(dict.fromkeys(found))
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The levels (n,) of responses at some ascending ``frequency`` (n,) Hz, of a rough model."""
+
+    frequency: Real
+    of: Mapping[ResonantQuantity, Real]
+
+
+#: The levels of a model that is driven at a stated frequency.
+NOWHERE = Levels(np.zeros(0), {})
+
+
+def levels(question: Question, model: Responding, sweep: Callable[[], Solution]) -> Levels:
+    """The levels of the responses of a question; the `sweep` of the model is made if there are any."""
+    wanted = [each for each in responses(question.figures, question.operation)
+              if model.sound is not None or isinstance(each, Impedance)]
+    if not wanted:
+        return NOWHERE
+    solution = sweep()
+    return Levels(solution.frequency, {each: each.sampled(model, solution) for each in wanted})
 
 
 def answer(
-    question: Question, model: Linearisable, frequency: Real, charge: Complex, final: Linearisable | None = None
+    question: Question, model: Responding, known: Levels = NOWHERE, final: Responding | None = None
 ) -> FigureValues:
-    """The figures asked for, of a `model` whose `charge` (n,) at some ascending `frequency` (n,) Hz is known.
+    """The figures asked for, of a `model` whose rough levels are `known`.
 
     With `final` the model only says where the resonance is, and the states are those of that better model.
     """
     found: dict[str, Dual] = {}
-    resonance: Resonance | None = None
+    resonances: dict[ResonantQuantity, Resonance] = {}
     operation, missing = question.operation, dict[str, str]()
-    if needs_resonance(question):
+    for response in responses(question.figures, question.operation):
+        names: Sequence[str] = OF_RESONANCE if isinstance(response, Impedance) else OF_PEAK
         try:
-            resonance = find_resonance(model, frequency, charge, question.keys, final)
+            resonances[response] = _resonance(question, response, model, known, final)
         except NoResonance as error:
-            missing = dict.fromkeys(question.figures if operation.frequency is None else OF_RESONANCE, error.reason)
+            missing.update(dict.fromkeys(question.figures if response == operation.follows else names, error.reason))
+            continue
+        _of_resonance(resonances[response], response, found, missing)
     driven, state = operation.frequency, None
-    if resonance is not None:
-        gradients = resonance.gradients(question.turns)
-        found = {name: Dual(value, each) for name, value, each in zip(
-            OF_RESONANCE, (resonance.f0, resonance.z_min, resonance.q), gradients, strict=True)}
-        driven = resonance.f0 if driven is None else driven
+    if operation.follows is not None:
+        driven = resonances[operation.follows].frequency if operation.follows in resonances else None
     if driven is not None:
-        if operation.frequency is None:
-            assert resonance is not None
-            state, follows = resonance.at, found["f0"]
-        else:
-            state = (final or model).linearised(driven, question.keys)
+        assert not isinstance(driven, str)
+        if operation.follows is None:
+            state = (final or model).system.linearised(driven, question.keys)
             follows = Dual(driven, np.zeros(len(question.names)))
-        operating = _Operating(question, state, follows)
-        for names, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
-            wanted = [each for each in with_parts(question.figures) if each in names or
-                      (names is ELECTRICAL and each.startswith(LOSS_SHARE))]
+        else:
+            state = resonances[operation.follows].at
+            follows = Dual(driven, resonances[operation.follows].gradients()[0])
+        operating = _Operating(question, state, follows, (final or model).sound)
+        for group, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
+            wanted = [each for each in with_parts(question.figures) if each in group or
+                      (group is ELECTRICAL and each.startswith(LOSS_SHARE))]
             if wanted:
                 compute(wanted, found, missing)
     for name, parts in QUOTIENTS.items():
@@ -170,17 +253,53 @@ def answer(
         elif any(each in missing for each in parts):
             missing[name] = next(missing[each] for each in parts if each in missing)
     kept = {name: found[name] for name in question.figures if name in found}
-    return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures},
-                        math.nan if driven is None else driven, state)
+    return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures
+                                         and name not in kept}, math.nan if driven is None else driven, state)
+
+
+def _resonance(
+    question: Question, response: ResonantQuantity, model: Responding, known: Levels, final: Responding | None
+) -> Resonance:
+    """The resonance of a response.
+
+    Raises:
+        NoResonance: there is none in the band, or of the impedance not a whole one.
+    """
+    if response not in known.of:
+        raise NoResonance("the cavity holds no liquid with sound in it", frequency=math.nan, impedance=math.nan)
+    found = find_resonance(response, model, known.frequency, known.of[response], question.keys, question.turns, final)
+    if isinstance(response, Impedance) and found.sides is None:
+        raise NoResonance(found.reason, frequency=found.frequency, impedance=math.exp(found.least))
+    return found
+
+
+def _of_resonance(
+    resonance: Resonance, response: ResonantQuantity, found: dict[str, Dual], missing: dict[str, str]
+) -> None:
+    """Add the figures of a resonance, f0, Z_min and Q or the peak's frequency and Q."""
+    frequency, least, q = resonance.gradients()
+    if isinstance(response, Impedance):
+        z_min = math.exp(resonance.least)
+        values = {"f0": Dual(resonance.frequency, frequency), "z_min": Dual(z_min, z_min * least),
+                  "q": Dual(resonance.q, q)}
+    else:
+        values = {"peak_frequency": Dual(resonance.frequency, frequency)}
+        if resonance.sides is None:
+            missing["peak_q"] = resonance.reason
+        else:
+            values["peak_q"] = Dual(resonance.q, q)
+    found.update(values)
 
 
 @dataclass(frozen=True, eq=False)
 class _Operating:
-    """A chip at the frequency it is driven at: the ``state`` there, and that frequency with its derivatives."""
+    """A chip at the frequency it is driven at: the ``state`` there, that frequency with its derivatives, and the energy
+    of the ``sound`` in the cavity, None without a fluid."""
 
     question: Question
     state: LinearisedState
     frequency: Dual
+    sound: SoundEnergy | None
 
     @property
     def state_slopes(self) -> Complex:
@@ -191,19 +310,9 @@ class _Operating:
     @property
     def square_of_voltage(self) -> Dual:
         """|V|^2 (V^2) of the amplitude at the electrodes."""
-        state, drive = self.state, self.question.operation.drive
-        by_number = (state.charge_by_parameter * self.question.turns
-                     + state.charge_by_frequency * self.frequency.gradient)
-        impedance = complex(state.solution.impedance[0])
-        # Z = i / (w Q).
-        moved = -impedance * (self.frequency.gradient / self.frequency.value + by_number / state.charge)
-
-        def square(z: complex) -> Real:
-            return np.abs(drive.amplitude(np.array([z]))[0]) ** 2
-
-        by_real = dual_derivative(lambda x: square(complex(x, impedance.imag)), impedance.real)
-        by_imaginary = dual_derivative(lambda x: square(complex(impedance.real, x)), impedance.imag)
-        return Dual(float(square(impedance)), by_real * moved.real + by_imaginary * moved.imag)
+        level = drive_level(self.question.operation.drive.amplitude, self.state, self.question.turns)
+        square = math.exp(level.value)
+        return Dual(square, square * (level.by_number + level.slope * self.frequency.gradient))
 
     def electrical(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
         """Voltage, power, heating and shares of the losses."""
@@ -262,8 +371,16 @@ class _Operating:
     def of_field(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
         """Figures of the cavity's field and of the trap in it."""
         cavity, square = self.question.cavity, self.square_of_voltage
+        if "mean_e_ac" in names and self.sound is not None:
+            level = self.sound.log_level(self.state, self.question.values, self.question.turns)
+            energy = math.exp(level.value)
+            found["mean_e_ac"] = square * Dual(energy, energy * (level.by_number
+                                                                 + level.slope * self.frequency.gradient))
+        rest = [each for each in names if each != "mean_e_ac" or self.sound is None]
         if cavity is None:
-            missing.update(dict.fromkeys(names, self.question.reason))
+            missing.update(dict.fromkeys(rest, self.question.reason))
+            return
+        if not rest:
             return
         field_there = self._field(cavity)
         if {"p0", "e_ac"} & set(names):
@@ -271,7 +388,6 @@ class _Operating:
             found["p0"] = largest.sqrt()
             fluid = field_there.around.fluid
             found["e_ac"] = largest / (fluid["density"] * fluid["sound_speed"] ** 2.0) / 4.0
-        found["mean_e_ac"] = field_there.mean_energy_density * square
         of_trap = [name for name in names if name in OF_TRAP]
         if of_trap and cavity.particle is None:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
@@ -308,6 +424,10 @@ def _trap_figures(
     found["trap_offset"] = trap.height - trap.field.around.height * 0.5
     found["trap_depth"] = trap.depth * square
     found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
+    circulating = follows_flow(trap)
+    if circulating:
+        missing["focus_time"] = circulating
+        return
     try:
         found["focus_time"] = trap_focus_time(trap, square, beyond=beyond)
     except NoTrap as error:

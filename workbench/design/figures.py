@@ -1,6 +1,7 @@
 """The figures that a chip is judged by: names, units, and what they mean.
 
-All are of one frequency at which the chip is driven, its resonance f0 unless another is stated, and of one drive.
+All are of one frequency at which the chip is driven, and of one drive. Unless stated, it is the largest peak of the
+energy of sound in the cavity, or f0 where the cavity holds no liquid.
 Fields are those of the cavity's fluid; traps those of the particle that the chip's state names.
 """
 
@@ -35,6 +36,9 @@ _ALL = (
     Figure("f0", "Hz", "frequency", "frequency of the smallest |Z|", "MHz", 1e6),
     Figure("z_min", "ohm", "resistance", "smallest |Z|", "ohm"),
     Figure("q", "1", "dimensionless", "quality factor, half power of |Y|", ""),
+    Figure("peak_frequency", "Hz", "frequency", "frequency of the largest mean energy density in the cavity", "MHz",
+           1e6),
+    Figure("peak_q", "1", "dimensionless", "quality factor of that peak, half power of the energy", ""),
     Figure("voltage", "V", "peak-to-peak voltage", "peak-to-peak voltage at the electrodes", "Vpp"),
     Figure("power", "W", "power", "electrical input power", "W"),
     Figure("p0", "Pa", "pressure", "largest pressure amplitude in the cavity", "kPa", 1e3),

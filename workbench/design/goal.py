@@ -3,6 +3,7 @@
     [goal]
     chip = "chip.toml"                  # where the search starts; the path is relative to this file
     state = "filled"
+    frequency = "energy"                # or "f0", or a frequency, as of a study
     drive = "10 Vpp"                    # or "1 W": a figure per volt or per watt is the figure at that drive
     maximise = "e_ac"                   # or minimise = "focus_time"; two of them give a Pareto front
     constraints = ["trap_offset within 50 um of 0 um", "heating <= 5 K",
@@ -30,12 +31,14 @@ from pathlib import Path
 from typing import Any
 
 from geometry.chip import Chip, read_chip
+from geometry.operating_point import AT_ENERGY
 from geometry.plausible import check_band, check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
+from workbench.design.evaluation import Operation
 from workbench.design.figures import FIGURES, LOSS_SHARE, with_parts
-from workbench.design.model import Operation
+from workbench.design.plan import frequency_key
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
 from workbench.files.errors import InputError, choose, expect
@@ -43,6 +46,7 @@ from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
 from workbench.model.drive import Drive, read_drive
 from workbench.model.numbers import Law
+from workbench.model.problem import fill
 
 #: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
 #: 95 % of the chips.
@@ -139,6 +143,7 @@ class Goal:
         constraints: Sequence[str] = (),
         state: str | None = None,
         drive: Drive | str = "10 Vpp",
+        frequency: float | str | None = None,
         band: Sequence[float | str] | None = None,
         thermal: Mapping[str, Any] | None = None,
         robust: Mapping[str, Any] | None = None,
@@ -157,7 +162,7 @@ class Goal:
         expect(chip, Chip, reader="read_chip", source=source, field="chip")
         root = FileTable.made(source, {
             "goal": {"maximise": maximise, "minimise": minimise, "constraints": constraints, "state": state,
-                     "drive": drive, "band": band},
+                     "drive": drive, "frequency": frequency, "band": band},
             "variables": variables, "thermal": thermal, "robust": robust, "search": search})
         head = root.table("goal")
         chosen = chip.state(None).name
@@ -176,7 +181,8 @@ class Goal:
         thermal_resistance = read_thermal(root, chip, (), states=(chosen,), band=within, registry=registry)
         self.__dict__.update(
             source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
-            operation=Operation(driven, thermal_resistance=thermal_resistance),
+            operation=Operation(driven, frequency_key(head, within or chip.band), thermal_resistance).of(
+                fill(chip, chosen, registry)),
             objectives=_objectives(head, chip), band=within,
             robust=_robust(root.table("robust")) if "robust" in root else None)
         _check(self)
@@ -197,8 +203,9 @@ class Goal:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """The figures asked for: f0, the objectives, those that are bounded."""
-        asked = ["f0", *(each.figure for each in self.objectives if each.figure != TOLERANCE),
+        """The figures asked for: the resonance, the objectives, those that are bounded."""
+        resonance = "peak_frequency" if self.operation.frequency == AT_ENERGY else "f0"
+        asked = [resonance, *(each.figure for each in self.objectives if each.figure != TOLERANCE),
                  *(each.figure for each in self.bounds if not each.of_lengths)]
         return tuple(dict.fromkeys(asked))
 
@@ -211,7 +218,8 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     """
     path = Path(path)
     root = FileTable.read(path).only(("goal", "variables", "thermal", "robust", "search"))
-    head = root.table("goal").only(("chip", "state", "drive", "maximise", "minimise", "constraints", "band"))
+    head = root.table("goal").only(("chip", "state", "drive", "frequency", "maximise", "minimise", "constraints",
+                                    "band"))
     chip = read_chip(head.path("chip", path.parent, expected="the path of a chip file"))
     said = {key: value for key, value in head.content.items() if key != "chip"}
     tables: dict[str, Any] = {key: root.content.get(key) for key in ("thermal", "robust", "search")}

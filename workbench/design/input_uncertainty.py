@@ -25,7 +25,7 @@ from geometry.assumed import is_film
 from geometry.chip import Chip
 from geometry.stretch import admissible_range, canonical_names
 from materials.fit import Correlation
-from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import Fluid, Material, Solid
 from materials.registry import Registry
 from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.files.errors import InputError, choose, nearest_names
@@ -185,7 +185,7 @@ class _Collected:
         self.inputs.pop(name, None)
         self.correlations = [_without(each, name) for each in self.correlations]
 
-    def uncertainty(self, materials: Mapping[str, Piezoelectric | IsotropicSolid]) -> Uncertainty:
+    def uncertainty(self, materials: Mapping[str, Solid]) -> Uncertainty:
         names = list(self.inputs)
         matrix = np.eye(len(names))
         for each in self.correlations:
@@ -332,7 +332,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: 
             raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have one "
                              "that is assumed by the role of their layer")
         length = replace(known[name], stated=None).known
-        found.put(known_as(number, assumed_by_role(name, known[name].value),
+        found.put(known_as(number, assumed_by_role(name, known[name].value, known[name].material),
                            admissible_range(device.chip, name, length.low, length.high)))
         return
     choose(word, _WORDS, source=each.source, field=each.field)

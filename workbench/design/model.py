@@ -23,10 +23,21 @@ from geometry.names import CAVITY
 from geometry.stretch import canonical_names, moving_together
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.acoustics.sound_energy import sound_energy
 from workbench.design.bases import Bases, bases_of, stored_bases
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
-from workbench.design.evaluation import OF_FIELD, Evaluation, FigureValues, Operation, Question, answer, needs_resonance
+from workbench.design.evaluation import (
+    OF_FIELD,
+    Evaluation,
+    FigureValues,
+    Operation,
+    Question,
+    answer,
+    levels,
+    responses,
+)
 from workbench.design.figures import LOSS_SHARE, check_figures, with_parts
+from workbench.design.resonance import Impedance, Responding
 from workbench.fem.linearised import FullSystem, ReducedSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import NotConverged, one_thread
@@ -36,6 +47,7 @@ from workbench.fitting.parameter import about
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.dimensions import parametrised, parametrised_within
 from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.drive import Drive
 from workbench.model.numbers import ParameterName, placed
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.at_point import reduced
@@ -59,7 +71,7 @@ SWEEP = 0.01
 #: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
 TOLERANCE = 1e-5
 #: Number of the layout of a stored model; raise it where the layout changes.
-FORMAT = 1
+FORMAT = 2
 
 
 class Evaluator(Protocol):
@@ -117,14 +129,14 @@ class DesignModel(Brief):
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
         numbers, bases = self.numbers(values), self.bases
         there = placed(self.values, numbers)
-        question = Question(self.figures, self.names if gradient else (), there, self.operation, self.cavity,
-                            self.reason, bases.pressure)
+        question = Question(self.figures, self.names if gradient else (), there, self.operation.wired(self.chip),
+                            self.cavity, self.reason, bases.pressure)
         with one_thread():
-            system = ReducedSystem(bases.operating, there)
-            charge = np.zeros(0, dtype=complex)
-            if needs_resonance(question):
-                charge = ReducedSystem(bases.sweeping, there).sweep(bases.frequency).charge
-            return answer(question, system, bases.frequency, charge).evaluation(numbers, bases.estimate)
+            rough = ReducedSystem(bases.sweeping, there)
+            known = levels(question, Responding(rough, there, bases.sweeping_sound),
+                           lambda: rough.sweep(bases.frequency))
+            model = Responding(ReducedSystem(bases.operating, there), there, bases.sound)
+            return answer(question, model, known).evaluation(numbers, bases.estimate)
 
     def save(self, path: Path) -> None:
         """Keep the model in a file, to be read by :func:`load_design_model` with the chip it is of.
@@ -172,11 +184,14 @@ def design_model(
     seed: int = 0,
     progress: Progress = no_progress,
     accuracy: float | Discretisation = ACCURACY,
+    drives: Sequence[Drive] = (),
 ) -> DesignModel:
     """A model of a chip's figures over `ranges`, see `workbench.reduced.ranges.range_model` for the arguments.
 
     Args:
-        relative_error: of Z at f0; that of the pressure is `workbench.design.bases.OF_PRESSURE` times that.
+        drives: further drives that figures will be asked for.
+        relative_error: of Z where the chip is driven; that of the pressure is `workbench.design.bases.OF_PRESSURE`
+            times that.
 
     Raises:
         InputError: something in the chip, its materials, the ranges or the figures.
@@ -189,26 +204,31 @@ def design_model(
         progress=lambda text, share: progress(text, 0.5 * share), accuracy=accuracy)
     return of_range_model(
         made, chip, state, figures=figures, operation=operation, registry=registry, relative_error=relative_error,
-        seed=seed, progress=lambda text, share: progress(text, 0.5 + 0.5 * share))
+        seed=seed, progress=lambda text, share: progress(text, 0.5 + 0.5 * share), drives=drives)
 
 
 def of_range_model(
     made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
     registry: Registry | None = None, relative_error: float = 1e-3, seed: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = no_progress, drives: Sequence[Drive] = (),
 ) -> DesignModel:
     """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
+
+    `drives` are further ones that figures will be asked for.
 
     Raises:
         InputError: something in the chip, its materials or the figures.
         NotConfirmed: see :func:`design_model`.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
-    operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
+    operation = (operation or Operation()).of(device)
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted)
-    bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=relative_error,
-                     by_place=_by_place(wanted), seed=seed, progress=progress)
+    followed = responses(wanted, *(replace(operation, drive=each) for each in (operation.drive, *drives)))
+    stated = operation.frequency if isinstance(operation.frequency, float) else None
+    bases = bases_of(made, followed if device.is_wet else [Impedance()] * bool(followed), stated,
+                     [] if cavity is None else [cavity], tolerance=relative_error, by_place=_by_place(wanted),
+                     seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)
 
@@ -239,8 +259,8 @@ def load_design_model(
         bases = stored_bases(arrays, problem, operators, ranges, by_place=_by_place(wanted))
     except (KeyError, ValueError) as error:
         raise InputError(str(path), "file", repr(error), "the arrays of a design model") from error
-    return DesignModel(chip, device.state.name, wanted, operation or Operation(), ranges, problem.values, bases, cavity,
-                       reason, None)
+    return DesignModel(chip, device.state.name, wanted, (operation or Operation()).of(device), ranges, problem.values,
+                       bases, cavity, reason, None)
 
 
 def _by_place(figures: Sequence[str]) -> bool:
@@ -288,7 +308,7 @@ def full_evaluation(
         raise InputError(chip.file, "values", unknown[0], "a length or a coefficient of the chip's materials",
                          nearest_names(unknown[0], problem.values))
     return _evaluated(device, replace(problem, values=placed(problem.values, others)), values, wanted,
-                      operation or Operation(), registry, points, gradient)
+                      (operation or Operation()).of(device), registry, points, gradient)
 
 
 def all_of_one_length(chip: Chip, lengths: Mapping[str, float]) -> dict[str, float]:
@@ -332,8 +352,11 @@ def _evaluated(
     question = Question(figures, names, problem.values, operation, cavity, reason, pressure)
     try:
         with one_thread():
-            found = answer(question, ReducedSystem(small.operators, problem.values), sweep.frequency, sweep.charge,
-                           FullSystem(operators, problem.values))
+            whole = sound_energy(operators)
+            model = Responding(ReducedSystem(small.operators, problem.values), problem.values,
+                               None if whole is None else whole.on(small.basis))
+            found = answer(question, model, levels(question, model, lambda: sweep),
+                           Responding(FullSystem(operators, problem.values), problem.values, whole))
     except NotConverged as error:  # an undamped resonance: this chip has no figures, others have
         found = FigureValues(question, {}, dict.fromkeys(figures, str(error)), error.frequency, None)
     return found.evaluation(numbers, None)

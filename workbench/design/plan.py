@@ -5,8 +5,9 @@
     states = ["empty", "filled"]    # or state = "filled"; the last one of the chip file if neither is given
     figures = ["f0", "e_ac", "trap_offset", "loss.couplant"]
     drive = "10 Vpp"                # as of the option --drive; 10 Vpp unless stated
-    frequency = "f0"                # the drive follows f0 (unless stated otherwise), or a frequency
-    band = ["0.95 MHz", "1.1 MHz"]  # where f0 is looked for; that of the chip file unless stated
+    frequency = "energy"            # the drive follows the largest peak of the energy in the cavity; or "f0", or a
+                                    # frequency; unless stated as in the chip file, or else "energy"
+    band = ["0.95 MHz", "1.1 MHz"]  # where the resonance is looked for; that of the chip file unless stated
     relative_error = "0.1 %"        # of the reduced model's impedance
     accuracy = "0.05 %"             # of the mesh, as of the option --accuracy
     confirm = 5                     # points that are solved in full at the end
@@ -36,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
+from geometry.operating_point import parse_operating_point
 from geometry.plausible import check_band
 from materials.registry import Registry, user_registry
 from workbench.design.axes import read_axes
@@ -57,9 +59,6 @@ Real = NDArray[np.float64]
 #: Relative error of the reduced model's impedance unless stated otherwise, and points solved in full at the end.
 RELATIVE_ERROR, CONFIRMED = 1e-3, 5
 
-#: The frequency of a drive that follows the resonance.
-FOLLOWED = "f0"
-
 _KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "band", "relative_error", "accuracy",
          "limit", "confirm")
 
@@ -68,10 +67,10 @@ _KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "ba
 class Study:
     """A study of a chip whose description has been checked.
 
-    ``axes`` vary as ``sampling`` says, in every one of ``states``; ``figures`` by name; ``band`` (Hz) where f0 is
-    looked for; ``relative_error`` of the reduced model's impedance, made with ``limit`` full solves at most;
-    ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name that
-    mistakes are reported under: that of the file, or "Study".
+    ``axes`` vary as ``sampling`` says, in every one of ``states``; ``figures`` by name; ``band`` (Hz) where the
+    resonance is looked for; ``relative_error`` of the reduced model's impedance, made with ``limit`` full solves at
+    most; ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name
+    that mistakes are reported under: that of the file, or "Study".
     """
 
     name: str
@@ -100,7 +99,7 @@ class Study:
         states: Sequence[str] | None = None,
         sample: Mapping[str, Any] | None = None,
         drive: Drive | str = "10 Vpp",
-        frequency: float | str = FOLLOWED,
+        frequency: float | str | None = None,
         band: Sequence[float | str] | None = None,
         thermal: Mapping[str, Any] | None = None,
         relative_error: float | str | None = None,
@@ -134,7 +133,7 @@ class Study:
             raise head.error("figures", "one figure at least")
         within = _band(head, chip)
         thermal_resistance = read_thermal(table, chip, wanted, states=chosen, band=within, registry=registry)
-        operation = Operation(read_drive(head), _frequency(head, within), thermal_resistance)
+        operation = Operation(read_drive(head), frequency_key(head, within), thermal_resistance)
         sampling = read_sampling(table.table("sample", expected="a table [sample]"))
         axes = read_axes(table.table("vary", expected="a table [vary]"), chip, chosen, registry, method=sampling.method)
         self.__dict__.update(
@@ -216,13 +215,22 @@ def _band(head: FileTable, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def _frequency(head: FileTable, band: tuple[float, float]) -> float | None:
-    if head.content["frequency"] == FOLLOWED:
+def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | None:
+    """The key ``frequency`` of a table: a frequency (Hz) within the `band`, a word, or None if absent.
+
+    The words are those of `geometry.operating_point.OPERATING_POINTS`.
+
+    Raises:
+        InputError: none of these.
+    """
+    stated = head.content.get("frequency")
+    if stated is None:
         return None
-    frequency = head.quantity("frequency", "frequency")
-    if not band[0] <= frequency <= band[1]:
-        raise head.error("frequency", f'"f0", or a frequency within the band, {band[0]:g} to {band[1]:g} Hz')
-    return frequency
+    found = parse_operating_point(stated, source=head.source, field=head.at("frequency")) if isinstance(
+        stated, str) else head.quantity("frequency", "frequency")
+    if isinstance(found, float) and not band[0] <= found <= band[1]:
+        raise head.error("frequency", f'"energy", "f0", or a frequency within the band, {band[0]:g} to {band[1]:g} Hz')
+    return found
 
 
 def _relative_error(head: FileTable) -> float:

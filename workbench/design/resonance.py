@@ -1,39 +1,41 @@
-"""The resonance of a model and its figures f0, Z_min and Q, on the model itself rather than on points of a spectrum.
+"""The resonance of a model, on the model itself rather than on points of a spectrum: of its impedance or its energy.
 
-L(f) = ln |Z| has exact derivatives (`workbench.fem.linearised`). f0 is a root of L', the half-power frequencies f1 and
-f2 are roots of L - L(f0) - ln(2)/2, all found by Newton's method between points of a spectrum; the derivatives of the
-roots by a parameter follow from those of L (implicit function theorem):
+A level L(f) has exact derivatives: ln |Z|, or -ln(E)/2 of the mean energy density of sound in the cavity
+(`workbench.fem.level`). The resonance f0 is a root of L', the half-power frequencies f1 and f2 are roots of
+L - L(f0) - ln(2)/2, all found by Newton's method between points of a spectrum; the derivatives of the roots by a
+parameter follow from those of L (implicit function theorem):
 
-    f0' = -L_f,theta / L_ff,   (ln Z_min)' = L_theta(f0),   fi' = (L_theta(f0) - L_theta(fi)) / L_f(fi)
+    f0' = -L_f,theta / L_ff,   L(f0)' = L_theta(f0),   fi' = (L_theta(f0) - L_theta(fi)) / L_f(fi)
 
-The definitions are those of `workbench.results.merit`.
+The definitions of f0, Z_min and Q are those of `workbench.results.merit`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fem.linearised import (
-    LinearisedState,
-    curvature,
-    frequency_slope,
-    log_impedance,
-    log_slopes,
-    mixed_slopes,
-)
+from workbench.acoustics.sound_energy import SoundEnergy, peaks_of
+from workbench.fem.level import NO_NUMBERS, Level, drive_level, impedance_level
+from workbench.fem.linearised import LinearisedState
+from workbench.fem.solve import Solution
+from workbench.model.drive import Drive
 from workbench.results.merit import NoResonance
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: The rise of a level to half of the power.
+HALF = 0.5 * math.log(2.0)
 #: Relative change of a frequency below which Newton's method has converged: a millihertz of a megahertz.
 CONVERGED = 1e-9
+#: Difference of two levels that rounding makes.
+ROUNDING = 1e-12
 #: Most steps of it; it falls back on bisection, which gains a bit each.
 STEPS = 60
 
@@ -41,94 +43,175 @@ STEPS = 60
 class Linearisable(Protocol):
     """A model with its parameter values in place."""
 
-    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state at a frequency (Hz) with its derivatives by frequency and by complex parameters."""
+    def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
+        """The state at a frequency (Hz) with its derivatives by frequency and by complex parameters, also second ones
+        if `twice` is set."""
+
+
+@dataclass(frozen=True, eq=False)
+class Responding:
+    """A model to be driven: the ``system`` that is solved, its parameter ``values``, and the energy of its ``sound``,
+    None where the cavity holds no fluid."""
+
+    system: Linearisable
+    values: Mapping[str, complex]
+    sound: SoundEnergy | None = None
+
+
+class ResonantQuantity(Protocol):
+    """A figure of a state over frequency, as a level that is least at a resonance and ln(2)/2 higher at half power."""
+
+    def sampled(self, model: Responding, solution: Solution) -> Real:
+        """The level (n,) of the states of a solution."""
+
+    def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
+
+    def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
+        """The level of a state and its derivatives."""
+
+    def deepest(self, level: Real) -> int | None:
+        """The index of the resonance among levels (n,), None where there is none."""
+
+    def words(self, level: float) -> str:
+        """A level in words."""
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`)."""
+
+    def sampled(self, model: Responding, solution: Solution) -> Real:
+        return -np.log(solution.omega * np.abs(solution.charge))
+
+    def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        return model.system.linearised(frequency, names)
+
+    def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
+        return impedance_level(state, turns)
+
+    def deepest(self, level: Real) -> int | None:
+        lowest = int(np.argmin(level))
+        return None if lowest in (0, level.size - 1) else lowest
+
+    def words(self, level: float) -> str:
+        return f"smallest |Z|, {math.exp(level):.4g} ohm,"
+
+
+@dataclass(frozen=True)
+class Energy:
+    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2."""
+
+    drive: Drive
+
+    def sampled(self, model: Responding, solution: Solution) -> Real:
+        assert model.sound is not None
+        energy = model.sound.density(solution.frequency, solution.states, model.values)
+        return -0.5 * np.log(energy) - np.log(np.abs(self.drive.amplitude(solution.impedance)))
+
+    def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        return model.system.linearised(frequency, names, twice=True)
+
+    def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
+        assert model.sound is not None
+        energy = model.sound.log_level(state, model.values, turns)
+        return (energy + drive_level(self.drive.amplitude, state, turns)) * -0.5
+
+    def deepest(self, level: Real) -> int | None:
+        return next(iter(peaks_of(np.exp(-2.0 * level))), None)
+
+    def words(self, level: float) -> str:
+        return f"largest energy of the sound in the cavity, {math.exp(-2.0 * level):.4g} J/m^3 under {self.drive},"
 
 
 @dataclass(frozen=True, eq=False)
 class Resonance:
-    """A resonance: the state ``at`` about f0 and those about the half-power frequencies f1 and f2.
+    """A resonance of a response: the state ``at`` about its frequency, and the levels there and about the two
+    half-power frequencies, None where a neighbour or the end of the band is in the way, and ``reason`` says which.
 
     The frequencies themselves are a last step of Newton's method from these.
     """
 
     at: LinearisedState
-    below: LinearisedState
-    above: LinearisedState
+    level: Level
+    sides: tuple[tuple[float, Level], tuple[float, Level]] | None
+    reason: str = ""
 
     @property
-    def f0(self) -> float:
+    def frequency(self) -> float:
         """Hz."""
-        return self.at.frequency - frequency_slope(self.at) / curvature(self.at)
+        return self.at.frequency - self.level.slope / self.level.curvature
 
     @property
-    def log_z_min(self) -> float:
-        """ln of the smallest |Z| in ohm."""
-        return log_impedance(self.at) - 0.5 * frequency_slope(self.at) ** 2 / curvature(self.at)
-
-    @property
-    def z_min(self) -> float:
-        """Ohm."""
-        return math.exp(self.log_z_min)
+    def least(self) -> float:
+        """The least level."""
+        return self.level.value - 0.5 * self.level.slope**2 / self.level.curvature
 
     @property
     def width(self) -> float:
-        """f2 - f1, Hz."""
-        half = self.log_z_min + 0.5 * math.log(2.0)
-        low, high = (each.frequency - (log_impedance(each) - half) / frequency_slope(each)
-                     for each in (self.below, self.above))
+        """Width at half power in Hz, NaN without sides."""
+        if self.sides is None:
+            return math.nan
+        half = self.least + HALF
+        low, high = (frequency - (each.value - half) / each.slope for frequency, each in self.sides)
         return high - low
 
     @property
     def q(self) -> float:
-        return self.f0 / self.width
+        """The frequency over the width at half power."""
+        return self.frequency / self.width
 
-    def gradients(self, turns: Complex) -> tuple[Real, Real, Real]:
-        """Derivatives (k,) of f0, Z_min and Q by the real numbers that the parameters move by `turns` (k,): 1 for a
-        real part, 1j for an imaginary one."""
-        slope_0 = log_slopes(self.at, turns)
-        f0 = -mixed_slopes(self.at, turns) / curvature(self.at)
-        f1, f2 = ((slope_0 - log_slopes(each, turns)) / frequency_slope(each) for each in (self.below, self.above))
-        return f0, self.z_min * slope_0, self.q * (f0 / self.f0 - (f2 - f1) / self.width)
+    def gradients(self) -> tuple[Real, Real, Real]:
+        """Derivatives (k,) of the frequency, the least level and Q by the numbers."""
+        frequency = -self.level.mixed / self.level.curvature
+        if self.sides is None:
+            return frequency, self.level.by_number, np.full(frequency.size, math.nan)
+        f1, f2 = ((self.level.by_number - each.by_number) / each.slope for _, each in self.sides)
+        return frequency, self.level.by_number, self.q * (frequency / self.frequency - (f2 - f1) / self.width)
 
 
 def find_resonance(
-    model: Linearisable, frequency: Real, charge: Complex, names: tuple[str, ...] = (),
-    final: Linearisable | None = None,
+    response: ResonantQuantity, model: Responding, frequency: Real, level: Real, names: tuple[str, ...] = (),
+    turns: Complex = NO_NUMBERS, final: Responding | None = None,
 ) -> Resonance:
-    """The deepest resonance of a `model` whose `charge` (n,) at some ascending `frequency` (n,) Hz is known.
+    """The deepest resonance of a `response` of a `model` whose `level` (n,) at some ascending `frequency` (n,) Hz is
+    known.
 
-    The states are those of `final` where that is given: a better model, not asked more than thrice.
+    The states are those of `final` where that is given: a better model, not asked more than thrice. The complex
+    parameters `names` move by `turns` with the numbers that derivatives are taken by.
 
     Raises:
-        NoResonance: the smallest |Z| lies at an edge of the band, or a half-power point outside it.
+        NoResonance: the response is least at an edge of the band.
     """
-    level = -np.log(2.0 * np.pi * frequency * np.abs(charge))
-    lowest, last = int(np.argmin(level)), frequency.size - 1
+    lowest, last = response.deepest(level), frequency.size - 1
     bounds = f"the band {frequency[0]:.9g} to {frequency[-1]:.9g} Hz"
-    found = f"{frequency[lowest]:.9g} Hz ({math.exp(level[lowest]):.4g} ohm)"
-    least = float(frequency[lowest]), math.exp(level[lowest])
-    if lowest in (0, last):
-        raise NoResonance(f"the smallest |Z| is at an edge of {bounds}, {found}", frequency=least[0],
-                          impedance=least[1])
-    start = _vertex(frequency[lowest - 1 : lowest + 2], level[lowest - 1 : lowest + 2])
-    # The points may be those of a rougher model: one further to either side.
-    at = _root(model, (float(frequency[max(lowest - 2, 0)]), float(frequency[min(lowest + 2, last)])), start,
-               lambda state: (frequency_slope(state), curvature(state)), rising=True)
-    half = log_impedance(at) + 0.5 * math.log(2.0)
+    if lowest is None:
+        edge = int(np.argmin(level))
+        raise NoResonance(f"the {response.words(float(level[edge]))} is at an edge of {bounds}",
+                          frequency=float(frequency[edge]), impedance=math.nan)
+    known: dict[float, Level] = {}
+
+    def level_at(place: float) -> Level:
+        if place not in known:
+            known[place] = response.level(model, response.state(model, place))
+        return known[place]
+
+    at = _minimum(level_at, frequency, lowest)
+    half = level_at(at).value + HALF
     below, above = np.flatnonzero(level[:lowest] >= half), np.flatnonzero(level[lowest + 1 :] >= half)
-    if not below.size or not above.size:
-        raise NoResonance(f"a half-power point of the resonance at {found} lies outside {bounds}",
-                          frequency=least[0], impedance=least[1])
-    sides = []
-    for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
-        ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at.frequency))
-        sides.append(_root(model, (ends[0], ends[1]), _crossing(frequency, level, outer, step, half, at),
-                           lambda state: (log_impedance(state) - half, frequency_slope(state)), rising=step < 0))
-    states = (at, *sides)
-    if names or final is not None:
-        states = tuple((final or model).linearised(each.frequency, names) for each in states)
-    return Resonance(*states)
+    sides, reason = list[float](), ""
+    if below.size and above.size and level[below[-1] : lowest + 2 + above[0]].min() == level[lowest]:
+        for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
+            ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at))
+            sides.append(_root(level_at, (ends[0], ends[1]),
+                               _crossing(frequency, level, outer, step, half, at, level_at(at).value),
+                               lambda each: (each.value - half, each.slope), rising=step < 0))
+    else:
+        reason = f"a half-power point of the resonance at {at:.9g} Hz lies outside {bounds}, or beyond a deeper one"
+    better = final or model
+    state = response.state(better, at, names)
+    taken = [(each, response.level(better, response.state(better, each, names), turns)) for each in sides]
+    return Resonance(state, response.level(better, state, turns), (taken[0], taken[1]) if taken else None, reason)
 
 
 def _inner(neighbour: float, f0: float, step: int) -> float:
@@ -136,28 +219,61 @@ def _inner(neighbour: float, f0: float, step: int) -> float:
     return min(neighbour, f0) if step > 0 else max(neighbour, f0)
 
 
-def _vertex(x: Real, y: Real) -> float:
-    """The place of the minimum of the parabola through three points."""
-    centre, scale = x[1], x[2] - x[0]
-    second, first, _ = np.polyfit((x - centre) / scale, y, 2)
-    return float(centre - scale * first / (2.0 * second)) if second > 0.0 else float(centre)
+def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
+    """The frequency of the least level between ascending `points` (Hz), about the one of index `nearest`.
+
+    The points may be those of a rougher model: its neighbour may be lower. Newton's method between points that are
+    higher; a step that leaves them, or does not go down, halves the larger part instead.
+
+    Raises:
+        NoResonance: the level goes down to the first or last point.
+    """
+    while True:
+        if nearest in (0, points.size - 1):
+            raise NoResonance(f"no resonance between {points[0]:.9g} and {points[-1]:.9g} Hz",
+                              frequency=float(points[nearest]), impedance=math.nan)
+        low, middle, high = map(float, points[nearest - 1 : nearest + 2])
+        down = min((0, -1, 1), key=lambda step: level(float(points[nearest + step])).value)
+        if not down:
+            break
+        nearest += down
+    for _ in range(STEPS):
+        here = level(middle)
+        step = -here.slope / here.curvature if here.curvature > 0.0 else math.inf
+        if abs(step) <= CONVERGED * middle or high - low <= CONVERGED * middle:
+            # The last step squares the error, so that figures of the state are smooth in the numbers.
+            return middle + step if low < middle + step < high else middle
+        further = middle + step
+        if not low < further < high:
+            further = 0.5 * (middle + (high if high - middle > middle - low else low))
+        there = level(further)
+        # To rounding, a flatter place is a lower one.
+        if there.value < here.value or (there.value <= here.value + ROUNDING and abs(there.slope) < abs(here.slope)):
+            low, high = (middle, high) if further > middle else (low, middle)
+            middle = further
+        else:
+            low, high = (low, further) if further > middle else (further, high)
+    return middle
 
 
-def _crossing(frequency: Real, level: Real, outer: int, step: int, half: float, at: LinearisedState) -> float:
+def _crossing(
+    frequency: Real, level: Real, outer: int, step: int, half: float, at: float, least: float
+) -> float:
     """The place where a straight line from one point inwards crosses `half`."""
-    inner = _inner(float(frequency[outer + step]), at.frequency, step)
-    low = log_impedance(at) if inner == at.frequency else float(level[outer + step])
+    inner = _inner(float(frequency[outer + step]), at, step)
+    low = least if inner == at else float(level[outer + step])
     share = (float(level[outer]) - half) / max(float(level[outer]) - low, 1e-300)
     return float(frequency[outer] + share * (inner - frequency[outer]))
 
 
 def _root(
-    model: Linearisable, ends: tuple[float, float], start: float,
-    function: Callable[[LinearisedState], tuple[float, float]], *, rising: bool,
-) -> LinearisedState:
-    """The state where a `function` of it, which gives its value and derivative, is zero between two `ends` (Hz).
+    level: Callable[[float], Level], ends: tuple[float, float], start: float,
+    function: Callable[[Level], tuple[float, float]], *, rising: bool,
+) -> float:
+    """The frequency where a `function` of the `level`, which gives its value and derivative, is zero between two `ends`
+    (Hz).
 
-    Newton's method; a step that leaves what is left of the interval halves it instead.
+    Newton's method; a step that leaves the rest of the interval halves it instead.
 
     Raises:
         NoResonance: the function has no zero there.
@@ -165,18 +281,17 @@ def _root(
     low, high = ends
     frequency = min(max(start, low), high)
     for _ in range(STEPS):
-        state = model.linearised(frequency)
-        value, derivative = function(state)
+        value, derivative = function(level(frequency))
         if (value > 0.0) == rising:
             high = frequency
         else:
             low = frequency
         step = -value / derivative if derivative else math.inf
         if abs(step) <= CONVERGED * frequency:
-            return state
+            return frequency
         following = frequency + step
         frequency = following if low < following < high else 0.5 * (low + high)
         if high - low <= CONVERGED * frequency:
             break
     raise NoResonance(f"no resonance between {ends[0]:.9g} and {ends[1]:.9g} Hz", frequency=frequency,
-                      impedance=math.exp(log_impedance(state)))
+                      impedance=math.nan)

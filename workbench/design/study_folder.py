@@ -219,7 +219,8 @@ def study_description(study: Study, parts: Sequence[StudyPart]) -> dict[str, str
         "study.chip": f"{study.chip.name}, {_digest(repr(replace(study.chip, file='')))}",
         "study.states": ", ".join(study.states), "study.figures": ", ".join(study.figures),
         "study.drive": str(operation.drive),
-        "study.frequency": "f0" if operation.frequency is None else f"{operation.frequency:.15g} Hz",
+        "study.frequency": f"{operation.frequency:.15g} Hz" if isinstance(operation.frequency, float) else str(
+            operation.frequency or "as the chip states"),
         "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz",
         "study.relative_error": repr(study.relative_error),
         "study.accuracy": repr(study.accuracy), "study.limit": str(study.limit), "sample.method": sampling.method,

@@ -178,7 +178,7 @@ class StudyResult(Shown):
         return {
             "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
             "chip": plan.chip.name, "states": list(plan.states), "figures": list(plan.figures),
-            "drive": str(plan.operation.drive), "frequency": plan.operation.frequency or "f0",
+            "drive": str(plan.operation.drive), "frequency": plan.operation.frequency or "as the chip states",
             "band": list(plan.band), "relative_error": plan.relative_error, "accuracy": plan.accuracy,
             "sample": {"method": plan.sampling.method, "points": len(plan.sample), "seed": plan.sampling.seed},
             "varies": {each.name: {"unit": each.unit, "from": each.low, "to": each.high}

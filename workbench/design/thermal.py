@@ -27,8 +27,9 @@ from workbench.simulation.run import simulate
 #: Keys of a table whose resistances are computed.
 OF_MODEL = ("computed", "convection", "holder")
 
-#: Relative accuracy of the mesh and of the reduced model, and points of the band, that f0 is looked for with: only the
-#: distribution of the losses depends on it. Doubled, resistances change by less than the material constants are known.
+#: Relative accuracy of the mesh and of the reduced model, and points of the band, that the operating point is looked
+#: for with: only the distribution of the losses depends on it. Doubled, resistances change by less than the material
+#: constants are known.
 MESH_ACCURACY, MODEL_ACCURACY, POINTS = 5e-3, 1e-2, 161
 
 
@@ -38,8 +39,8 @@ def read_thermal(
 ) -> dict[str, float]:
     """The thermal resistances (K/W) of a file, by region or interface, "" for all that are not named.
 
-    With the key ``computed`` they are those of conduction in `chip` at its f0 in `band` (Hz; the chip's own if None),
-    and of its dimensions and materials at first, whatever varies.
+    With the key ``computed`` they are those of conduction in `chip` at its operating point in `band` (Hz; the chip's
+    own if None), and of its dimensions and materials at first, whatever varies.
 
     Raises:
         InputError: an unknown region, a resistance below zero, numbers beside ``computed``, that for several `states`,
@@ -70,5 +71,5 @@ def _computed(
     holder = table.choice("holder", outer_boundaries(chip)) if "holder" in table else None
     convection = table.quantity("convection", "heat transfer coefficient", STILL_AIR)
     run = simulate(chip, states[0], registry=registry, band=band, accuracy=MESH_ACCURACY, points=POINTS,
-                   relative_error=MODEL_ACCURACY)
+                   relative_error=MODEL_ACCURACY, warm=None)
     return thermal_resistances(run, part=part, convection=convection, holder=holder)

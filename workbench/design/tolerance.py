@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.operating_point import AT_ENERGY
 from materials.registry import Registry
 from workbench.design.centre import centred_chip
 from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
@@ -70,10 +71,11 @@ class ModelFacts:
 class Tolerance(Shown):
     """The figures of a chip in a ``state`` under its tolerances and uncertainties.
 
-    ``requested`` are the figures with their drives; ``frequency`` (Hz) is the driving frequency, None where the drive
-    follows f0. ``sensitivities`` are those at the mean numbers. ``outcomes`` holds the samples and their figures,
-    ``redrawn`` how many draws were not admissible, ``yields`` those of the requirements (None without any), ``sobol``
-    the indices if they were requested. ``seconds`` is the time that all took.
+    ``requested`` are the figures with their drives; ``frequency`` (Hz) is the driving frequency, or the word of
+    `geometry.operating_point.OPERATING_POINTS` for the resonance that the drive follows. ``sensitivities`` are those at
+    the mean numbers. ``outcomes`` holds the samples and their figures, ``redrawn`` how many draws were not admissible,
+    ``yields`` those of the requirements (None without any), ``sobol`` the indices if they were requested. ``seconds``
+    is the time that all took.
     """
 
     chip: Chip
@@ -81,7 +83,7 @@ class Tolerance(Shown):
     uncertainty: Uncertainty
     requested: tuple[DrivenFigure, ...]
     drive: Drive
-    frequency: float | None
+    frequency: float | str
     sensitivities: Sensitivities
     bounds: tuple[RequiredRange, ...]
     seed: int
@@ -142,6 +144,7 @@ def tolerance(
     figures: Sequence[str] = (),
     drive: Drive | None = None,
     thermal_resistance: Mapping[str, float] | None = None,
+    at: float | str | None = None,
     tracking: bool = True,
     samples: int = SAMPLES,
     sobol_points: int = 0,
@@ -162,7 +165,10 @@ def tolerance(
         figures: further figures to look at.
         drive: of figures for which a requirement states none, 10 Vpp by default.
         thermal_resistance: K/W by region, for heating; "" for all regions not named.
-        tracking: whether the drive follows f0 of each sample, as a bench does, or stays at f0 of the chip as stated.
+        at: the frequency (Hz) of the drive, or the word of `geometry.operating_point.OPERATING_POINTS` for the
+            resonance that it follows; by default that of the chip, or else the largest peak of the energy.
+        tracking: whether the drive follows the resonance of each sample, as a bench does, or stays at that of the chip
+            as stated.
         samples: of the yield.
         sobol_points: a power of two, for Sobol indices by so many evaluations times the inputs plus two; 0 for none.
         every: ask for sensitivities to all numbers, also those whose uncertainty nobody states (by 1 % of them).
@@ -190,13 +196,14 @@ def tolerance(
     say("full solves", 0.0)
     # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
     there, with_means = centred_chip(chip, registry, known.nominal())
-    operation = Operation(thermal_resistance=thermal_resistance or {})
+    operation = Operation(drive, at, thermal_resistance or {}).of(device)
     full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)
-    if not tracking:
-        full = replace(full, operation=replace(full.operation, frequency=full.resonance(known.nominal())))
+    if not tracking and operation.follows is not None:
+        full = replace(full, operation=replace(operation, frequency=full.resonance(known.nominal())))
     names = names_to_ask(known, list(numbers_of(device)), every=every)
     nominal = full.evaluation({**{name: numbers_of(device)[name] for name in names}, **known.nominal()}, gradient=True)
     bounds = tuple(_bound(each, asked, drive, nominal, chip) for each in required)
+    assert full.operation.frequency is not None
     found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
@@ -249,17 +256,18 @@ class _Full:
             gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.requested)])
 
     def resonance(self, values: Mapping[str, float]) -> float:
-        """f0 (Hz).
+        """The frequency (Hz) of the resonance that the drive follows.
 
         Raises:
             InputError: there is none.
         """
-        found = full_evaluation(self.chip, self.state, values, figures=("f0",), registry=self.registry, band=self.band,
-                                accuracy=self.accuracy)
-        if not math.isfinite(found.figures["f0"]):
-            raise InputError(self.chip.file, "f0", found.missing.get("f0", "none"), "a chip that resonates in the "
-                             "band, at whose f0 it can be driven")
-        return found.figures["f0"]
+        figure = "peak_frequency" if self.operation.frequency == AT_ENERGY else "f0"
+        found = full_evaluation(self.chip, self.state, values, figures=(figure,), operation=self.operation,
+                                registry=self.registry, band=self.band, accuracy=self.accuracy)
+        if not math.isfinite(found.figures[figure]):
+            raise InputError(self.chip.file, figure, found.missing.get(figure, "none"), "a chip that resonates in the "
+                             "band, so that it can be driven there")
+        return found.figures[figure]
 
 
 def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
@@ -281,7 +289,8 @@ def _sampled(
     started = time.perf_counter()
     made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
                         band=full.band, relative_error=relative_error, accuracy=full.accuracy, seed=found.seed,
-                        progress=lambda _text, share: say("range model", share))
+                        progress=lambda _text, share: say("range model", share),
+                        drives=[each.drive for each in found.requested])
     spent = time.perf_counter() - started
     model = Driven(made, found.requested, full.operation)
     there = model(known.nominal()).figures

@@ -15,11 +15,12 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from geometry.measure import Axisymmetric
+from workbench.acoustics.critical import critical_diameter
 from workbench.acoustics.traps import RASTER_POINTS
 from workbench.design.cavity import ENERGY, POTENTIAL, SQUARE, CavityField, argument
 from workbench.design.dual import Dual
 from workbench.design.legendre import derivatives, legendre_polynomials
-from workbench.model.particles import GRAVITY
+from workbench.model.particles import GRAVITY, viscous_scattering
 
 Real = NDArray[np.float64]
 
@@ -110,6 +111,18 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
     around = field.around
     return FoundTrap(field, place, slopes, highest - lowest, moved(2, 0) / around.width**2.0,
                      moved(0, 2) / around.height**2.0)
+
+
+def follows_flow(trap: FoundTrap) -> str:
+    """The reason why the particle comes to no trap, if streaming along plane walls moves it more than sound does; empty
+    otherwise."""
+    cavity, frequency = trap.field.cavity, trap.field.around.frequency.value
+    assert cavity.particle is not None
+    factor = viscous_scattering(cavity.particle, cavity.fluid, frequency).contrast_factor
+    if not factor or 2.0 * cavity.particle.radius >= (limit := critical_diameter(factor, cavity.fluid, frequency)):
+        return ""
+    return (f"particles of {2e6 * cavity.particle.radius:.3g} um circulate with the streaming, however large the "
+            f"voltage: their critical diameter is {1e6 * limit:.2g} um")
 
 
 def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float = 0.0) -> Dual:

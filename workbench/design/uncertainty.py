@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from materials.kinds import IsotropicSolid, Piezoelectric
+from materials.kinds import Solid
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
 from workbench.files.quantities import shown_factor, shown_unit
@@ -50,7 +50,7 @@ class Uncertainty:
 
     inputs: tuple[Number, ...]
     correlation: Real
-    materials: Mapping[str, Piezoelectric | IsotropicSolid] = field(default_factory=dict)
+    materials: Mapping[str, Solid] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

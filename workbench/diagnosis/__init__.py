@@ -1,1 +1,1 @@
-"""Diagnosis: the physics left out of a model, from its mismatch with recordings."""
+"""Diagnosis of missing physics from the mismatch between models and recordings."""

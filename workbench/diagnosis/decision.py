@@ -1,8 +1,9 @@
-"""One decision: from the evidence of every hypothesis to a verdict, by posterior odds alone.
+"""The decision: from evidences and residuals to a verdict.
 
-Before the recordings, nothing is wrong with the probability that the criteria state; the rest is shared equally among
-the single hypotheses, of the catalogue and outside of it, and two effects at once have the product of their shares.
-States held out enter as data do.
+The number of effects has the prior probabilities of the criteria. Hypotheses with the same number of effects share its
+probability equally among groups that recordings cannot tell apart. The decision answers two questions. Posterior odds
+decide whether an effect is named. The limits of devices without concealed effects decide whether all states, fitted or
+held out, are explained. An explanation is refuted by a state held out that it does not predict.
 """
 
 from __future__ import annotations
@@ -17,25 +18,24 @@ from scipy.special import logsumexp
 from workbench.diagnosis.odds import Criteria
 
 #: The verdicts.
-NO_MISMATCH, EXPLAINED, HINT = "no_mismatch", "parameters_explain", "below_detection"
-MISSING, AMBIGUOUS, UNEXPLAINED = "missing_physics", "ambiguous", "unexplained"
+NO_MISMATCH, EXPLAINED, AT_ODDS = "no_mismatch", "parameters_explain", "parameters_at_odds"
+HINT, MISSING, AMBIGUOUS, UNEXPLAINED = "below_detection", "missing_physics", "ambiguous", "unexplained"
 
-#: That of a search that was cut short: none of the others, whatever the evidences say so far.
+#: The verdict of an incomplete search, whatever its evidences so far.
 NOT_FINISHED = "not_finished"
-VERDICTS = (NO_MISMATCH, EXPLAINED, HINT, MISSING, AMBIGUOUS, UNEXPLAINED, NOT_FINISHED)
+VERDICTS = (NO_MISMATCH, EXPLAINED, AT_ODDS, HINT, MISSING, AMBIGUOUS, UNEXPLAINED, NOT_FINISHED)
 
 
 @dataclass(frozen=True)
 class Evidence:
     """The evidence of one hypothesis.
 
-    ``effects`` of the catalogue that it has, none for the null hypothesis; ``outside`` whether it is outside the
-    catalogue; ``log_evidence`` natural, of the fitted recordings, and ``held_out`` the log of the density predicted for
-    the others, both up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of the parameters that
-    it moves from the null hypothesis, in standard deviations; ``inflation`` is how many times the stated noise it
-    leaves in a recording with all its deviations, ``misfit`` how many times its numbers alone leave; ``share`` is the
-    part of the mismatch that it takes away; ``observed`` the largest distance of an observation beside Z from what it
-    predicts, in standard uncertainties.
+    ``effects`` of the catalogue, none for the null hypothesis; ``outside`` whether it is outside the catalogue;
+    ``log_evidence`` natural, of the fitted recordings, and ``held_out`` the log density predicted for the others, both
+    up to a constant of all hypotheses. ``z_scores`` are the distances, by name, of its parameters from the null
+    hypothesis, in standard deviations; ``share`` is the share of the stated mismatch that it explains; ``leaves`` names
+    the states and observations beyond the limits of the criteria, ``refuted_by`` those of them that were held out, and
+    ``at_odds`` the known parameters beyond their priors.
     """
 
     name: str
@@ -44,10 +44,10 @@ class Evidence:
     outside: bool = False
     z_scores: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     held_out: float = 0.0
-    inflation: float = 1.0
-    misfit: float = 1.0
     share: float = 0.0
-    observed: float = 0.0
+    leaves: tuple[str, ...] = ()
+    refuted_by: tuple[str, ...] = ()
+    at_odds: tuple[str, ...] = ()
 
     @property
     def total(self) -> float:
@@ -55,80 +55,132 @@ class Evidence:
         return self.log_evidence + self.held_out
 
     @property
+    def leaves_fitted(self) -> bool:
+        """Whether it leaves a fitted state unexplained."""
+        return bool(set(self.leaves) - set(self.refuted_by))
+
+    @property
     def is_null(self) -> bool:
         return not self.effects and not self.outside
 
 
 @dataclass(frozen=True)
-class Decision:
-    """A verdict, the hypothesis it names (the null hypothesis, if none), and those that cannot be ruled out.
+class Priors:
+    """The prior probabilities of hypotheses.
 
-    ``rivals`` best first; ``log_odds`` posterior, of every hypothesis against the null hypothesis, by name.
+    ``groups`` are the catalogue's effects by name in groups that recordings cannot tell apart; ``others`` is the number
+    of single hypotheses outside the catalogue.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    others: int
+    criteria: Criteria
+
+    @property
+    def singles(self) -> int:
+        """The number of single hypotheses, each group being one."""
+        return len(self.groups) + self.others
+
+    def group(self, effect: str) -> int:
+        """The index of the group of an effect."""
+        return next(index for index, group in enumerate(self.groups) if effect in group)
+
+    def log_odds(self, effects: Sequence[str], *, outside: bool = False) -> float:
+        """The log prior odds of a hypothesis against the null hypothesis."""
+        count = len(effects) or int(outside)
+        if not count:
+            return 0.0
+        masses = self.criteria.by_number
+        # Each further effect is as much less likely as the last one that is stated.
+        further = max(count + 1 - len(masses), 0)
+        mass = masses[min(count, len(masses) - 1)] * (masses[-1] / masses[-2]) ** further
+        choices = math.comb(max(self.singles, count), count)
+        members = math.prod(len(self.groups[self.group(each)]) for each in effects)
+        return math.log(mass / masses[0]) - math.log(choices * members)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A verdict, the hypothesis that it names, and those not ruled out.
+
+    Without an effect, it names the null hypothesis. ``alike`` are hypotheses that these recordings cannot tell from the
+    named one; ``rivals`` those with other predictions, best first; ``log_odds`` posterior, of every hypothesis against
+    the null hypothesis, by name; ``is_explained`` whether every state is.
     """
 
     verdict: str
     chosen: Evidence
     rivals: tuple[Evidence, ...]
     log_odds: Mapping[str, float]
+    alike: tuple[Evidence, ...] = ()
+    is_explained: bool = True
 
 
 def decide(
-    evidences: Sequence[Evidence], hypotheses: int, *, stated_explains: bool, criteria: Criteria | None = None
+    evidences: Sequence[Evidence], priors: Priors, *, stated_explains: bool, criteria: Criteria | None = None
 ) -> Decision:
-    """The verdict on some evidences, of which one is that nothing is wrong.
+    """The verdict on some evidences, the null hypothesis among them.
 
     Args:
-        hypotheses: how many single hypotheses there are, whether or not they are among the `evidences`.
-        stated_explains: whether what is stated leaves nothing but noise, with no known parameter moved.
+        priors: of all hypotheses, whether or not they are among the `evidences`.
+        stated_explains: whether every state is explained as it is stated, with no known parameter moved.
 
     Raises:
-        ValueError: the null hypothesis is not among them once, or there are more single ones than `hypotheses`.
+        ValueError: the null hypothesis is not among them once.
     """
     criteria = criteria or Criteria()
     nothing = [each for each in evidences if each.is_null]
-    single = [each for each in evidences if not each.is_null and len(each.effects) < 2]
-    if len(nothing) != 1 or len(single) > hypotheses:
-        raise ValueError(f"received {len(nothing)} evidences that nothing is wrong and {len(single)} of single "
-                         f"hypotheses; expected one, and at most {hypotheses}")
-    prior = criteria.log_prior(hypotheses)
-    log_odds = {each.name: (0.0 if each.is_null else
-                            prior * max(len(each.effects), 1) + each.total - nothing[0].total) for each in evidences}
-    # An effect whose numbers are all consistent with zero is the null hypothesis, whatever else fits better with it.
-    others = sorted((each for each in evidences if not each.is_null and not _moves_nothing(each, criteria.redundant)
+    if len(nothing) != 1:
+        raise ValueError(f"received {len(nothing)} evidences that nothing is wrong; expected one")
+    null = nothing[0]
+    log_odds = {each.name: priors.log_odds(each.effects, outside=each.outside) + each.total - null.total
+                for each in evidences}
+
+    def unnamed(verdict: str) -> Decision:
+        return Decision(verdict, null, (), log_odds, is_explained=not null.leaves)
+
+    # An effect whose parameters are all consistent with zero is the null hypothesis, whatever else fits better with it.
+    others = sorted((each for each in evidences if not each.is_null and not each.refuted_by
+                     and not _moves_nothing(each, criteria.redundant)
                      and _adds(each, evidences, log_odds, criteria)), key=lambda each: -log_odds[each.name])
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
-        hint = together > math.log(criteria.hinted)
-        verdict = HINT if hint else NO_MISMATCH if stated_explains else EXPLAINED
-        if _leaves(nothing[0], criteria):
-            verdict = UNEXPLAINED
-        return Decision(verdict, nothing[0], (), log_odds)
-    close = [each for each in (*others, nothing[0])
+        if null.leaves:
+            return unnamed(UNEXPLAINED)
+        if together > math.log(criteria.hinted):
+            return unnamed(HINT)
+        if stated_explains:
+            return unnamed(NO_MISMATCH)
+        return unnamed(AT_ODDS if null.at_odds else EXPLAINED)
+    close = [each for each in (*others, *([] if null.refuted_by else [null]))
              if log_odds[others[0].name] - log_odds[each.name] < math.log(criteria.rival)]
     # Of hypotheses that differ by redundant parameters, the one of fewest parameters.
     best = min((each for each in close if each is others[0] or _extends(others[0], each, criteria.redundant)),
                key=lambda each: len(each.z_scores))
-    rivals = tuple(each for each in close if each is not best and not _extends(each, best, criteria.redundant))
+    beside = [each for each in close if each is not best and not _extends(each, best, criteria.redundant)]
+    alike = tuple(each for each in beside if _is_alike(each, best, priors))
+    rivals = tuple(each for each in beside if each not in alike)
     if best.outside:
-        # Whatever follows the recordings gains something: it says nothing where no more than noise is left.
-        if nothing[0].misfit > criteria.inflated:
-            return Decision(UNEXPLAINED, best, rivals, log_odds)
-        return Decision(HINT, nothing[0], (), log_odds)
-    if _leaves(best, criteria) and best.share < criteria.most:
-        # The remainder is neither an inaccuracy of the model nor a trace.
-        return Decision(UNEXPLAINED, nothing[0], (), log_odds)
-    return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
+        # Any flexible effect gains some evidence. The gain means nothing if the residual is noise.
+        if null.leaves:
+            return Decision(UNEXPLAINED, best, rivals, log_odds, is_explained=False)
+        return unnamed(HINT)
+    if best.leaves and best.share < criteria.most:
+        # An effect with so large a residual stands in for another cause.
+        return unnamed(UNEXPLAINED)
+    return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds, alike, not best.leaves)
 
 
-def _leaves(each: Evidence, criteria: Criteria) -> bool:
-    """Whether more than noise is left by an explanation, or an observation at odds with it."""
-    return each.inflation > criteria.inflated or each.observed > criteria.at_odds
+def _is_alike(one: Evidence, other: Evidence, priors: Priors) -> bool:
+    """Whether two explanations have the same groups of effects."""
+    if one.is_null or one.outside or other.outside:
+        return False
+    return {priors.group(each) for each in one.effects} == {priors.group(each) for each in other.effects}
 
 
 def _adds(each: Evidence, evidences: Sequence[Evidence], log_odds: Mapping[str, float], criteria: Criteria) -> bool:
-    """Whether the last effect of an explanation passes the bar of the first one: odds against the best explanation with
-    one effect fewer from which it is accepted, a number that is not consistent with nothing, and no prediction of the
-    states held out that rules it out."""
+    """Whether the last effect of an explanation is accepted beside the others. The criteria are the odds against the
+    best explanation with one effect fewer, a parameter off its neutral value, and the states held out."""
     fewer = [other for other in evidences if other.effects and set(other.effects) < set(each.effects)]
     if len(each.effects) < 2 or not fewer:
         return True

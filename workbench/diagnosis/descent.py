@@ -1,4 +1,4 @@
-"""Descents on coarse meshes: from points of the prior, with the weight of the data raised in stages."""
+"""Descents on coarse meshes, with data weight raised in stages."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 
 
 def initial_optimum(models: LocalModels, x: Real, held: tuple[int, ...] = ()) -> InitialOptimum:
-    """The optimum of the null hypothesis at little weight that a search through smoothed admittances reaches from x
-    (p,).
+    """The optimum of the null hypothesis at low data weight near x.
 
-    Parameters of the indices `held` move only after the others.
+    x is (p,). Parameters of the indices `held` move only after the others.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible.
@@ -45,8 +44,8 @@ def descend_in_stages(
     models: LocalModels, hypothesis: Hypothesis, x: Real, errors: Real | None = None, *,
     likelihood: Likelihood | None = None, levels: Sequence[float] = LEVELS, held: bool = False,
 ) -> LaplaceApproximation:
-    """The optimum near x (p,) at the last of some `levels`, each begun where the one before ended, on models made again
-    about it where their error estimate is too large: those of a `likelihood` at first, if it is given.
+    """The optimum near x (p,) at the last of some `levels`. Each level begins at the optimum before. Models are made
+    again about it if their error estimate is too large.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: as :func:`initial_optimum`.
@@ -71,21 +70,19 @@ def descend_in_stages(
     return end
 
 
-def candidate_from(
-    models: LocalModels, hypothesis: Hypothesis, starts: Sequence[Real], *, held: bool = False
-) -> Candidate:
-    """A hypothesis with the distinct optima that descents from some `starts` (p,) reach.
+def candidate_from(models: LocalModels, hypothesis: Hypothesis, starts: Sequence[Real]) -> Candidate:
+    """A hypothesis with the distinct optima of descents from `starts` (p,).
 
-    Where it is `held`, they begin as those of the null hypothesis do, and its numbers move after all others.
+    They begin like those of the null hypothesis. The parameters of the hypothesis move after all others.
 
     Raises:
-        NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: no start leads anywhere; the
-            reason is that of the last one.
+        NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: all starts failed, the last one
+            for this reason.
     """
     trials = multistart([StartPoint(hypothesis.name, start) for start in starts],
-                        lambda start: descend_in_stages(models, hypothesis, start.x, held=held), refused=REFUSED)
-    found = Candidate.of(models.rough, hypothesis, (trial.end for trial in trials if trial.end is not None))
-    if found is None:
+                        lambda start: descend_in_stages(models, hypothesis, start.x, held=True), refused=REFUSED)
+    candidate = Candidate.of(models.rough, hypothesis, (trial.end for trial in trials if trial.end is not None))
+    if candidate is None:
         refused = next((trial.error for trial in reversed(trials) if trial.error is not None), None)
         raise refused or ValueError(f"{hypothesis.name}: no place to start from")
-    return found
+    return candidate

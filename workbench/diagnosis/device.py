@@ -1,4 +1,4 @@
-"""The one model of a campaign: every state's problem with all hypotheses in it at nothing, and all parameters."""
+"""The model of a campaign: problems with all hypotheses, and all parameters."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from workbench.campaign.campaign import Campaign, DeviceState
 from workbench.campaign.numbers import DeviceNumbers
 from workbench.catalogue.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.catalogue.effect import Device, Effect
-from workbench.diagnosis.inhomogeneity import waves
+from workbench.diagnosis.inhomogeneity import cosine_modes
 from workbench.diagnosis.observed import FieldObservable
 from workbench.diagnosis.odds import INHOMOGENEITIES
 from workbench.fitting.objective import FitRecording, Objective
@@ -47,7 +48,7 @@ Real = NDArray[np.float64]
 #: admits no more.
 REACH = 5.0
 
-#: Least share of a positive number that an offset leaves: a number of zero has no spectrum.
+#: Least share of a positive parameter after an offset: no spectrum exists at zero.
 LEAST = 0.05
 
 
@@ -61,22 +62,21 @@ NOWHERE = ("",)
 HYPOTHETICAL = Interpolation(1e-4, 1.25, True, 0.03)
 
 
-#: Models of some hypotheses that are kept, the last ones made: a search goes from one to the next.
+#: Number of cached models, the last ones made: a search goes from one to the next.
 KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All parameters of a campaign, and the objectives over its states in which some hypotheses act.
+    """All parameters of a campaign, and its objectives under some hypotheses.
 
-    The first ``known`` parameters are the known numbers, those that all states share and then the offsets of single
-    states; all of these have a prior. ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those
-    over either kind (None without states held out); ``effects`` are all hypotheses, whose parameters follow the known
-    ones, and ``acting`` those that the problems have terms, lengths and meshes for: parameters of others do nothing.
-    Meshes are of that ``accuracy``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are
-    given, at those of the rims that are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a
-    layer; ``uneven`` are waves in the transducer by the index of their amplitude, the last parameters; ``refusals``
-    holds the reason of every step of a search that could not be taken.
+    The first ``known`` parameters are those shared by all states, then the offsets of single states; all have a prior.
+    ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
+    held out). ``effects`` are all hypotheses; their parameters follow the known ones. The problems have terms, lengths
+    and meshes for those ``acting``: parameters of the others do nothing. Meshes have that ``accuracy``, and lines of
+    nodes at the edges of all annuli, or of those of the given ``widths`` by name. ``others`` are hypotheses, in words,
+    that do not fit the shape of a layer; ``uneven`` are cosine modes in the transducer by the index of their amplitude,
+    the last parameters; ``refusals`` holds the reason of every failed step of a search.
     """
 
     campaign: Campaign
@@ -95,10 +95,10 @@ class Model:
     _made: list[Model] = field(default_factory=list)
 
     def of(self, chosen: Sequence[Effect], x: Real | None = None) -> Model:
-        """The model in which the `chosen` hypotheses act and no others, on meshes of its own.
+        """The model with only the `chosen` hypotheses, on meshes of its own.
 
-        With x (p,), meshes have lines of nodes at the edges of rims as they are there (`rim.FOUND`), not at those of
-        all widths. Models made before serve again.
+        With x (p,), meshes have lines of nodes at the present edges of annuli (`rim.FOUND`), not at those of all
+        widths. Models made before are used again.
         """
         sizes = {} if x is None else {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
@@ -107,18 +107,33 @@ class Model:
                     model.widths.keys() == wanted.keys()) and all(
                     abs(model.widths[name] - size) <= FOUND for name, size in wanted.items()):
                 return model
-        made = device_model(self.campaign, accuracy=self.accuracy, catalogue=(self.effects, self.others), widths=wanted,
+        made = device_model(self.campaign, accuracy=self.accuracy, like=self, widths=wanted,
                             acting=[each.name for each in chosen])
         self._made[:] = [*self._made[1 - KEPT:], replace(made, refusals=self.refusals, _made=self._made)]
         return self._made[-1]
+
+    def in_state(self, chosen: Sequence[Effect], state: str) -> Model:
+        """The model of one state with only the `chosen` hypotheses."""
+        made = device_model(self.campaign, accuracy=self.accuracy, like=self, acting=[each.name for each in chosen],
+                            only=state)
+        return replace(made, refusals=self.refusals)
 
     @cached_property
     def _places(self) -> Mapping[str, int]:
         return {p.name: i for i, p in enumerate(self.parameters)}
 
+    @cached_property
+    def correlation(self) -> Real:
+        """The correlation (p, p) of the priors of all parameters."""
+        matrix = np.eye(len(self.parameters))
+        for (one, other), value in self.campaign.correlations.items():
+            i, j = self._places[one], self._places[other]
+            matrix[i, j] = matrix[j, i] = value
+        return matrix
+
     @property
     def hypotheses(self) -> int:
-        """The number of single hypotheses: those of the catalogue, a change in each region, and modes."""
+        """The number of single hypotheses: the catalogue, each region, and modes."""
         return len(self.effects) + len({region for state in self.campaign.fitted for region in state.materials}) + 1
 
     @property
@@ -135,103 +150,110 @@ class Model:
         return next(each for each in self.effects if each.name == name)
 
     def bounds(self, indices: Iterable[int]) -> tuple[Real, Real]:
-        """The lowest and the highest (k,) that the parameters of some indices may be."""
+        """The bounds (k,) of some parameters: lowest and highest values."""
         low, high = np.array([(self.parameters[i].low, self.parameters[i].high) for i in indices]).T
         return low, high
 
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
-        """Indices of the parameters free under some hypotheses together, and of those whose prior is released."""
+        """Indices of the free parameters, and of those whose prior is dropped."""
         moved = [self.index(p.name) for effect in chosen for p in effect.parameters]
-        released = [self.index(name) for effect in chosen for name in effect.releases]
-        return sorted({*range(self.known), *moved}), sorted(set(released))
+        without_prior = [self.index(name) for effect in chosen for name in effect.releases]
+        return sorted({*range(self.known), *moved}), sorted(set(without_prior))
 
 
 def device_model(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, progress: Progress = no_progress,
-    acting: Sequence[str] = (), catalogue: tuple[Sequence[Effect], tuple[str, ...]] | None = None,
-    widths: Mapping[str, float] | None = None,
+    acting: Sequence[str] = (), like: Model | None = None, widths: Mapping[str, float] | None = None, only: str = "",
 ) -> Model:
-    """Mesh every state and put known physics and hypotheses into its problem; see :class:`Model`.
+    """Mesh every state and build its problem with all physics; see :class:`Model`.
 
     Args:
         acting: names of the hypotheses that act.
-        catalogue: all hypotheses and those left out, if they are known (`catalogue.effects_and_others`).
+        like: another model of the campaign, with the same hypotheses and parameters.
+        only: the one state that is meshed; all by default.
 
     Raises:
         InputError: as `workbench.model.problem.build`, or a layer that cannot have all sizes that are looked at.
         MeshError: a mesh could not be made, or folds where a size is at an end of its range.
     """
-    found, others = catalogue or effects_and_others(
+    effects, others = (like.effects, like.others) if like else effects_and_others(
         Device(campaign.states, campaign.known, campaign.fixed, campaign.registry))
-    own = {each.name: each.with_rings(widths) if widths else each for each in found
+    own = {each.name: each.with_rings(widths) if widths else each for each in effects
            if each.name in acting}
-    problems = _problems(campaign, tuple(own.values()), accuracy, widths, progress)
-    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.taken
-              if not each.parsed.state}
-    known = (*shared.values(), *(_offset(each, campaign, problems, shared)
-                                 for each in campaign.taken if each.parsed.state in problems))
+    states = [state for state in campaign.states if only in ("", state.name)]
+    problems = _problems(states, tuple(own.values()), accuracy, widths, progress)
+    known = like.parameters[:like.known] if like else _known_parameters(campaign, problems)
     more: dict[str, Parameter] = {}
-    for effect in found:
+    for effect in effects:
         for parameter in effect.parameters:
             more.setdefault(parameter.name, parameter)
     moving = {p.name for effect in own.values() for p in effect.parameters}
-    uneven = _waves(campaign, problems)
+    uneven = ({each: like.parameters[i] for i, each in like.uneven.items()} if like else
+              _cosine_modes(campaign, problems))
     parameters = (*known, *(p if p.name in moving else replace(p, recordings=NOWHERE) for p in more.values()))
-    recordings = [_with_waves(each, list(uneven)) for each in _recordings(
-        campaign, problems, parameters, tuple(own.values()))]
+    recordings = [_with_cosines(each, list(uneven)) for each in _recordings(
+        states, campaign.recorded, problems, parameters, tuple(own.values()))]
     first = len(parameters)
     parameters = (*parameters, *uneven.values())
 
-    # Models grow where they are told to (`Objective.near`), not on the way.
+    # Models grow on request (`Objective.near`), not on the way.
     whole = Objective.of(recordings, parameters, tolerance=math.inf)
-    fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
-    return Model(campaign, parameters, len(known), tuple(found), tuple(own.values()), whole, whole.among(fitted),
-                 whole.among(held_out) if held_out else None, accuracy, dict(widths or {}), tuple(others),
+    fitted, held_out = (whole.among([s.name for s in kind]) for kind in (campaign.fitted, campaign.held_out))
+    return Model(campaign, parameters, len(known), tuple(effects), tuple(own.values()), whole, fitted,
+                 held_out if held_out.views else None, accuracy, dict(widths or {}), tuple(others),
                  dict(enumerate(uneven, first)))
 
 
 def inhomogeneities(campaign: Campaign) -> tuple[float, ...]:
-    """The sizes of the inhomogeneity that are averaged over, ascending: the one that the campaign states, if it does.
-    """
+    """The relative sizes of the inhomogeneity to average over, ascending. A stated size is the only one."""
     stated = campaign.inhomogeneity
     return tuple(map(float, INHOMOGENEITIES)) if stated is None else (stated,)
 
 
-def _waves(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
-    """The waves in the transducer, each with its amplitude, of the largest inhomogeneity that is averaged over."""
+def _cosine_modes(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
+    """The cosine modes in the transducer, with amplitudes of the largest inhomogeneity."""
     size = inhomogeneities(campaign)[-1]
     if not size:
         return {}
     middle, highest = max((float(np.mean(state.measured.frequency[[0, -1]])), state.name) for state in campaign.states)
-    found = {}
-    for wave, deviation in waves(problems[highest], middle):
+    amplitudes = {}
+    for wave, deviation in cosine_modes(problems[highest], middle):
         own = size * deviation
-        found[wave] = Parameter(wave.amplitude, 0.0, -REACH * own, REACH * own, Stated(own), "1", nuisance=True)
-    return found
+        amplitudes[wave] = Parameter(wave.amplitude, 0.0, -REACH * own, REACH * own, Stated(own), "1", nuisance=True)
+    return amplitudes
 
 
-def _with_waves(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> FitRecording:
-    """A recording with the waves in its transducer, if it has one; forms follow no lengths."""
+def _with_cosines(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> FitRecording:
+    """A recording with the cosine modes in its transducer, if any."""
     if not uneven or TRANSDUCER not in recording.problem.materials:
         return recording
     problem = recording.problem.with_terms(tuple(uneven), dict.fromkeys((each.amplitude for each in uneven), 0j))
     return replace(recording, problem=problem)
 
 
+def _known_parameters(campaign: Campaign, problems: Mapping[str, Problem]) -> tuple[Parameter, ...]:
+    """The known parameters: those shared by all states, then the offsets."""
+    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.taken
+              if not each.parsed.state}
+    return (*shared.values(), *(_offset(each, campaign, problems, shared)
+                                for each in campaign.taken if each.parsed.state in problems))
+
+
 def _problems(
-    campaign: Campaign, acting: Sequence[Effect], accuracy: float | Discretisation,
+    states: Sequence[DeviceState], acting: Sequence[Effect], accuracy: float | Discretisation,
     widths: Mapping[str, float] | None, progress: Progress,
 ) -> dict[str, Problem]:
-    """The problem of every state, with known physics and the terms of hypotheses."""
+    """The problem of every state, with known physics and hypotheses."""
     problems: dict[str, Problem] = {}
-    requested = {state.name: _lines(state, _neutral(state, acting), widths) for state in campaign.states}
-    for number, state in enumerate(campaign.states):
-        progress("meshes", number / len(campaign.states))
+    requested = {state.name: lines_of_nodes(state, _neutral(state, acting), widths) for state in states}
+    for number, state in enumerate(states):
+        progress("meshes", number / len(states))
         # States of one chip have one mesh.
-        alike = [requested[each.name] for each in campaign.states if each.device.section == state.device.section]
-        skins = {region: skin for own, _ in alike for region, skin in own.items()}
-        radii = {radius for _, own in alike for radius in own}
-        problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
+        alike = [requested[each.name] for each in states if each.device.section == state.device.section]
+        skins = {region: skin for own, _, _ in alike for region, skin in own.items()}
+        radii = {radius for _, own, _ in alike for radius in own}
+        levels = {level for *_, own in alike for level in own}
+        problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii), levels=sorted(levels),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         for effect in acting:
             values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
@@ -246,56 +268,70 @@ def _neutral(state: DeviceState, acting: Sequence[Effect]) -> list[Term]:
 
 
 def _recordings(
-    campaign: Campaign, problems: Mapping[str, Problem], parameters: Sequence[Parameter], acting: Sequence[Effect]
+    states: Sequence[DeviceState], recorded: Sequence[DeviceState], problems: Mapping[str, Problem],
+    parameters: Sequence[Parameter], acting: Sequence[Effect],
 ) -> list[FitRecording]:
-    """The recordings of all states, with the lengths and shapes that parameters move among the values of problems."""
+    """The recordings of all states. Their values include the lengths and shapes that parameters move."""
     moved = [p for p in parameters if p.recordings != NOWHERE]
     flexed: list[Problem] = []
     chips: list[Chip] = []
-    for state in campaign.states:
+    following: dict[Any, Problem] = {}
+    for state in states:
         # Shapes that only hypotheses bring in are 0 on the chip.
         shapes = [name for p in moved for name in p.names if name in possible(state.chip)]
         chips.append(with_shapes(state.chip, shapes))
         ranges = ranges_of_dimensions(moved, chips[-1].dimensions())
-        flexed.append(parametrised_within(problems[state.name], chips[-1], ranges, interpolation=HYPOTHETICAL,
-                                          neutral=_neutral(state, acting)))
+        problem, neutral = problems[state.name], tuple(_neutral(state, acting))
+        # States of one chip follow its lengths alike, whatever their drive and temperature.
+        key = problem.mesh.section, problem.terms, tuple(ranges.items()), neutral
+        if key not in following:
+            following[key] = parametrised_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
+                                                 neutral=neutral)
+        flexed.append(problem.following(following[key]))
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
-    found = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]), state.measured,
-                                      chip)
-             for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
+    recordings = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]),
+                                           state.measured, chip)
+                  for state, problem, chip in zip(states, flexed, chips, strict=True)}
     # An observation is one more recording of the problem of its state.
-    observed = [(state, each) for state in campaign.recorded if (each := state.observation) is not None]
-    return [*found.values(), *(replace(
-        found[each.state], name=state.name, measured=state.measured, state=each.state,
+    observed = [(state, each) for state in recorded
+                if (each := state.observation) is not None and each.state in problems]
+    return [*recordings.values(), *(replace(
+        recordings[each.state], name=state.name, measured=state.measured, state=each.state,
         observable=FieldObservable(each, state.device)) for state, each in observed)]
 
 
-def _lines(
-    state: DeviceState, terms: Iterable[Term], widths: Mapping[str, float] | None
-) -> tuple[dict[str, float], set[float]]:
-    """The skins by region, and the radii (m), at which terms of hypotheses ask for lines of nodes in a state."""
+def lines_of_nodes(
+    state: DeviceState, terms: Iterable[Term], widths: Mapping[str, float] | None = None
+) -> tuple[dict[str, float], set[float], set[float]]:
+    """The skins by region, and radii and heights (m) of lines. Meshes need these lines of nodes for the terms of
+    hypotheses."""
     integrals = [(term, integral) for term in terms for integral in term.integrals()]
-    skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
-    return skins, {integral.radius_fraction * _radius(state.chip, integral.place) for term, integral in integrals
-                   if integral.radius_fraction and (
-                       not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+    skins = {integral.place: abs(integral.skin) for _, integral in integrals
+             if integral.skin and integral.place != CAVITY}
+    radii = {integral.radius_fraction * _radius(state.chip, integral.place) for term, integral in integrals
+             if integral.radius_fraction and (
+                 not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+    holes = state.chip.holes
+    levels = {holes[-1].z_top - integral.skin * (holes[-1].z_top - holes[0].z_bottom) for _, integral in integrals
+              if integral.skin and integral.place == CAVITY}
+    return skins, radii, levels
 
 
 def _radius(chip: Chip, region: str) -> float:
-    """The largest radius (m) of a region."""
-    if region == CAVITY:
+    """The largest radius (m) of a region or cavity boundary."""
+    if CAVITY in region.split("|"):
         return max(hole.inner_radius for hole in chip.holes)
     return chip.layer(region).radius.value
 
 
 def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
-    """The parameter of a known number, with its prior; a hypothesis may release the prior."""
+    """The known parameter with its prior; a hypothesis may drop the prior."""
     name, parsed, value, error, stated = number.name, number.parsed, number.value, number.deviation, number.stated
     if number.is_bench:
-        found = bench_parameter(name)
-        return replace(found, stated=stated)
+        parameter = bench_parameter(name)
+        return replace(parameter, stated=stated)
     if number.is_dimension:
         limit = (mistaken_length(name, value) if parsed.coefficient not in SHAPES else
                  mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
@@ -308,9 +344,9 @@ def _known(number: Number, campaign: Campaign, problems: Sequence[Problem]) -> P
         reach = max(0.1, REACH * error / value)
         return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, Stated(error / value, origin=number.origin), "1",
                          relative=True)
-    found = material_parameter(problem, parsed.owner, parsed.local)
-    low, high = found.low, found.high
-    if found.is_loss:
+    parameter = material_parameter(problem, parsed.owner, parsed.local)
+    low, high = parameter.low, parameter.high
+    if parameter.is_loss:
         # A loss starts as stated, however small: a fit would start with more.
         low, high = min(low, value), max(high, value)
     else:
@@ -325,7 +361,7 @@ def _is_fluid(problem: Problem, material: str) -> bool:
 def _offset(
     number: Number, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
 ) -> Parameter:
-    """The offset of one state from a shared number: with its own uncertainty, within the range of the number."""
+    """The offset of one state from a shared parameter. It has an uncertainty of its own."""
     parsed, unit, error = number.parsed, number.unit, number.deviation
     (state,) = (each for each in campaign.states if each.name == parsed.state)
     value = DeviceNumbers(campaign.states).number(parsed.shared, state).value

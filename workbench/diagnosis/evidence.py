@@ -1,20 +1,25 @@
-"""The evidence of a hypothesis: the likelihood of the recordings averaged over all that its parameters may be.
+"""The evidence of a hypothesis: the likelihood averaged over its parameters.
 
-At an optimum x of the posterior with residuals r (in units of the noise) and tangents J, the model is linear near it:
+At an optimum x of the posterior with residuals r (in units of the stated noise) and tangents J, the model is linear
+near it:
 
-    r ~ N(0, Sigma),  Sigma = 1 + B diag(scale^2) B^T,   theta ~ N(centre, P^-1),   phi uniform over its ranges,
+    r ~ N(0, Sigma),  Sigma = diag(s_k^2) + B diag(scale^2) B^T,   theta ~ N(centre, P^-1),   phi uniform over ranges,
 
 and the average over theta and phi is a Gaussian integral (Laplace's approximation; MacKay 2003, Information Theory,
 Inference, and Learning Algorithms, chapter 28). The columns of B are deviations beside the noise: changes within a
-region, modes that the model does not have, and the error of a hypothesis' own term. Their scales are averaged over,
-each as likely in every decade.
+region, missing modes, and the error of a hypothesis' own term. Their scales are averaged over, each as likely in every
+decade. So is the noise scale s_k of each recording, 1 < s_k < :data:`LARGEST`. MacKay's fixed point is its likeliest
+value: the residual sum of squares over the data that no parameter absorbs. The likelihood about it is that of
+independent recordings, nu ln s + chi^2 / (2 s^2), integrated over ln s numerically. A hypothesis with a larger residual
+has a larger noise scale.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -36,14 +41,25 @@ END = 1e-9
 #: rounding, or none.
 UNSEEN = 1e-12
 
+#: The noise scale of a recording, at most: nobody compares spectra that are off by a thousand times their noise.
+#: Doubled, all evidences fall by 0.1 a recording.
+LARGEST = 1e3
+
+#: Most steps of the noise scales, the relative change that ends them, and the least share of the data not absorbed by
+#: parameters for the faster of two steps. An evidence is stationary there: 1 % changes it by 1e-4 of the data.
+SCALE_STEPS, STEADY, UNABSORBED = 20, 1e-2, 0.2
+
+#: Points that the integral over ln s is a sum of.
+NODES = 241
+
 #: A fall of the logarithm across a range below which it is a straight line. Doubled, its curve is left out to 2e-8.
 FLAT = 1e-8
 
 
 class WrongEvidence(ArithmeticError):
-    """A log evidence that is none: not finite, or above the log likelihood at its optimum, of which it is a mean.
+    """An invalid log evidence: not finite, or above the largest log likelihood.
 
-    Carries both. It is a defect of the program, and says nothing of the hypothesis.
+    Carries both. It is a defect of the program, and no result about the hypothesis.
     """
 
     def __init__(self, evidence: float, likelihood: float) -> None:
@@ -56,9 +72,9 @@ class WrongEvidence(ArithmeticError):
 
 
 def checked(evidence: float, likelihood: float, size: float = 0.0) -> float:
-    """A log `evidence`, with the log `likelihood` at the optimum that it is about, both up to one constant.
+    """The log `evidence`, compared with the log `likelihood` at its optimum.
 
-    `size` is that of the numbers that both are sums of, for their rounding.
+    Both are up to one constant. `size` is the size of the terms that both are sums of, for their rounding.
 
     Raises:
         WrongEvidence: it is not finite, or the larger one.
@@ -75,7 +91,7 @@ class Average:
 
     ``log_evidence`` up to a constant of all hypotheses; ``step`` (p,) to the optimum of the linearised problem;
     ``covariance`` (p, p) of the posterior; ``occam`` the part of the evidence that the ranges of parameters without a
-    prior cost; ``chi_square`` at the optimum, with the rows of the priors.
+    prior cost; ``chi_square`` at the optimum, with the rows of the priors; ``noise`` (r,) the noise scales.
     """
 
     log_evidence: float
@@ -83,18 +99,21 @@ class Average:
     covariance: Real
     occam: float
     chi_square: float
+    noise: Real
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedProblem:
-    """A problem at x, linear in p parameters about it, with k directions of deviation.
+    """A problem linearised at x: p parameters, k deviations, r recordings.
 
-    ``gram`` (p + 1 + k, p + 1 + k) inner products of the tangents, the residual and the deviations of unit scale, in
-    units of the noise; ``precision`` (p, p) of the prior, ``offset`` (p,) x less its centre; ``widths`` (p,) the ranges
-    of those without a prior, nan for the others; ``below`` and ``above`` (p,) how far x is from the bounds.
+    ``grams`` (r, p + 1 + k, p + 1 + k) inner products of the tangents, the residual and the deviations of unit scale in
+    each recording, in units of its noise; ``counts`` (r,) data of each, zero where its noise scale is one;
+    ``precision`` (p, p) of the prior, ``offset`` (p,) x less its centre; ``widths`` (p,) the ranges of those without a
+    prior, nan for the others; ``below`` and ``above`` (p,) how far x is from the bounds.
     """
 
-    gram: Real
+    grams: Real
+    counts: Real
     precision: Real
     offset: Real
     widths: Real
@@ -102,63 +121,91 @@ class LinearisedProblem:
     above: Real
 
     @classmethod
-    def of(cls, tangents: Real, residual: Real, deviations: Real, *, precision: Real, offset: Real, widths: Real,
-           below: Real, above: Real) -> LinearisedProblem:
-        """A problem from its tangents (m, p), residual (m,) and deviations (m, k)."""
+    def of(
+        cls, tangents: Real, residual: Real, deviations: Real, *, precision: Real, offset: Real, widths: Real,
+        below: Real, above: Real, recordings: Sequence[slice | NDArray[np.int64]] = (), counts: Real | None = None,
+    ) -> LinearisedProblem:
+        """A problem from tangents (m, p), residual (m,) and deviations (m, k). By default it is one recording of noise
+        scale 1."""
         every = np.column_stack([tangents, residual, deviations])
-        return cls(every.T @ every, precision, offset, widths, below, above)
+        parts = [every[rows] for rows in recordings] or [every]
+        return cls(np.stack([each.T @ each for each in parts]), np.zeros(len(parts)) if counts is None else counts,
+                   precision, offset, widths, below, above)
 
-    def averaged(self, scales: Real) -> Average:
-        """Over all parameters at given `scales` (k,) of the deviations."""
+    def averaged(self, scales: Real, noise: Real | None = None) -> Average:
+        """The average over parameters and noise scales at `scales` (k,).
+
+        The search for the likeliest noise scales starts from `noise` (r,).
+        """
+        scaled = np.flatnonzero(self.counts)
+        noise = np.ones(len(self.grams)) if noise is None else noise
+        average = self.at(scales, noise)
+        if not scaled.size:
+            return average
+        for _ in range(SCALE_STEPS):
+            squares, taken = self._residual_squares(scales, average)
+            free = self.counts - taken
+            # Where parameters may take all, the slower step of expectation and maximisation.
+            fast = squares / np.maximum(free, 1e-300)
+            slow = (squares + noise**2 * taken) / np.maximum(self.counts, 1e-300)
+            variance = np.where(free > UNABSORBED * self.counts, fast, slow)
+            before, noise = noise, noise.copy()
+            noise[scaled] = np.clip(np.sqrt(variance[scaled]), 1.0, LARGEST)
+            average = self.at(scales, noise)
+            if np.abs(np.log(noise / before)).max() < STEADY:
+                break
+        squares, taken = self._residual_squares(scales, average)
+        spread = sum(_over_noise(float(self.counts[k] - taken[k]), float(squares[k]), float(noise[k])) for k in scaled)
+        return replace(average, log_evidence=average.log_evidence + spread)
+
+    def at(self, scales: Real, noise: Real) -> Average:
+        """The average over parameters, at `scales` (k,) and `noise` scales (r,)."""
         p = self.offset.size
-        own = self.gram[: p + 1, : p + 1]
+        gram = self._gram(noise)
+        own = gram[: p + 1, : p + 1]
         acting = np.flatnonzero(scales)
-        log_determinant = 0.0
+        log_determinant = 2.0 * float(self.counts @ np.log(noise))
         if acting.size:
             scale = scales[acting]
-            inner = self.gram[np.ix_(p + 1 + acting, p + 1 + acting)] * np.outer(scale, scale)
+            inner = gram[np.ix_(p + 1 + acting, p + 1 + acting)] * np.outer(scale, scale)
             factor = np.linalg.cholesky(inner + np.eye(acting.size))
             along = scipy.linalg.solve_triangular(
-                factor, scale[:, None] * self.gram[p + 1 + acting, : p + 1], lower=True, check_finite=False)
+                factor, scale[:, None] * gram[p + 1 + acting, : p + 1], lower=True, check_finite=False)
             own = own - along.T @ along
-            log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+            log_determinant += 2.0 * float(np.log(np.diag(factor)).sum())
         hessian, slope = own[:p, :p] + self.precision, own[:p, p] + self.precision @ self.offset
         square = float(own[p, p] + self.offset @ self.precision @ self.offset)
-        return self._integrated(hessian, slope, square, log_determinant)
+        return self._integrated(hessian, slope, square, log_determinant, noise)
 
-    def added(self, scales: Real, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
-        """The log evidence that each of some `blocks` of further deviations adds at some `sizes`: (blocks, sizes).
+    def _gram(self, noise: Real) -> Real:
+        return np.asarray(np.tensordot(1.0 / noise**2, self.grams, axes=1))
 
-        Parameters and deviations are those of the given `scales` (k,), which are zero for the blocks. A range counts as
-        a normal distribution of its variance.
-        """
+    def _residual_squares(self, scales: Real, average: Average) -> tuple[Real, Real]:
+        """Residual sum of squares (r,) and absorbed data (r,) of each recording. The squares are in units of the stated
+        noise."""
         p = self.offset.size
         acting = np.flatnonzero(scales)
-        precision = self.precision + np.diag(np.where(np.isnan(self.widths), 0.0, 12.0 / self.widths**2))
-        taken = np.concatenate([np.arange(p), p + 1 + acting])
-        weights = np.concatenate([np.ones(p), scales[acting]])
-        inner = self.gram[np.ix_(taken, taken)] * np.outer(weights, weights)
-        inner[:p, :p] += precision
-        inner[p:, p:] += np.eye(acting.size)
-        unit = 1.0 / np.sqrt(np.diag(inner))
-        factor = np.linalg.cholesky(inner * np.outer(unit, unit))
-        slope = weights * self.gram[taken, p]
-        slope[:p] += self.precision @ self.offset
-        every = p + 1 + np.concatenate(blocks)
-        right = np.column_stack([weights[:, None] * self.gram[np.ix_(taken, every)], slope])
-        along = scipy.linalg.solve_triangular(factor, unit[:, None] * right, lower=True, check_finite=False)
-        found, start = [], 0
-        for block in blocks:
-            own, rows = along[:, start:start + block.size], p + 1 + block
-            start += block.size
-            gram = self.gram[np.ix_(rows, rows)] - own.T @ own
-            values, vectors = np.linalg.eigh(gram)
-            squares = (vectors.T @ (self.gram[rows, p] - own.T @ along[:, -1])) ** 2
-            ratio = np.outer(sizes**2, np.maximum(values, 0.0))
-            found.append(0.5 * np.sum(np.outer(sizes**2, squares) / (1.0 + ratio) - np.log1p(ratio), axis=1))
-        return np.stack(found)
+        gram, scale = self._gram(average.noise), scales[acting]
+        rows = p + 1 + acting
+        inner = gram[np.ix_(rows, rows)] * np.outer(scale, scale) + np.eye(acting.size)
+        along = scale * (gram[rows, :p] @ average.step + gram[rows, p])
+        moved = np.concatenate([average.step, [1.0], -scale * np.linalg.solve(inner, along)])
+        chosen = np.concatenate([np.arange(p), [p], rows])
+        squares = np.einsum("i,rij,j->r", moved, self.grams[:, chosen[:, None], chosen], moved)
+        taken = np.concatenate([np.arange(p), rows])
+        weights = np.concatenate([np.ones(p), scale])
+        outer = np.outer(weights, weights)
+        whole = gram[np.ix_(taken, taken)] * outer
+        whole[:p, :p] += self.precision + np.diag(np.where(np.isnan(self.widths), 0.0, 12.0 / self.widths**2))
+        whole[p:, p:] += np.eye(acting.size)
+        # A parameter without information absorbs no data.
+        covariance = _inverse(whole) * outer
+        count = np.einsum("ij,rij->r", covariance, self.grams[:, taken[:, None], taken]) / average.noise**2
+        return squares, np.clip(count, 0.0, self.counts)
 
-    def _integrated(self, hessian: Real, slope: Real, square: float, log_determinant: float) -> Average:
+    def _integrated(
+        self, hessian: Real, slope: Real, square: float, log_determinant: float, noise: Real
+    ) -> Average:
         ranged = ~np.isnan(self.widths)
         # A parameter that changes nothing within its range stays where it is, and costs nothing.
         seen = ~ranged | (np.diag(hessian) * self.widths**2 > UNSEEN)
@@ -167,7 +214,7 @@ class LinearisedProblem:
         step = -covariance @ slope
         occam = 0.0
         if (ranged & ((step < -self.below) | (step > self.above))).any():
-            # A parameter without a prior that a bound holds stays there; from there, the Gaussian is cut off.
+            # A parameter without a prior stays at its active bound; from there, the Gaussian is cut off.
             step, held = self._within_bounds(hessian, slope, ranged)
             inside = np.ix_(~held, ~held)
             covariance = np.zeros_like(hessian)
@@ -177,18 +224,21 @@ class LinearisedProblem:
                 inwards = abs(float(slope[j] + hessian[j] @ step))
                 occam += math.log(self.widths[j]) - _cut_off(inwards, max(curvature, 0.0), self.widths[j])
             ranged = ranged & ~held
-        if ranged.any():
-            occam += 0.5 * occam_factor(covariance[np.ix_(ranged, ranged)], self.widths[ranged])
-        known = np.ix_(np.isnan(self.widths), np.isnan(self.widths))
+        own, stated = np.flatnonzero(ranged), np.flatnonzero(np.isnan(self.widths))
+        known = np.ix_(stated, stated)
+        if own.size:
+            along = hessian[np.ix_(own, stated)]
+            information = hessian[np.ix_(own, own)] - along @ _inverse(hessian[known]) @ along.T
+            occam += 0.5 * occam_factor(information, self.widths[own])
         learnt = np.linalg.slogdet(hessian[known])[1] - np.linalg.slogdet(self.precision[known])[1]
         chi_square = square + float(2.0 * slope @ step + step @ hessian @ step)
         worth = -0.5 * (chi_square + log_determinant + float(learnt)) - occam
         # The remainder is a sum of squares; the determinant is that of a matrix with eigenvalues of at least 1.
         best = -0.5 * (max(chi_square, 0.0) + max(log_determinant, 0.0))
-        return Average(checked(worth, best, square), step, covariance, occam, chi_square)
+        return Average(checked(worth, best, square), step, covariance, occam, chi_square, noise)
 
     def _within_bounds(self, hessian: Real, slope: Real, ranged: NDArray[np.bool_]) -> tuple[Real, NDArray[np.bool_]]:
-        """The step (p,) to the least of the quadratic within all ranges, and which parameters (p,) their ends hold."""
+        """The step (p,) to the minimum within bounds, and active bounds (p,)."""
         # Known parameters have no bounds: they follow.
         own, known = np.flatnonzero(ranged), np.flatnonzero(~ranged)
         follow = _inverse(hessian[np.ix_(known, known)]) @ np.column_stack([hessian[np.ix_(known, own)], slope[known]])
@@ -200,9 +250,9 @@ class LinearisedProblem:
         root = np.sqrt(values[kept])
         low, high = np.minimum(-self.below[own], 0.0) / size, np.maximum(self.above[own], 0.0) / size
         if kept.any():
-            found = lsq_linear(root[:, None] * vectors[:, kept].T, -(vectors[:, kept].T @ force) / root, (low, high),
-                               method="bvls", tol=1e-12)
-            relative = np.clip(found.x, low, high)
+            solution = lsq_linear(root[:, None] * vectors[:, kept].T, -(vectors[:, kept].T @ force) / root, (low, high),
+                                  method="bvls", tol=1e-12)
+            relative = np.clip(solution.x, low, high)
         else:
             relative = np.zeros(own.size)
         at_end = (relative - low < END) | (high - relative < END)
@@ -214,16 +264,15 @@ class LinearisedProblem:
 
 
 def _inverse(matrix: Real) -> Real:
-    """The inverse of a positive matrix (p, p) whose units differ; directions that rounding cannot tell apart stay
-    undetermined."""
+    """The inverse of a positive matrix (p, p) whose units differ. Directions below rounding stay undetermined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
 
 
 def _cut_off(slope: float, curvature: float, width: float) -> float:
-    """ln of the integral of exp(-(slope t + curvature t^2 / 2)) over 0 < t < width, neither of the two below zero.
+    """ln of a truncated Gaussian integral, at most ln of the width.
 
-    It is at most ln of the width.
+    The integrand is exp(-(slope t + curvature t^2 / 2)) over 0 < t < width, with neither coefficient negative.
     """
     if curvature * width**2 < FLAT:
         along = slope * width
@@ -234,32 +283,38 @@ def _cut_off(slope: float, curvature: float, width: float) -> float:
     return 0.5 * math.log(0.5 * math.pi / curvature) + math.log(whole)
 
 
-def occam_factor(covariance: Real, widths: Real) -> float:
-    """The cost of the ranges of parameters: twice the logarithm of their volume over that of the posterior.
+def occam_factor(information: Real, widths: Real) -> float:
+    """Twice the log of the prior volume over the posterior volume.
 
     Args:
-        covariance: (k, k) of the posterior; none of its axes counts as longer than a range.
-        widths: (k,) of the ranges, in the same units.
+        information: (k, k) the inverse of the posterior's covariance. No axis counts as longer than a range: a
+            parameter without information costs nothing.
+        widths: (k,) of the ranges, in units of one over those of its root.
     """
-    relative = np.clip(np.linalg.eigvalsh(covariance / np.outer(widths, widths)), 1e-30, 1.0 / (2.0 * np.pi))
-    return float(-np.sum(np.log(2.0 * np.pi * relative)))
+    relative = np.maximum(np.linalg.eigvalsh(information * np.outer(widths, widths)), 2.0 * np.pi)
+    return float(np.sum(np.log(relative / (2.0 * np.pi))))
 
 
 def over_scales(problem: LinearisedProblem, settings: Sequence[Real]) -> tuple[float, int, Average]:
-    """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and the average at it.
-    """
-    found = [problem.averaged(setting) for setting in settings]
-    logs = np.array([each.log_evidence for each in found])
+    """ln of the mean evidence over the `settings`. The index of the best one and the average at it follow."""
+    averages = list[Average]()
+    for setting in settings:
+        averages.append(problem.averaged(setting, averages[-1].noise if averages else None))
+    logs = np.array([each.log_evidence for each in averages])
     best = int(np.argmax(logs))
-    return float(logsumexp(logs) - math.log(logs.size)), best, found[best]
+    return float(logsumexp(logs) - math.log(logs.size)), best, averages[best]
 
 
-def averaged_over_blocks(
-    problem: LinearisedProblem, settings: Sequence[Real], blocks: Sequence[NDArray[np.int64]], sizes: Real
-) -> Real:
-    """ln of the mean evidence over the `settings` of the scales with each of some `blocks` of deviations, averaged over
-    their `sizes`: (blocks,)."""
-    whole = np.stack([problem.averaged(each).log_evidence + problem.added(each, blocks, sizes) for each in settings])
-    found = np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
-    # No likelihood is above that of data without a residual, and deviations lower it.
-    return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])
+def _over_noise(data: float, squares: float, noise: float) -> float:
+    """ln of the mean likelihood of one recording over its noise scale. It is relative to the likeliest `noise` scale,
+    for s^-data exp(-squares / (2 s^2)), over ln s up to that of :data:`LARGEST`."""
+    logs = np.linspace(0.0, math.log(LARGEST), NODES)
+    # The likelihood may be narrower than the steps of one grid: a second one lies about its maximum.
+    about = math.log(noise) + np.linspace(-8.0, 8.0, NODES) / math.sqrt(2.0 * max(data, 1.0))
+    logs = np.unique(np.concatenate([logs, np.clip(about, 0.0, logs[-1])]))
+
+    def log_likelihood(log: Real | float) -> Any:
+        return -data * np.asarray(log) - 0.5 * squares * np.exp(-2.0 * np.asarray(log))
+
+    relative = np.exp(log_likelihood(logs) - log_likelihood(math.log(noise)))
+    return math.log(float(np.trapezoid(relative, logs)) / math.log(LARGEST))

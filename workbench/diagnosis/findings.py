@@ -1,14 +1,16 @@
-"""Results of a search: optima on the way, explanations at their own optima, and all of them together."""
+"""Results of a search: initial optima, explanations, and all of them together."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.campaign.state import DeviceState, StateFit
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, LaplaceApproximation
 from workbench.diagnosis.odds import CLOSE
@@ -29,29 +31,19 @@ EXCESS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class InitialOptimum:
-    """An optimum ``x`` (p,) of that ``cost`` at little weight of the data, with the standard ``errors`` (p,) there,
-    zero where they are not known."""
+    """An optimum ``x`` (p,) at low data weight: ``cost`` and ``errors`` (p,)."""
 
     x: Real
     cost: float
     errors: Real
 
 
-class OptimumFound(Protocol):
-    """An end at x (p,), and the standard errors (p,) there, zero of parameters that did not move."""
-
-    @property
-    def x(self) -> Real: ...
-
-    @property
-    def errors(self) -> Real: ...
-
-
-End = TypeVar("End", bound=OptimumFound)
+#: An optimum x (p,) with its standard errors (p,), zero of parameters that did not move.
+End = TypeVar("End", InitialOptimum, LaplaceApproximation)
 
 
 def distinct_ends(model: Model, ends: Iterable[End], rank: Callable[[End], float]) -> list[End]:
-    """The best end of every distinct optimum, of least `rank` first; the priors give the scale of each parameter."""
+    """The best end of every distinct optimum, of least `rank` first."""
     known = np.array([parameter.prior or 0.0 for parameter in model.parameters])
     return [best for best, *_ in distinct(
         ends, lambda end, best: is_same_optimum(end.x, best.x, best.errors, known), rank)]
@@ -59,24 +51,21 @@ def distinct_ends(model: Model, ends: Iterable[End], rank: Callable[[End], float
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A hypothesis with its optima at little weight of the data.
-
-    ``ends`` are the distinct optima that are left, best first, each by its Laplace approximation.
-    """
+    """A hypothesis with its distinct optima (``ends``) at low data weight."""
 
     hypothesis: Hypothesis
     ends: tuple[LaplaceApproximation, ...]
 
     @classmethod
     def of(cls, model: Model, hypothesis: Hypothesis, ends: Iterable[LaplaceApproximation]) -> Candidate | None:
-        """The best ends of the distinct optima that are not far behind the best one; None without ends."""
+        """A hypothesis with its best distinct optima; None without `ends`."""
         kept = distinct_ends(model, ends, lambda each: -each.log_evidence)
         kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - CLOSE][:KEPT]
         return cls(hypothesis, tuple(kept)) if kept else None
 
     @classmethod
     def at(cls, hypothesis: Hypothesis, x: Real, errors: Real) -> Candidate:
-        """A hypothesis to be refitted from x (p,), where nothing was evaluated yet."""
+        """A hypothesis to refit from x (p,), not yet evaluated there."""
         return cls(hypothesis, (LaplaceApproximation(x, -np.inf, errors, np.inf, np.inf),))
 
     @property
@@ -89,32 +78,49 @@ class Candidate:
 
     @property
     def fits(self) -> bool:
-        """Whether little more is left than the deviation that the points were given."""
+        """Whether the residual is near the deviation given to the points."""
         return self.ends[0].reduced_chi_square < EXCESS
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A hypothesis outside the catalogue beside an explanation: the log evidence that it ``gains``, and its deviations
-    ``columns`` (m, k), in units of the noise, of all recordings, those held out last."""
+    """A hypothesis outside the catalogue: the log evidence that it ``gains``. ``columns`` (m, k) are its deviations of
+    all recordings in units of the noise, those held out last."""
 
     hypothesis: Hypothesis
     gains: float
     columns: Real
 
+    @property
+    def record(self) -> dict[str, Any]:
+        """The suspected place, and its log evidence, also in sigmas."""
+        modes = [f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in self.hypothesis.modes]
+        return {"region": self.hypothesis.region or "mode", "kind": "mode" if modes else "anything",
+                "sigmas": math.sqrt(2.0 * max(self.gains, 0.0)), "modes": modes, "evidence": self.gains}
+
+
+@dataclass(frozen=True, eq=False)
+class StatePrediction:
+    """A state held out as others predict it: ``impedance`` (n,) ohm. The ``reduced`` chi-square counts the noise and
+    the uncertainty of the parameters."""
+
+    state: DeviceState
+    impedance: Complex
+    reduced: float
+
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """An explanation refitted at full weight, with the scores of further effects, its alternatives, and its prediction
-    of the states held out.
+    """An explanation refitted at full weight.
 
-    ``every`` is the explanation where the states held out are data too, None without any, and ``held_out_impedances``
-    (n,) ohm their prediction from the others alone; ``scores`` of effects on other parameters, best first.
+    ``every`` is the explanation where the states held out are data too, None without any; ``predicted`` are these
+    states as the others predict them, with the parameters that act in them alone fitted; ``scores`` of further effects
+    and ``alternatives``, best first.
     """
 
     explanation: Explanation
     every: Explanation | None = None
-    held_out_impedances: tuple[Complex, ...] = ()
+    predicted: tuple[StatePrediction, ...] = ()
     scores: tuple[Score, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
 
@@ -124,7 +130,7 @@ class Refitted:
 
     @property
     def held_out(self) -> float:
-        """The log of the density of the states held out, given the others, up to a constant of all hypotheses."""
+        """The log predictive density of the states held out. It is up to a constant of all hypotheses."""
         return 0.0 if self.every is None else self.every.log_evidence - self.explanation.log_evidence
 
     @property
@@ -134,22 +140,21 @@ class Refitted:
 
     def weighted(self, other: Refitted) -> Refitted:
         """A copy with the weights of another explanation."""
-        every = None if self.every is None or other.every is None else self.every.weighted(other.every.weighting)
+        every = self.every and other.every and self.every.weighted(other.every.weighting)
         return replace(self, explanation=self.explanation.weighted(other.explanation.weighting), every=every)
 
     def beside(self, alternative: Alternative) -> Refitted:
         """A hypothesis outside the catalogue at the optimum of this one."""
-        def deviating(found: Explanation) -> Explanation:
-            outside = alternative.columns[:found.local.residual.size]
-            return replace(found, hypothesis=alternative.hypothesis, local=replace(found.local, outside=outside))
+        def deviating(beside: Explanation) -> Explanation:
+            outside = alternative.columns[:beside.local.residual.size]
+            return replace(beside, hypothesis=alternative.hypothesis, local=replace(beside.local, outside=outside))
 
-        return replace(self, explanation=deviating(self.explanation), alternatives=(), scores=(),
-                       every=None if self.every is None else deviating(self.every))
+        return Refitted(deviating(self.explanation), self.every and deviating(self.every), self.predicted)
 
 
 @dataclass(frozen=True)
 class NotTried:
-    """A step of a search that failed, by its ``name``, and the ``reason``."""
+    """A failed step of a search: its ``name`` and the ``reason``."""
 
     name: str
     reason: str
@@ -159,37 +164,45 @@ class NotTried:
 class Found:
     """The results of a search.
 
-    ``base`` is the null hypothesis; ``final`` all refitted explanations, best first, the base among them, all with the
-    weights of the one that leaves least; ``candidates`` the others, at the last stage that each reached; ``undone``
-    steps there was no time for, ``not_tried`` steps that failed; ``interrupted`` whether somebody stopped the search.
+    ``base`` is the null hypothesis; ``final`` all refitted explanations, best first, the base among them, with the
+    weights of the one of the largest likelihood; ``candidates`` the others, at the last stage of each. ``stated`` are
+    all states as stated, those held out last; ``groups`` the names of effects that the recordings cannot tell apart;
+    ``undone`` the steps without time, ``not_tried`` those that failed; ``interrupted`` whether by a user.
     """
 
     base: Refitted
     final: tuple[Refitted, ...]
+    stated: tuple[StateFit, ...] = ()
+    groups: tuple[tuple[str, ...], ...] = ()
     candidates: tuple[Candidate, ...] = ()
     undone: tuple[str, ...] = ()
     not_tried: tuple[NotTried, ...] = ()
     interrupted: bool = False
 
 
-def alike_weighted(found: Sequence[Refitted]) -> list[Refitted]:
-    """Explanations by the weights of the one of the catalogue that leaves least, best first."""
-    best = leaving_least(found)
-    return sorted((each.weighted(best) for each in found), key=lambda each: -each.total)
+    def refit(self, name: str) -> Refitted:
+        """The refitted explanation by the hypothesis of that name."""
+        return next(each for each in self.final if each.hypothesis.name == name)
 
 
-def of_catalogue(found: Sequence[Refitted]) -> list[Refitted]:
-    """:func:`alike_weighted` of the explanations by the catalogue; evidences outside it are dear, and not asked for."""
-    return alike_weighted([each for each in found if not each.hypothesis.is_outside])
+def alike_weighted(explanations: Sequence[Refitted]) -> list[Refitted]:
+    """Explanations by the weights of :func:`most_likely`, best first."""
+    best = most_likely(explanations)
+    return sorted((each.weighted(best) for each in explanations), key=lambda each: -each.total)
 
 
-def leaving_least(found: Sequence[Refitted]) -> Refitted:
-    """The explanation of the catalogue that leaves least, by its own weights."""
-    return max((each for each in found if not each.hypothesis.is_outside),
+def of_catalogue(explanations: Sequence[Refitted]) -> list[Refitted]:
+    """:func:`alike_weighted` of the explanations by the catalogue; evidences outside it are expensive."""
+    return alike_weighted([each for each in explanations if not each.hypothesis.is_outside])
+
+
+def most_likely(explanations: Sequence[Refitted]) -> Refitted:
+    """The catalogue explanation with the largest likelihood, by its own weights."""
+    return max((each for each in explanations if not each.hypothesis.is_outside),
                key=lambda each: each.explanation.weighting.log_likelihood(each.explanation.remainder))
 
 
-def leading_of(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
-    """At most `most` of `found`, best first, of a worth within `odds.CLOSE` of the best."""
-    ordered = sorted(found, key=lambda each: -worth(each))
+def leading_of(items: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
+    """At most `most` items, best first, with a `worth` near the best."""
+    ordered = sorted(items, key=lambda each: -worth(each))
     return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]

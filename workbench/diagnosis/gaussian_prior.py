@@ -1,7 +1,7 @@
-"""The Gaussian prior of the known numbers, updated by the recordings of the smallest body at little weight.
+"""The Gaussian prior of known parameters, updated by the smallest assembly.
 
-The smallest body, the free transducer of most campaigns, is the cheapest to predict and has one optimum. Its recordings
-narrow the prior of its numbers, and models of the other bodies have to be right within the narrower prior only.
+The smallest assembly, the free transducer of most campaigns, is the cheapest to predict and has one optimum. Its
+recordings at low weight narrow the prior. Models of the other assemblies must be right within the narrower prior only.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]
 
-#: Descents for the smallest body: from the stated numbers, and from draws of the prior.
+#: Descents for the smallest assembly: from the stated values, and from draws of the prior.
 DESCENTS = 4
 
-#: A number is multimodal where one uncertainty along its profile changes the data at little weight by this many
-#: deviations more than the tangent says. The second number is the most there are.
+#: A parameter is multimodal if one uncertainty along its profile changes the data at low weight by this many
+#: deviations more than its tangent. The second constant is the most that are used.
 CURVED, MULTIMODAL = 10.0, 2
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianPrior:
-    """A normal distribution of the known numbers about ``x`` (p,): ``root`` (k, k) times white noise, within ``low``
-    and ``high`` (k,)."""
+    """A normal distribution of the known parameters about ``x`` (p,). A deviation is ``root`` (k, k) times white noise;
+    the bounds are ``low`` and ``high`` (k,)."""
 
     x: Real
     root: Real
@@ -45,15 +45,17 @@ class GaussianPrior:
         """The prior as the campaign states it."""
         low, high = model.bounds(range(model.known))
         deviations = np.array([p.prior or 0.0 for p in model.parameters[:model.known]])
-        return cls(np.array([p.start for p in model.parameters]), np.diag(deviations), low, high)
+        correlation = model.correlation[:model.known, :model.known]
+        return cls(np.array([p.start for p in model.parameters]),
+                   deviations[:, None] * np.linalg.cholesky(correlation), low, high)
 
     @property
     def deviations(self) -> Real:
-        """Standard deviations of the known numbers (k,)."""
+        """Standard deviations of the known parameters (k,)."""
         return np.asarray(np.linalg.norm(self.root, axis=1))
 
     def reach(self, model: Model, far: float) -> dict[str, float]:
-        """`far` standard deviations of each known number, by name."""
+        """`far` standard deviations of each known parameter, by name."""
         return {p.name: far * float(each)
                 for p, each in zip(model.parameters[:model.known], self.deviations, strict=True) if each > 0.0}
 
@@ -64,9 +66,9 @@ class GaussianPrior:
                 for sign in (1.0, -1.0)]
 
     def updated(self, likelihood: Likelihood) -> GaussianPrior:
-        """The posterior from this prior and some recordings at little weight, about the best of their optima.
+        """The posterior from this prior and some recordings at low weight.
 
-        The prior itself where nothing can be predicted.
+        It is about the best of their optima. The result is the prior itself if nothing can be predicted.
         """
         search, known = likelihood.search(Hypothesis()), range(len(self.root))
         starts = [StartPoint("", x) for x in (self.x, *self.draws(DESCENTS, 0)[:DESCENTS - 1])]
@@ -84,20 +86,20 @@ class GaussianPrior:
         return GaussianPrior(x, root, self.low, self.high)
 
     def profile_points(self, index: int, steps: Sequence[float]) -> list[Real]:
-        """Points (p,) where one number alone is off by each of `steps`, in its standard deviations."""
+        """Points (p,) with one parameter moved by `steps`, in its deviations."""
         own = np.arange(len(self.root)) == index
         return [self.shifted(np.where(own, step * self.deviations, 0.0)) for step in steps]
 
     def shifted(self, shift: Real) -> Real:
-        """The point (p,) with the known numbers moved by `shift` (k,), within the admissible ranges."""
+        """The point (p,) with known parameters moved by `shift` (k,), within bounds."""
         place = self.x.copy()
         known = slice(len(self.root))
         place[known] = inside(place[known] + shift, self.low, self.high)
         return place
 
 
-def smallest_body(recordings: Objective) -> Objective | None:
-    """The recordings of the body of fewest unknowns; None if all are of one body."""
+def smallest_assembly(recordings: Objective) -> Objective | None:
+    """The recordings of the smallest assembly; None if there is only one."""
     size = {predictor: predictor.operators.size for predictor in recordings.predictors}
     names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)
              if size[predictor] == min(size.values())]
@@ -105,10 +107,10 @@ def smallest_body(recordings: Objective) -> Objective | None:
 
 
 def multimodal(likelihood: Likelihood, prior: GaussianPrior) -> list[int]:
-    """Indices of the known numbers along whose profiles the data are most curved, at little weight.
+    """Indices of the known parameters with the most curved profiles.
 
-    The profile of a number is the optimum of all others as it moves by one uncertainty: whatever these can compensate
-    adds no curvature. The thickness of the gel below a chip is multimodal: it changes the many waves along the film.
+    The profile of a parameter is the optimum of all others as it moves by one uncertainty: compensation adds no
+    curvature. The thickness of the gel below a chip is multimodal: it changes the many waves along the film.
     """
     model, known = likelihood.model, np.arange(len(prior.root))
     spreads = likelihood.point_deviations(LEVELS[0])
@@ -116,7 +118,7 @@ def multimodal(likelihood: Likelihood, prior: GaussianPrior) -> list[int]:
     tangents = here.jacobian[:, known]
     by_noise = tangents @ prior.root
     covariance = prior.root @ np.linalg.inv(by_noise.T @ by_noise + np.eye(known.size)) @ prior.root.T
-    found: list[tuple[float, int]] = []
+    bends: list[tuple[float, int]] = []
     for i, deviation in enumerate(prior.deviations):
         profile = covariance[:, i] * (deviation / covariance[i, i]) if deviation > 0.0 else np.zeros(known.size)
         if model.parameters[i].is_bench or np.linalg.norm(tangents @ profile) < CURVED:
@@ -125,5 +127,5 @@ def multimodal(likelihood: Likelihood, prior: GaussianPrior) -> list[int]:
         for place in (prior.shifted(-profile), prior.shifted(profile)):
             there = likelihood.objective(place, deviation=spreads, free=()).vector
             bent.append(float(np.linalg.norm(there - here.vector - tangents @ (place - prior.x)[known])))
-        found.append((max(bent), i))
-    return [i for bent, i in sorted(found, reverse=True)[:MULTIMODAL] if bent > CURVED]
+        bends.append((max(bent), i))
+    return [i for bent, i in sorted(bends, reverse=True)[:MULTIMODAL] if bent > CURVED]

@@ -1,18 +1,18 @@
-"""The search of a diagnosis: every hypothesis by the same stages, from the model and its recordings to explanations.
+"""The search of a diagnosis: from a model and recordings to explanations.
 
-The null hypothesis is searched for first, on coarse meshes, with the data at little weight. Where it fits there, the
-scores at its optimum at full weight say which hypotheses are refitted. Where it does not, it is not followed further:
-hypotheses are searched for as it was, by their scores, and then in all sizes about the prior. Effects are added as long
-as something is left that a further one promises to explain.
+Every hypothesis passes the same stages. The null hypothesis is searched for first, on coarse meshes, at low data
+weight. If it fits there, the scores at its optimum at full weight select the hypotheses to refit. Otherwise each effect
+is searched from the prior instead: first by the scores, then in a scan of all sizes. Effects are added as long as a
+further one promises to explain a part of the residual.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from workbench.campaign.campaign import Campaign
 from workbench.catalogue.effect import Effect
-from workbench.diagnosis.conclusion import explained_share
+from workbench.diagnosis.conclusion import evidence, priors
+from workbench.diagnosis.decision import Evidence, Priors
 from workbench.diagnosis.descent import candidate_from, descend_in_stages, initial_optimum
 from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import (
@@ -32,7 +33,7 @@ from workbench.diagnosis.findings import (
     alike_weighted,
     distinct_ends,
     leading_of,
-    leaving_least,
+    most_likely,
     of_catalogue,
 )
 from workbench.diagnosis.levels import LEVELS, STAGE
@@ -40,10 +41,9 @@ from workbench.diagnosis.likelihood import Hypothesis, LaplaceApproximation
 from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.odds import CLOSE, Criteria
 from workbench.diagnosis.profile_scan import corners, scan_profiles
-from workbench.diagnosis.ranking import Score, Tangents, ranked_at_level, ranked_beside, start
-from workbench.diagnosis.refit import refit_candidate
-from workbench.diagnosis.refusal import EXPECTED, Refusal
-from workbench.diagnosis.tasks import SearchTask
+from workbench.diagnosis.ranking import Score, Tangents, groups_of, ranked_at_level, ranked_beside, start
+from workbench.diagnosis.refit import refit_candidate, with_surroundings
+from workbench.diagnosis.tasks import EXPECTED, Refusal, SearchTask
 from workbench.fitting.search import NO_END
 from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers
@@ -51,34 +51,36 @@ from workbench.model.discretisation import Discretisation
 
 Real = NDArray[np.float64]
 
-#: Hypotheses of largest predicted gain at a point that are refitted, if theirs is this share of the largest.
-PROMISING, SHARE = 3, 0.3
+#: Hypotheses whose predicted log evidence is within this of the largest are all refitted: odds of 1100. If scores are
+#: too large to be predictions, at most so many are refitted, each with at least such a share of the largest score.
+WITHIN, PROMISING, SHARE = 7.0, 3, 0.3
 
-#: Hypotheses of least cost in any size that are refitted.
-SCANNED = 4
+#: Most hypotheses of a scan of sizes that are searched for, and their largest cost over the least one: the known
+#: parameters follow to first order only.
+SCANNED, COSTLIER = 4, 4.0
 
-#: Explanations not far behind the best that a further effect is added to, the best among them, and effects at most.
+#: Most explanations that a further effect is added to, the best one included, and most effects of an explanation.
 ALIKE, MOST_EFFECTS = 2, 3
 
-#: Basins of the null hypothesis that descents go on in.
-BASINS = 4
+#: Local optima of the null hypothesis that descents continue from.
+LOCAL_OPTIMA = 4
 
-#: Pairs of starts that are drawn from the prior. Further starts lie so many uncertainties along each multimodal number,
-#: which is held at first: the farther ones where none of the nearer fits.
+#: Pairs of starts drawn from the prior if its mean leads to no fit. Further starts lie so many uncertainties along each
+#: multimodal parameter, which is fixed at first: the farther ones only if none of the nearer fits.
 PAIRS, STEPS = 1, ((-1.25, 1.25), (-2.5, 2.5))
 
-#: Share of its cost that a larger hypothesis may seem to fit worse by: descents end within it.
+#: Relative cost by which a larger hypothesis may fit worse: descents end within it.
 WORSE = 0.01
 
-#: Hypotheses that are refitted of those that were searched for, at most, if they are not far behind (`odds.CLOSE`).
+#: Most searched hypotheses that are refitted, if they are near the best (`odds.CLOSE`).
 CONTINUED = 3
 
 
 @dataclass(eq=False)
 class DiagnosisSearch:
-    """A search as it goes on; :meth:`run` is the whole of it, with workers that each have a search of their own.
+    """A search and its state; :meth:`run` performs all of it.
 
-    It ends early, with its results so far, where it is interrupted, or `until` (of `time.perf_counter`) has passed.
+    Each worker has its own. It ends early, with its results so far, if interrupted or at `until` (`time.perf_counter`).
     """
 
     model: Model
@@ -91,6 +93,8 @@ class DiagnosisSearch:
     undone: list[str] = field(default_factory=list)
     not_tried: list[NotTried] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
+    groups: tuple[tuple[str, ...], ...] = ()
+    parts: Real | None = None
     _workers: Workers = field(default_factory=Workers)
 
     @classmethod
@@ -107,14 +111,19 @@ class DiagnosisSearch:
         """The models that predict the recordings."""
         return LocalModels(self.model)
 
-    @cached_property
-    def least_evidence(self) -> float:
-        """Log evidence below which a hypothesis is left out: its odds would be too small."""
-        return math.log(self.criteria.looked_at * self.model.hypotheses)
+    @property
+    def priors(self) -> Priors:
+        """The prior probabilities of all hypotheses, grouped at the null hypothesis."""
+        return priors(self.model, self.groups, self.criteria)
 
-    def log_odds(self, found: Refitted) -> float:
+    @property
+    def least_evidence(self) -> float:
+        """Log evidence below which a hypothesis is omitted for its small odds."""
+        return math.log(self.criteria.looked_at) - self.priors.log_odds((self.model.effects[0].name,))
+
+    def log_odds(self, refitted: Refitted) -> float:
         """Posterior log odds of an explanation, up to a constant of all."""
-        return found.total + self.criteria.log_prior(self.model.hypotheses) * len(found.hypothesis.effects)
+        return refitted.total + self.priors.log_odds([each.name for each in refitted.hypothesis.effects])
 
     @property
     def is_over(self) -> bool:
@@ -130,57 +139,62 @@ class DiagnosisSearch:
         self._workers = workers or Workers()
         self.progress("nothing wrong", 0.1)
         ends, null = self.initial_optima()
-        base, tangents = self.run_tasks([
-            SearchTask.of("nothing", self.refit, null, not null.fits),
-            SearchTask.of("scores of the hypotheses", self.tangents, null.x)], must=1)
+        base, = self.run_tasks([SearchTask.of("nothing", self.refit, null, None, not null.fits)], must=1)
         if base.explanation.rms > self.models.stated_rms:
-            # A search that leads away from what is stated has failed: the optimum beside that is as good.
+            # A search that moves away from the stated values has failed: the optimum near these is as good.
             stated = Candidate.at(Hypothesis(), self.model.stated, base.explanation.errors)
-            base = min([base, *self.run_tasks([SearchTask.of("nothing, as stated", self.refit, stated)], must=1)],
-                       key=lambda each: each.explanation.rms)
-        found = self.with_alternatives(base, tangents)
-        base = found[0]
-        if null.fits:
-            self.progress("single hypotheses", 0.3)
-            found += self.refitted_beside(base)
-            if tangents is not None and not self.is_explained(found):
-                found += self.refitted_beside(base, ranked_beside(self.model, tangents, base.explanation, alone=True),
-                                              found)
-        searches: list[tuple[str, Callable[[], list[Candidate]]]] = [
-            ("hypotheses by their scores", partial(self.by_score, ends, tangents)),
-            ("hypotheses of any size", self.by_size)]
-        # No tangent counts where more is left than the points were allowed to deviate by.
-        if ends[0].cost > sum(state.noise.size for state in self.model.campaign.fitted):
-            searches.reverse()
-        for name, search in searches:
-            if self.is_explained(found):
-                break
+            base = most_likely([base, *self.run_tasks([
+                SearchTask.of("nothing, as stated", self.refit, stated)], must=1)])
+        base, null = self.null_elsewhere(base, ends, null)
+        tangents = self.run_tasks([
+            SearchTask.of("scores of the hypotheses", self.tangents, base.explanation.likeliest)])[0]
+        refits = self.with_alternatives(base, tangents)
+        base = refits[0]
+        self.parts = (base.every or base.explanation).local.parts
+        self.groups = tuple(tuple(each.effect.name for each in group) for group in groups_of(base.scores))
+        self.progress("single hypotheses", 0.3)
+        if not null.fits:
+            # A score that promises little of a large residual leads elsewhere.
+            least = SHARE * base.explanation.gain_at_most
+            refits += self.refitted_beside(base, [each for each in base.scores if each.evidence > least])
+        else:
+            refits += self.refitted_beside(base, base.scores)
+            if tangents is not None and not self.is_explained(refits):
+                refits += self.refitted_beside(base, ranked_beside(self.model, tangents, base.explanation, alone=True),
+                                               refits)
+        # The sizes of a hundred hypotheses are expensive: they are scanned where no score leads to an explanation.
+        if self.best_evidence(refits).leaves_fitted:
             if self.is_over:
-                self.undone.append(name)
-                break
-            self.progress(name, 0.5)
-            found += self.refit_best(null, search(), found)
-        if not null.fits and not self.is_explained(found) and not self.is_over:
-            # Nothing explains: what is left, and where, is then told of the null hypothesis.
-            found = self.with_base_refitted(null, tangents, found)
+                self.undone.append("hypotheses of any size")
+            else:
+                self.progress("hypotheses of any size", 0.5)
+                refits += self.refit_best(null, self.by_size(tangents), refits)
+        if not null.fits and not self.is_explained(refits) and not self.is_over:
+            # Without an explanation, the report describes the residual of the null hypothesis.
+            refits = self.with_base_refitted(null, tangents, refits)
         self.progress("further effects", 0.7)
-        found = self.nested(self.with_further_effects(found))
-        final = alike_weighted(found)
+        refits = self.nested(self.with_further_effects(refits))
+        best = of_catalogue(refits)[0]
+        if best.hypothesis.effects:
+            completed = self.run_tasks([SearchTask.of(best.hypothesis.name, self.with_own_inhomogeneity, best)])[0]
+            refits = [completed if each.hypothesis.name == best.hypothesis.name and completed else each
+                      for each in refits]
+        final = alike_weighted(refits)
         base = next(each for each in final if each.hypothesis.name == Hypothesis().name)
-        return Found(base, tuple(final), (null, *self.candidates), tuple(self.undone),
-                     tuple(dict.fromkeys(self.not_tried)), self.interrupted)
+        return Found(base, tuple(final), self.models.stated, self.groups, (null, *self.candidates),
+                     tuple(self.undone), tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
-    def with_base_refitted(self, null: Candidate, tangents: Tangents | None, found: Sequence[Refitted]
+    def with_base_refitted(self, null: Candidate, tangents: Tangents | None, refits: Sequence[Refitted]
                            ) -> list[Refitted]:
-        """Explanations with the null hypothesis refitted to its end, and what is outside the catalogue beside it."""
+        """Explanations with the null hypothesis refitted to convergence, with its alternatives."""
         base = self.run_tasks([SearchTask.of("nothing, to its end", self.refit, null)])[0]
-        if base is None or base.explanation.rms > found[0].explanation.rms:
-            return list(found)
+        if base is None or base.explanation.rms > refits[0].explanation.rms:
+            return list(refits)
         base, *outside = self.with_alternatives(base, tangents)
-        return [base, *found[1:], *outside]
+        return [base, *refits[1:], *outside]
 
     def with_alternatives(self, base: Refitted, tangents: Tangents | None) -> list[Refitted]:
-        """An explanation with its scores, and what is outside the catalogue beside it."""
+        """An explanation with its scores and the alternatives outside the catalogue."""
         base = self.scored(base, tangents)
         return [base, *map(base.beside, base.alternatives)]
 
@@ -188,34 +202,52 @@ class DiagnosisSearch:
     # The null hypothesis
 
     def initial_optima(self) -> tuple[list[InitialOptimum], Candidate]:
-        """The initial optima of the null hypothesis at little weight, best first, and its candidate at more weight.
+        """The initial optima of the null hypothesis, best first, and its candidate.
 
-        They are searched for from the mean of the prior, and from draws of it.
+        They are searched for from the mean of the prior at low data weight, then from :attr:`further_starts` until one
+        fits.
         """
-        prior, ends, null = self.models.prior, list[InitialOptimum](), None
-        starts: list[tuple[Real, tuple[int, ...]]] = [(place, ()) for place in (prior.x, *prior.draws(PAIRS, 0))]
-        for steps in STEPS:
-            starts += [(place, (i,)) for i in self.models.multimodal for place in prior.profile_points(i, steps)]
-            if null is not None and (null.fits or not starts):
-                break
+        ends, null = self.initial_optima_from([(self.models.prior.x, ())], [])
+        while not null.fits and (starts := next(self.further_starts, None)):
             ends, null = self.initial_optima_from(starts, ends)
-            starts = []
-        assert null is not None
         return ends, null
+
+    @cached_property
+    def further_starts(self) -> Iterator[list[tuple[Real, tuple[int, ...]]]]:
+        """Groups of further starts of the null hypothesis, made on request. They are draws of the prior and places
+        along multimodal parameters, the farther ones last."""
+        prior = self.models.prior
+        for number, steps in enumerate(STEPS):
+            starts: list[tuple[Real, tuple[int, ...]]] = [] if number else [(x, ()) for x in prior.draws(PAIRS, 0)]
+            yield starts + [(place, (i,)) for i in self.models.multimodal for place in prior.profile_points(i, steps)]
+
+    def null_elsewhere(
+        self, base: Refitted, ends: Sequence[InitialOptimum], null: Candidate
+    ) -> tuple[Refitted, Candidate]:
+        """The null hypothesis refitted from further starts, and its candidate. This is done if it fits at low weight
+        but does not explain at full weight: another local optimum may explain the recordings."""
+        if not null.fits or self.is_explained([base]) or self.is_over:
+            return base, null
+        starts = next(self.further_starts)
+        candidate = self.initial_optima_from(starts, ends)[1]
+        if candidate.log_evidence <= null.log_evidence + CLOSE and len(candidate.ends) == 1:
+            return base, null
+        other = self.run_tasks([SearchTask.of("nothing, from another start", self.refit, candidate)])[0]
+        return (base, null) if other is None else (most_likely([base, other]), candidate)
 
     def initial_optima_from(
         self, starts: Sequence[tuple[Real, tuple[int, ...]]], known: Sequence[InitialOptimum]
     ) -> tuple[list[InitialOptimum], Candidate]:
-        """:meth:`initial_optima` from some `starts` (p,), each with indices of parameters that are held at first,
-        merged with the optima `known` already."""
-        found = self.run_tasks([
+        """:meth:`initial_optima` from some `starts` (p,), merged with the optima `known`. Each start has indices of
+        parameters that are fixed at first."""
+        optima = self.run_tasks([
             SearchTask.of("a start where nothing is wrong", self.initial_optimum_near, *at) for at in starts], must=1)
-        ends = distinct_ends(self.model, [*known, *(each for each in found if each is not None)],
+        ends = distinct_ends(self.model, [*known, *(each for each in optima if each is not None)],
                              lambda each: each.cost)
-        ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
-        self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
+        ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:LOCAL_OPTIMA]
+        self.say("begun", [round(each.cost, 1) for each in optima if each], [round(each.cost, 1) for each in ends])
         further = [each for each in self.run_tasks([
-            SearchTask.of("a basin where nothing is wrong", self.continue_null, each) for each in ends], must=1)
+            SearchTask.of("an optimum where nothing is wrong", self.continue_null, each) for each in ends], must=1)
             if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), *(round(x, 2) for x in w[3:]))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
@@ -226,14 +258,14 @@ class DiagnosisSearch:
         return ends, null
 
     def initial_optimum_near(self, x: Real, held: tuple[int, ...] = ()) -> InitialOptimum | None:
-        """The optimum of the null hypothesis at little weight reached from x (p,); None if there is none."""
+        """The optimum of the null hypothesis near x (p,), or None. The data have low weight."""
         try:
             return initial_optimum(self.models, x, held)
         except NO_END:
             return None
 
     def continue_null(self, optimum: InitialOptimum) -> LaplaceApproximation | None:
-        """The optimum of the null hypothesis at more weight reached from an initial one; None if there is none."""
+        """The null optimum at more weight, from an initial one, or None."""
         try:
             return descend_in_stages(self.models, Hypothesis(), optimum.x, optimum.errors,
                                      likelihood=self.models.over_prior, levels=LEVELS[1:])
@@ -256,53 +288,40 @@ class DiagnosisSearch:
         return replace(refitted, scores=tuple(scores))
 
     def promising(self, scores: Sequence[Score], *, is_further: bool = False) -> list[Score]:
-        """The scores of largest predicted gain, of those that would be looked at; a further effect has to be accepted
-        beside the others."""
+        """The scores of largest predicted gain, of those above the criteria. A further effect must be accepted beside
+        the others."""
         least = self.least_evidence + (math.log(self.criteria.accepted) if is_further else 0.0)
-        return [each for each in scores[:PROMISING] if each.evidence > max(least, SHARE * scores[0].evidence)]
+        return [each for rank, each in enumerate(scores) if each.evidence > least and (
+            each.evidence > scores[0].evidence - WITHIN
+            or (rank < PROMISING and each.evidence > SHARE * scores[0].evidence))]
 
     def refitted_beside(
-        self, best: Refitted, scores: Sequence[Score] = (), done: Sequence[Refitted] = ()
+        self, best: Refitted, scores: Sequence[Score], done: Sequence[Refitted] = ()
     ) -> list[Refitted]:
-        """An explanation refitted together with each of the effects of largest predicted gain by its scores, or others,
-        that are not `done`."""
-        found, known = best.explanation, {each.hypothesis.name for each in done}
+        """An explanation refitted together with each effect of largest predicted gain. Those already `done` are
+        skipped."""
+        present, known = best.explanation, {each.hypothesis.name for each in done}
         tasks = []
-        for score in self.promising(scores or best.scores, is_further=bool(found.hypothesis.effects)):
-            begin, errors = start(self.model, score.effect, found.x, score), found.errors.copy()
+        for score in self.promising(scores, is_further=bool(present.hypothesis.effects)):
+            begin, errors = start(self.model, score.effect, present.x, score), present.errors.copy()
             for name, error in zip(score.effect.names, score.error, strict=True):
                 i = self.model.index(name)
-                errors[i] = max(abs(begin[i] - found.x[i]), error if np.isfinite(error) else 0.0)
-            both = Hypothesis((*found.hypothesis.effects, score.effect))
+                errors[i] = max(abs(begin[i] - present.x[i]), error if np.isfinite(error) else 0.0)
+            both = Hypothesis((*present.hypothesis.effects, score.effect))
             if both.name in known:
                 continue
-            tasks.append(SearchTask.of(both.name, self.refit, Candidate.at(both, begin, errors)))
+            tasks.append(SearchTask.of(both.name, self.refit, Candidate.at(both, begin, errors), self.parts))
         return [each for each in self.run_tasks(tasks) if each is not None]
 
-    def by_score(self, ends: Sequence[InitialOptimum], tangents: Tangents | None) -> list[Candidate]:
-        """The hypotheses of largest predicted gain where the null hypothesis ends at either level, searched for."""
-        states = self.model.campaign.fitted
-        there = self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, ends[0].x)])
-        starts: dict[str, list[Real]] = {}
-        for at, level in ((tangents, LEVELS[1]), (there[0], LEVELS[0])):
-            if at is None:
-                continue
-            scores = ranked_at_level(self.model, at, states, level)
-            self.say("   ", [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
-            for each in self.promising(scores):
-                starts.setdefault(each.effect.name, []).append(start(self.model, each.effect, at.x, each))
-        return self.searched([(self.model.effect(name), own) for name, own in starts.items()])
+    def by_size(self, tangents: Tangents | None) -> list[Candidate]:
+        """The best hypotheses of a profile scan about the prior, searched for.
 
-    def by_size(self) -> list[Candidate]:
-        """The hypotheses of least cost in a profile scan about the mean of the prior, searched for.
-
-        The scan is of the state that is left most of: each has to explain that. A hypothesis is left out if none of its
-        numbers can change the recordings by as much as the residual there.
+        Only the worst-fitted state is scanned. By the `tangents`, hypotheses that cannot change the recordings by as
+        much as the residual are skipped.
         """
-        x = self.models.prior.x
-        tangents = self.run_tasks([SearchTask.of("scores of the hypotheses", self.tangents, x)])[0]
         if tangents is None:
             return []
+        x = self.models.prior.x
         over_prior = self.models.over_prior
         end = over_prior.solve(over_prior.search(Hypothesis()), STAGE, x)
         residual = math.sqrt(2.0 * end.cost)
@@ -315,58 +334,66 @@ class DiagnosisSearch:
         scans = self.run_tasks([
             SearchTask.of(f"{effect.name} of any size", self.scan_effect, effect.name, worst)
             for effect in effects])
-        best = sorted(((each, effect) for each, effect in zip(scans, effects, strict=True) if each),
-                      key=lambda both: both[0][0].cost)[:SCANNED]
+        ranked = sorted(((each, effect) for each, effect in zip(scans, effects, strict=True) if each),
+                        key=lambda both: both[0][0].cost)[:SCANNED]
+        best = [(each, effect) for each, effect in ranked if each[0].cost < COSTLIER * ranked[0][0][0].cost]
         for each, effect in best:
             self.say("   swept", effect.name, [(round(e.cost, 1), e.x[[*map(self.model.index, effect.names)]])
                                                for e in each])
-        return self.searched([(effect, [at.x for at in each]) for each, effect in best], held=True)
+        return self.searched([(effect, [at.x for at in each]) for each, effect in best])
 
     def scan_effect(self, name: str, state: str) -> list[InitialOptimum]:
-        """The sizes of an effect of least cost about the mean of the prior, in the one state that shows most."""
+        """The sizes of an effect of least cost in one state. The other parameters are at the mean of the prior."""
         effect, x = self.model.effect(name), self.models.prior.x
         likelihood = self.models.towards(Hypothesis((effect,)), corners(self.model, effect, x), only=state)
         return scan_profiles(likelihood, effect, x)
 
-    def searched(self, starts: Iterable[tuple[Effect, Sequence[Real]]], *, held: bool = False) -> list[Candidate]:
-        """Hypotheses searched for from some starts (p,), in each of which they may be `held` at first."""
-        tasks = [SearchTask.of(effect.name, self.candidate, effect.name, own, held) for effect, own in starts]
-        found = [each for each in self.run_tasks(tasks) if each is not None]
-        self.candidates += found
-        return found
+    def searched(self, starts: Iterable[tuple[Effect, Sequence[Real]]]) -> list[Candidate]:
+        """Hypotheses searched for from some starts (p,)."""
+        tasks = [SearchTask.of(effect.name, self.candidate, effect.name, own) for effect, own in starts]
+        candidates = [each for each in self.run_tasks(tasks) if each is not None]
+        self.candidates += candidates
+        return candidates
 
-    def candidate(self, name: str, starts: Sequence[Real], held: bool = False) -> Candidate:
+    def candidate(self, name: str, starts: Sequence[Real]) -> Candidate:
         """A hypothesis searched for from some `starts` (p,); see `descent.candidate_from`."""
-        found = candidate_from(self.models, Hypothesis((self.model.effect(name),)), starts, held=held)
-        self.say("   more", name, found.log_evidence, *found.ends[0][3:],
-                 [float(found.x[self.model.index(each)]) for each in found.hypothesis.names])
-        return found
+        candidate = candidate_from(self.models, Hypothesis((self.model.effect(name),)), starts)
+        self.say("   more", name, candidate.log_evidence, *candidate.ends[0][3:],
+                 [float(candidate.x[self.model.index(each)]) for each in candidate.hypothesis.names])
+        return candidate
 
-    def refit_best(self, null: Candidate, candidates: Sequence[Candidate], found: Sequence[Refitted]) -> list[Refitted]:
+    def refit_best(
+        self, null: Candidate, candidates: Sequence[Candidate], refits: Sequence[Refitted]
+    ) -> list[Refitted]:
         """The leading candidates refitted at full weight, those that were not yet."""
-        done = {each.hypothesis.name for each in found}
+        done = {each.hypothesis.name for each in refits}
         leading = leading_of([null, *candidates], CONTINUED + 1, lambda each: each.log_evidence)
         return [each for each in self.run_tasks([
-            SearchTask.of(each.hypothesis.name, self.refit, each) for each in leading
+            SearchTask.of(each.hypothesis.name, self.refit, each, self.parts) for each in leading
             if each.hypothesis.name not in done]) if each is not None]
 
-    def refit(self, candidate: Candidate, is_behind: bool = False) -> Refitted:
+    def refit(self, candidate: Candidate, parts: Real | None = None, is_behind: bool = False) -> Refitted:
         """A candidate refitted at full weight; see `refit.refit_candidate`."""
-        found = refit_candidate(self.models, candidate, is_behind=is_behind)
-        own = found.explanation
+        refitted = refit_candidate(self.models, candidate, parts=parts, is_behind=is_behind)
+        own = refitted.explanation
         self.say("settled", own.hypothesis.name, f"{100.0 * own.rms:.3f} % left, evidence {own.log_evidence:.1f}, held "
-                 f"out {found.held_out:.1f}, error {own.error_estimate:.1g}, inflation "
-                 f"{own.weighting.inflation.round(2)}, points {own.weighting.points.round(1)}, inhomogeneity "
+                 f"out {refitted.held_out:.1f}, error {own.error_estimate:.1g}, noise "
+                 f"{own.local.noise.round(2)}, correlation lengths "
+                 f"{[round(noise.correlation, 1) for noise in own.weighting.noises]}, inhomogeneity "
                  f"{own.scales.inhomogeneity:.2g},",
-                 [(round(each.gains, 1), each.hypothesis.name) for each in found.alternatives[:3]],
+                 [(round(each.gains, 1), each.hypothesis.name) for each in refitted.alternatives[:3]],
                  [float(own.x[self.model.index(each)]) for each in own.hypothesis.names])
-        return found
+        return refitted
 
-    def with_further_effects(self, found: list[Refitted]) -> list[Refitted]:
-        """Explanations with effects added to the best ones, as long as the best one changes."""
+    def with_own_inhomogeneity(self, refitted: Refitted) -> Refitted:
+        """An explanation with the inhomogeneity of its own place; see `refit.with_surroundings`."""
+        return with_surroundings(self.models, refitted)
+
+    def with_further_effects(self, refits: list[Refitted]) -> list[Refitted]:
+        """Explanations with effects added, as long as the best one changes."""
         done = {Hypothesis().name}
         while True:
-            best, *others = leading_of(of_catalogue(found), ALIKE, self.log_odds)
+            best, *others = leading_of(of_catalogue(refits), ALIKE, self.log_odds)
             leading = [each for each in (best, *others) if each.hypothesis.name not in done
                        and len(each.hypothesis.effects) < MOST_EFFECTS]
             if best not in leading:
@@ -376,19 +403,20 @@ class DiagnosisSearch:
                 break
             done |= {each.hypothesis.name for each in leading}
             tangents = self.run_tasks([
-                SearchTask.of("scores of further effects", self.tangents, each.explanation.x) for each in leading])
+                SearchTask.of("scores of further effects", self.tangents, each.explanation.likeliest)
+                for each in leading])
             for each, at in zip(leading, tangents, strict=True):
                 scored = self.scored(each, at)
-                found = [scored if other.hypothesis.name == scored.hypothesis.name else other for other in found]
-                found += self.refitted_beside(scored, done=found)
-        return found
+                refits = [scored if other.hypothesis.name == scored.hypothesis.name else other for other in refits]
+                refits += self.refitted_beside(scored, scored.scores, refits)
+        return refits
 
-    def nested(self, found: Sequence[Refitted]) -> list[Refitted]:
-        """Explanations of which none fits worse than one that has fewer effects: where one does, its search failed, and
-        it is refitted from the other's optimum."""
-        result = list(found)
+    def nested(self, refits: Sequence[Refitted]) -> list[Refitted]:
+        """Explanations with failed searches repeated. A search failed if its hypothesis fits worse than one with fewer
+        effects; it is then refitted from the optimum of that one."""
+        result = list(refits)
         for index, each in enumerate(result):
-            least = leaving_least(result)
+            least = most_likely(result)
             own = [other.weighted(least) for other in result
                    if set(other.hypothesis.effects) < set(each.hypothesis.effects) and not other.hypothesis.is_outside]
             best = min(own, key=lambda other: other.explanation.cost, default=None)
@@ -396,24 +424,24 @@ class DiagnosisSearch:
                     each.weighted(best).explanation.cost <= (1.0 + WORSE) * best.explanation.cost):
                 continue
             start = Candidate.at(each.hypothesis, best.explanation.x, each.explanation.errors)
-            again = self.run_tasks([SearchTask.of(each.hypothesis.name, self.refit, start)])[0]
+            again = self.run_tasks([SearchTask.of(each.hypothesis.name, self.refit, start, self.parts)])[0]
             if again is not None and again.weighted(best).explanation.cost < each.weighted(best).explanation.cost:
                 result[index] = replace(again, scores=each.scores)
         return result
 
-    def is_explained(self, found: Sequence[Refitted]) -> bool:
-        """Whether the best explanation of the catalogue leaves little more than noise, or a trace of what the null
-        hypothesis leaves."""
-        best, *others = of_catalogue(found)
-        base = next(each for each in (best, *others) if each.hypothesis.name == Hypothesis().name)
-        return best.explanation.weighting.largest <= self.criteria.inflated or explained_share(
-            self.model, base.explanation, best.explanation) >= self.criteria.most
+    def best_evidence(self, refits: Sequence[Refitted]) -> Evidence:
+        """The evidence of the best catalogue explanation."""
+        return evidence(self.model, of_catalogue(refits)[0], self.models.stated, self.criteria)
+
+    def is_explained(self, refits: Sequence[Refitted]) -> bool:
+        """Whether the best catalogue explanation explains every state. States held out are included."""
+        return not self.best_evidence(refits).leaves
 
     # ----------------------------------------------------------------------------------------------------------------
     # Tasks
 
     def run_tasks(self, tasks: Sequence[SearchTask], *, must: int = 0) -> list[Any]:
-        """Results of the tasks in their order; None for one that there was no time for, or that failed.
+        """Results of the tasks in their order. None for a task that failed, or had no time.
 
         The first `must` of them are done in any case.
 
@@ -428,7 +456,7 @@ class DiagnosisSearch:
         except KeyboardInterrupt:
             if self.interrupted or any(index not in results for index in range(min(must, len(tasks)))):
                 raise
-            # Nobody waits any more for the workers' results.
+            # The workers' results are no longer needed.
             self.interrupted, self._workers = True, Workers()
         self.undone += [task.name for index, task in enumerate(tasks) if index not in results]
         for index, result in results.items():
@@ -437,7 +465,7 @@ class DiagnosisSearch:
                     raise result.error
                 self.say("NOT TRIED", tasks[index].name, result.reason)
                 self.not_tried.append(NotTried(tasks[index].name, result.reason))
-        return [None if isinstance(found := results.get(index), Refusal) else found for index in range(len(tasks))]
+        return [None if isinstance(result := results.get(index), Refusal) else result for index in range(len(tasks))]
 
     def attempt(self, task: SearchTask) -> Any:
         """The result of a task, or the refusal that ended it."""

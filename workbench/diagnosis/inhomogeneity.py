@@ -1,4 +1,4 @@
-"""Inhomogeneity: stiffness, mass and loss that differ from place to place as nobody knows, within all parts or in one.
+"""Inhomogeneity: random fields of stiffness, mass and loss in parts.
 
 No part of a real device is as homogeneous as its material's constants. Its stiffness, mass and loss differ by random
 fields (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425) of zero mean, a size that is averaged over and the
@@ -6,11 +6,11 @@ correlation
 
     <a(x) a(x')> = exp(-|x - x'|^2 / (2 l^2)),   l a quarter of the shortest wavelength in the region,
 
-the same in all states: of some tenths of a per cent in all parts, which makes evidences smaller and fits nothing, and
-of any size in one region, which is a hypothesis outside the catalogue. A field is a sum of cosines over the region's
-rectangle with independent amplitudes, whose variances are the spectrum of that correlation (Rasmussen and Williams
-2006, Gaussian Processes for Machine Learning, section 4.2). The change of ln Z by each cosine is a quadratic form of
-the states (:func:`changes`).
+the same in all states. Fields of some tenths of a per cent in all parts make evidences smaller and fit nothing. A field
+of any size in one region is a hypothesis outside the catalogue. A field is a sum of cosines over the region's rectangle
+with independent amplitudes, whose variances are the spectrum of that correlation (Rasmussen and Williams 2006, Gaussian
+Processes for Machine Learning, section 4.2). The change of ln Z by each cosine is a quadratic form of the states
+(:func:`changes`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from skfem import MeshQuad
 
 from geometry.names import TRANSDUCER, parent_place
-from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric
 from workbench.fem.operators import FullOperators, pair_of
 from workbench.fitting.objective import Objective
 from workbench.model.problem import Problem
@@ -39,9 +39,12 @@ Complex = NDArray[np.complex128]
 #: Rows of :func:`changes`.
 STIFFNESS, MASS, LOSS = range(3)
 
-#: Points of a recording that states are made at; a spline gives the points between. A resonance of a free disc is a
-#: thirtieth of its band wide: with 121, splines left out a fifth of its changes.
+#: Points of a recording with solved states; a spline gives the points between. A resonance of a free disc is a
+#: thirtieth of its band wide: with 121, splines missed a fifth of its changes.
 POINTS = 401
+
+#: Frequencies whose states are in memory at a time. Doubled, they take 40 MB more on a mesh of 40 000 unknowns.
+TOGETHER = 64
 
 #: Cosines whose amplitude has less than this share of the variance of the first are left out.
 LEFT_OUT = 0.05
@@ -51,51 +54,22 @@ Key = tuple[str, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedRecording:
-    """A recording predicted at n frequencies (Hz): ``slopes`` (3, cells, n) of :func:`changes`."""
-
-    frequency: Real
-    operators: FullOperators
-    slopes: Complex
-
-
-def predicted_recordings(objective: Objective, x: Real) -> list[PredictedRecording]:
-    """Every recording of an objective as predicted at x (p,); recordings of one solution share their slopes."""
-    found: list[PredictedRecording] = []
-    known: list[tuple[Prediction, FullOperators, Complex]] = []
-    for k in range(len(objective.predictors)):
-        if objective.recordings[k].observable is not None:
-            found.append(PredictedRecording(objective.recordings[k].measured.frequency, objective.predictors[k].every,
-                                            np.zeros((3, 0, 1), dtype=complex)))
-            continue
-        _, _, prediction = objective.predict(x, k, ())
-        same = next((each for each in known if each[0].solution is prediction.solution), None)
-        if same is None:
-            operators, states = prediction.full
-            same = prediction, operators, changes(operators, states, prediction)
-            known.append(same)
-        found.append(PredictedRecording(objective.recordings[k].measured.frequency, *same[1:]))
-    return found
-
-
-@dataclass(frozen=True, eq=False)
 class Inhomogeneity:
-    """Changes of the data by inhomogeneity of a relative size of one: real and then imaginary parts of ln Z, recording
-    after recording.
+    """Changes of the data by inhomogeneity of a relative size of one.
 
-    ``parts`` (m, k) is that of all parts, where a loss differs relative to its value; ``regions`` holds that of each
-    region (m, k), where it differs relative to the stiffness.
+    Rows are real and then imaginary parts of ln Z, by recording. ``parts`` (m, k) is that of all parts, with losses
+    relative to their value; ``regions`` holds that of each region (m, k), with losses relative to the stiffness.
     """
 
     parts: Real
     regions: Mapping[str, Real]
 
 
-def waves(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, float]]:
-    """The waves along the radius of a problem's transducer, each with the deviation of its amplitude in a field of unit
-    size.
+def cosine_modes(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, float]]:
+    """The cosine modes along the transducer's radius, with their amplitude deviations. These are those of a field of
+    unit size.
 
-    Its resonances are so sharp that the inhomogeneity of a disc moves them by their width: ln Z is not linear in these.
+    The resonances are so sharp that the inhomogeneity of a disc moves them by their width: ln Z is not linear in these.
     The correlation length is that at the `frequency` (Hz).
     """
     material, mesh = problem.materials.get(TRANSDUCER), problem.mesh.mesh
@@ -109,28 +83,34 @@ def waves(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, flo
                 yield UnevenSolid.of(integrals, uneven, i, radius, problem.values), deviation
 
 
-def wave_keys(acting: Iterable[UnevenSolid]) -> set[Key]:
-    """The changes by waves that are parameters."""
+def cosine_keys(acting: Iterable[UnevenSolid]) -> set[Key]:
+    """The changes by cosine modes that are parameters."""
     rows = {UnevenProperty.STIFFNESS: STIFFNESS, UnevenProperty.DENSITY: MASS}
     return {(each.region, rows[each.uneven], each.half_waves, 0) for each in acting}
 
 
 def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -> Inhomogeneity:
-    """The inhomogeneity of the device at x (p,), the parts without those that are `acting` as parameters."""
+    """The inhomogeneity of the device at x (p,), without the keys `acting`. These are parameters already."""
     # The stated uncertainty of an observable is far above the changes of a field by parts that are nearly homogeneous.
-    spectra = [(k, recording) for k, recording in enumerate(objective.recordings) if recording.observable is None]
-    every = predicted_recordings(objective.thinned(POINTS).among({recording.name for _, recording in spectra}), x)
+    spectra = [k for k, recording in enumerate(objective.recordings) if recording.observable is None]
+    sparse = objective.thinned(POINTS)
     columns: dict[Key, Complex] = {}
+    known: list[tuple[Prediction, dict[Key, Complex]]] = []
     ends = np.cumsum([0, *(recording.measured.frequency.size for recording in objective.recordings)]).tolist()
-    for each, (k, recording) in zip(every, spectra, strict=True):
-        low, high = ends[k], ends[k + 1]
+    for k in spectra:
+        recording, few = objective.recordings[k], sparse.recordings[k].measured.frequency
         frequency = recording.measured.frequency
-        found = dict(_of_recording(each, recording.problem.materials, float(np.mean(frequency[[0, -1]]))))
-        slopes = np.stack(list(found.values()), axis=1)
-        if frequency.size > each.frequency.size:
-            slopes = CubicSpline(each.frequency, slopes)(frequency)
-        for key, slope in zip(found, slopes.T, strict=True):
-            columns.setdefault(key, np.zeros(ends[-1], dtype=complex))[low:high] += slope
+        prediction = sparse.predict(x, k, ())[2]
+        # Recordings of one solution share their changes.
+        slopes_by_key = next((each for other, each in known if other.solution is prediction.solution), None)
+        if slopes_by_key is None:
+            slopes_by_key = _of_recording(prediction, recording.problem.materials, float(np.mean(frequency[[0, -1]])))
+            known.append((prediction, slopes_by_key))
+        slopes = np.stack(list(slopes_by_key.values()), axis=1)
+        if frequency.size > few.size:
+            slopes = CubicSpline(few, slopes)(frequency)
+        for key, slope in zip(slopes_by_key, slopes.T, strict=True):
+            columns.setdefault(key, np.zeros(ends[-1], dtype=complex))[ends[k]:ends[k + 1]] += slope
 
     def as_data(taken: Iterable[Complex]) -> Real:
         """Columns (m, k) of real and then imaginary parts, recording after recording."""
@@ -146,26 +126,36 @@ def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -
 
 
 def _of_recording(
-    found: PredictedRecording, materials: Mapping[str, Material], frequency: float
-) -> Iterator[tuple[Key, Complex]]:
-    """Every change of a recording with its d ln Z (n,)."""
-    mesh = found.operators.mesh.mesh
+    prediction: Prediction, materials: Mapping[str, Material], frequency: float
+) -> dict[Key, Complex]:
+    """The change d ln Z (n,) of a recording by each cosine. Cosines without a change are omitted."""
+    model, solution = prediction.model, prediction.solution
+    mesh = model.full.mesh.mesh
+    fields = []
     for region, cells in mesh.subdomains.items():
         # A layer's part of a region, or one that holds nothing in this state.
-        if parent_place(region) != region or region not in materials:
-            continue
-        share, size = _rectangle(mesh, cells)
-        for (i, k), weight in cosines(size, _correlation_length(materials[region], frequency)):
-            shape = weight * np.cos(np.pi * i * share[0]) * np.cos(np.pi * k * share[1])
-            for row, slopes in enumerate(found.slopes[:, cells]):
-                if slopes.any():
-                    yield (region, row, i, k), np.conj(shape @ slopes)
+        if parent_place(region) == region and region in materials:
+            share, size = _rectangle(mesh, cells)
+            modes = cosines(size, _correlation_length(materials[region], frequency))
+            cosine = [weight * np.cos(np.pi * i * share[0]) * np.cos(np.pi * k * share[1]) for (i, k), weight in modes]
+            fields.append((region, cells, [numbers for numbers, _ in modes], np.array(cosine)))
+    parts_by_key: dict[Key, list[Complex]] = {}
+    for start in range(0, solution.omega.size, TOGETHER):
+        some = slice(start, start + TOGETHER)
+        states = model.basis @ solution.states[:, some]
+        forms = changes(model.full, states, solution.coefficients[some], solution.charge[some])
+        for region, cells, numbers, shapes in fields:
+            for row in (STIFFNESS, MASS, LOSS):
+                for (i, k), part in zip(numbers, np.conj(shapes @ forms[row, cells]), strict=True):
+                    parts_by_key.setdefault((region, row, i, k), []).append(part)
+    whole = {key: np.concatenate(parts) for key, parts in parts_by_key.items()}
+    return {key: slope for key, slope in whole.items() if slope.any()}
 
 
 def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
-    """Numbers of half waves along r and z of a rectangle of that `size` (2,) m, and the deviation of each amplitude.
+    """Cosine modes of a rectangle of `size` (2,) m, with amplitude deviations.
 
-    Of a field of unit variance with a Gaussian correlation of that `length` (m).
+    Modes are half waves along r and z. The field has unit variance and a Gaussian correlation of `length` (m).
     """
     counts = [int(side / (np.pi * length) * np.sqrt(-np.log(LEFT_OUT))) + 1 for side in size]
     variance = np.ones((counts[0], counts[1]))
@@ -180,8 +170,8 @@ def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
 
 
 def _rectangle(mesh: MeshQuad, cells: NDArray[np.int64]) -> tuple[Real, Real]:
-    """The middles (2, cells) of some cells as shares of the rectangle around them, which begins at the axis, and its
-    size (2,) in m."""
+    """Cell centres (2, cells) as shares of their rectangle, and its size. The rectangle around the cells begins at the
+    axis; its size (2,) is in m."""
     corners = mesh.p[:, mesh.t[:, cells]]
     low, high = corners.min(axis=(1, 2)), corners.max(axis=(1, 2))
     low[0] = 0.0
@@ -189,7 +179,7 @@ def _rectangle(mesh: MeshQuad, cells: NDArray[np.int64]) -> tuple[Real, Real]:
 
 
 def _correlation_length(material: Material, frequency: float) -> float:
-    """A quarter of the shortest wavelength (m) in a material at a frequency (Hz)."""
+    """A quarter of the shortest wavelength (m) in a material. `frequency` is in Hz."""
     return 0.25 * _slowest(material) / frequency
 
 
@@ -200,21 +190,25 @@ def _slowest(material: Material) -> float:
             return float(np.sqrt(abs(complex(material.c44)) / material.density))
         case IsotropicSolid():
             return float(np.sqrt(abs(complex(material.shear_modulus)) / material.density))
-        case Fluid():
-            return material.sound_speed
+        case CubicSolid() | Fluid():
+            return material.slowest_wave_speed()
         case _:
             raise TypeError(f"{material!r} carries no waves that are known")
 
 
-def changes(operators: FullOperators, states: Complex, prediction: Prediction) -> Complex:
-    """d ln Z (3, cells, n), e^{-i w t}, by a relative change of stiffness, of mass and of loss of every cell."""
-    return cell_forms(operators, states, states, prediction.solution.coefficients) / prediction.solution.charge
+def changes(operators: FullOperators, states: Complex, coefficients: Complex, charge: Complex) -> Complex:
+    """d ln Z (3, cells, n) by changes of every cell.
+
+    Rows are relative changes of stiffness, mass and loss, e^{-i w t}, for `states` (size, n), `coefficients` (n,
+    integrals) and `charge` (n,) C.
+    """
+    return cell_forms(operators, states, states, coefficients) / charge
 
 
 def cell_forms(operators: FullOperators, left: Complex, right: Complex, coefficients_of: Complex) -> Complex:
-    """Forms left^T A right (3, cells, n), A the stiffness, the mass and the loss of every cell.
+    """Forms left^T A right (3, cells, n) of every cell.
 
-    For columns `left` and `right` (size, n), and the coefficients (n, integrals) of the integrals.
+    A is the stiffness, the mass and the loss, for columns (size, n) and coefficients (n, integrals) of the integrals.
     """
     kinds = [_kind(integral) for integral in operators.integrals]
     used = [q for q, kind in enumerate(kinds) if kind is not None and coefficients_of[:, q].any()]
@@ -240,7 +234,7 @@ def cell_forms(operators: FullOperators, left: Complex, right: Complex, coeffici
 
 
 def _kind(integral: Integral) -> int | None:
-    """The kind, stiffness or mass, of an integral over cells; None for all others."""
+    """The kind, stiffness or mass, of a cell integral; None for others."""
     if integral.on_boundary:
         return None
     taken = {(component.partition("_")[0], kind == "value") for product in integral.products

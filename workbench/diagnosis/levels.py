@@ -1,4 +1,4 @@
-"""The stages of a search: points weigh little at first, and admittances are smoothed, so that there are few optima."""
+"""The stages of a search, from low data weight and smoothed admittances."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Real = NDArray[np.float64]
 LEVELS = (0.05, 0.01)
 
 #: A stage at little weight.
-STAGE = ContinuationStage(LEVELS[0], limit=8, tolerance=0.01)
+STAGE = ContinuationStage(LEVELS[0], limit=20, tolerance=0.01)
 
-#: The stages that every search begins with: smoothed admittances leave few ways to lay overtones on a recording.
+#: The first stages of every search: smoothed admittances have few ways to match overtones to a recording.
 SCHEDULE = Schedule((replace(STAGE, smoothing=0.01), STAGE))
 
 #: Descents begin no closer to the ends of a range than this share of it.
@@ -25,7 +25,7 @@ INSIDE = 1e-4
 
 
 def inside(values: Real, low: Real | float, high: Real | float) -> Real:
-    """Values no closer to the ends of their range than :data:`INSIDE` of it."""
+    """Values clipped to at least :data:`INSIDE` of their range from its ends."""
     margin = INSIDE * (high - low)
     return np.clip(values, low + margin, high - margin)
 

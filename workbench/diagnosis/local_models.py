@@ -1,7 +1,7 @@
-"""The models that a search predicts with, each on local bases: none of them is right over the whole prior.
+"""The models of a search on local bases, each valid nearby.
 
-A search goes on on coarse meshes, and only explanations that are told of have the meshes that were asked for. A model
-carries the terms of the hypotheses that act in it and no others, and its meshes have lines of nodes for these alone.
+A search uses coarse meshes; only reported explanations have the requested meshes. A model has only the terms of its
+acting hypotheses, and its meshes have lines of nodes for these alone.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.campaign.state import rms_of_impedance
+from workbench.campaign.state import StateFit, rms_of_impedance, state_fit
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smallest_body
+from workbench.diagnosis.gaussian_prior import GaussianPrior, multimodal, smallest_assembly
 from workbench.diagnosis.levels import replaced
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.ranking import Tangents
@@ -26,10 +26,10 @@ from workbench.reduced.estimate import SLACK
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Error of Z that meshes of a search are made for, and at least that of those asked for.
+#: Error of Z of the meshes of a search, or the requested error if that is larger.
 SEARCHED = 5e-3
 
-#: Share of Z that is left as stated from which on a search's meshes are right enough to say so: 20 times their error.
+#: Residual of the stated device above which the meshes of a search are accurate enough: 20 times their error.
 FAR_OFF = 20.0 * SEARCHED
 
 #: Error of Z that reduced models are made for: over the prior, about a point of a search, and about an optimum, that
@@ -40,8 +40,8 @@ BROAD, ROUGH, FINE = 3e-4, 3e-3, 0.1
 #: effect where a search begins, in its size there.
 FAR, NEAR, OF_SIZE = 1.5, 2.0, 0.3
 
-#: Times, at most, that an optimum is searched for on models made again about it, until their error estimate there is
-#: within tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
+#: Most repetitions of a search on models made again about its optimum, until their error estimate there is within
+#: tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
 PLACES = 2
 
 
@@ -56,33 +56,38 @@ class LocalModels:
         """The model of a search, on coarse meshes."""
         if not isinstance(self.model.accuracy, float) or self.model.accuracy >= SEARCHED:
             return self.model
-        return device_model(self.model.campaign, accuracy=SEARCHED, catalogue=(self.model.effects, self.model.others))
+        return device_model(self.model.campaign, accuracy=SEARCHED, like=self.model)
 
     @cached_property
     def with_all(self) -> Model:
-        """The model of a search in which all hypotheses act: dear to make, and asked for between others."""
+        """The model of a search with all hypotheses. It is expensive, and made between other tasks."""
         return self.rough.of(self.rough.effects)
 
     @cached_property
     def prior(self) -> GaussianPrior:
-        """The prior of the known numbers, updated by the smallest body of several."""
+        """The prior of the known parameters, updated by the smallest assembly."""
         prior = GaussianPrior.prior(self.rough)
-        first = smallest_body(self.rough.fitted)
+        first = smallest_assembly(self.rough.fitted)
         if first is None:
             return prior
         return prior.updated(Likelihood(self.rough, self._around(prior, first)))
 
     @cached_property
     def over_prior(self) -> Likelihood:
-        """The likelihood over the updated prior, of a search for the null hypothesis."""
+        """The likelihood over the updated prior, for the null hypothesis."""
         return Likelihood(self.rough, self._around(self.prior, self.rough.fitted))
+
+    @cached_property
+    def roughly_over_prior(self) -> Objective:
+        """The objective over the updated prior, coarser (:data:`ROUGH`) for scans."""
+        return self.over_prior.objective.coarser(ROUGH)
 
     def _around(self, prior: GaussianPrior, recordings: Objective) -> Objective:
         return recordings.near(prior.x, prior.reach(self.rough, FAR), BROAD, only=range(self.rough.known))
 
     @cached_property
     def multimodal(self) -> list[int]:
-        """Indices of the known numbers along which there are several optima."""
+        """Indices of the known parameters with several optima."""
         return multimodal(self.over_prior, self.prior)
 
     @cached_property
@@ -91,27 +96,27 @@ class LocalModels:
         return min(float(np.median(state.noise)) for state in self.model.campaign.states)
 
     def are_inaccurate(self, error: float, level: float = 0.0) -> bool:
-        """Whether an error estimate is above tolerance where points have a further deviation `level`."""
+        """Whether an error estimate is above tolerance at a point deviation `level`."""
         return error > SLACK * math.hypot(self.noise, level)
 
     def towards(self, hypothesis: Hypothesis, places: Sequence[Real], *, only: str = "") -> Likelihood:
-        """The likelihood of a search over the prior and on the way to a hypothesis as it is at `places` (p,), of `only`
-        one state if it is named.
+        """The likelihood over the prior and on the way to `places` (p,). These are states of a hypothesis; the
+        likelihood is that of `only` one state if it is named.
 
-        Without a solve where the meshes of the null hypothesis have no other lines of nodes.
+        It needs no solve if the meshes of the null hypothesis have the same lines of nodes.
         """
-        own, moving, x = self.rough.of(hypothesis.effects), self.moving(hypothesis), self.prior.x
-        names = {only} if only else {state.name for state in own.campaign.fitted}
-        fitted = own.fitted.among(names)
-        objective = fitted.on_bases_of(self.over_prior.objective.among(names))
+        x, moving = self.prior.x, self.moving(hypothesis)
+        own = self.rough.in_state(hypothesis.effects, only) if only else self.rough.of(hypothesis.effects)
+        known = self.roughly_over_prior if only else self.over_prior.objective
+        objective = own.fitted.on_bases_of(known.among([recording.name for recording in own.fitted.recordings]))
         if objective is None:
-            objective = fitted.near(x, self.prior.reach(own, FAR), ROUGH, only=moving)
+            objective = own.fitted.near(x, self.prior.reach(own, FAR), ROUGH, only=moving)
         indices = [own.index(name) for name in hypothesis.names]
         there = [replaced(x, indices, place[indices]) for place in places]
         return Likelihood(own, objective.neumann_enriched(x, there, ROUGH, only=moving))
 
     def searched(self, hypothesis: Hypothesis, x: Real, errors: Real | None = None) -> Likelihood:
-        """The likelihood of a search about x (p,), on coarse meshes for a hypothesis.
+        """The likelihood of a search about x (p,), on coarse meshes.
 
         Models reach over the prior, or over the standard deviations `errors` (p,) where these are less.
         """
@@ -126,8 +131,8 @@ class LocalModels:
     def near(
         self, hypothesis: Hypothesis, x: Real, errors: Real, *, noise: float = 0.0, held_out: bool = False
     ) -> Likelihood:
-        """The likelihood of the recordings that were fitted, or of those `held_out`, about an optimum x (p,) of those
-        standard deviations (p,), on meshes for it.
+        """The likelihood about an optimum x (p,), on meshes for it. It is that of the fitted recordings, or of those
+        `held_out`; `errors` (p,) are standard deviations.
 
         The models are right far below the noise, or below `noise` where points deviate by more.
         """
@@ -141,31 +146,35 @@ class LocalModels:
                                                only=[*self.moving(hypothesis), *own.uneven], enriches=False))
 
     @cached_property
-    def stated(self) -> tuple[list[Complex], float]:
-        """Impedance (n,) ohm of every state as it is stated, those held out last, and the rms of ln(Z_model /
-        Z_measured) of those that were fitted; on the coarse meshes of a search where so much is left that their error
-        does not matter (:data:`FAR_OFF`)."""
+    def stated(self) -> tuple[StateFit, ...]:
+        """All states as they are stated, those held out last.
+
+        Coarse meshes serve if the residual is so large that their error does not matter (:data:`FAR_OFF`).
+        """
         for model in (self.rough, self.model):
-            parts = [each.near(model.stated, {}, ROUGH, only=(), enriches=False)
+            parts = [Likelihood(model, each.near(model.stated, {}, ROUGH, only=(), enriches=False))
                      for each in (model.fitted, model.held_out) if each is not None]
-            found = [Likelihood(model, each) for each in parts]
-            data = found[0].data(Hypothesis(), model.stated)
-            left = rms_of_impedance(found[0].states, data.log_ratio)
-            if left > FAR_OFF or model is self.model:
+            data = [each.data(Hypothesis(), model.stated) for each in parts]
+            if rms_of_impedance(parts[0].states, data[0].log_ratio) > FAR_OFF:
                 break
-        return [impedance for each in found for impedance in each.impedances(model.stated)], left
+        return tuple(state_fit(state.name, log, impedance, state.noise, data=state.data)
+                     for part, there in zip(parts, data, strict=True)
+                     for state, log, impedance in zip(part.states, there.log_ratio, there.impedance, strict=True))
 
     @property
     def stated_rms(self) -> float:
-        """Rms of ln(Z_model / Z_measured) as the campaign states the device."""
-        return self.stated[1]
+        """Rms of ln(Z_model / Z_measured) of the fitted states, as stated."""
+        fitted = [state for state in self.model.campaign.fitted if state.observation is None]
+        points = np.array([state.noise.size for state in fitted])
+        of = {fit.name: fit.rms for fit in self.stated}
+        return math.sqrt(float(np.average([of[state.name] ** 2 for state in fitted], weights=points)))
 
     def tangents(self, x: Real) -> Tangents:
-        """The data at x (p,) and their derivatives by all parameters of all hypotheses, on coarse meshes."""
+        """The data at x (p,) and their derivatives by all parameters. They include all hypotheses, on coarse meshes."""
         every = self.with_all
         objective = every.fitted.near(x, {}, ROUGH, only=(), enriches=False).with_every(x)
-        found = objective(x, deviation=Likelihood(every, objective).point_deviations())
-        return Tangents(x, found.jacobian, found.vector)
+        residual = objective(x, deviation=Likelihood(every, objective).point_deviations())
+        return Tangents(x, residual.jacobian, residual.vector)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of the parameters that move under a hypothesis."""

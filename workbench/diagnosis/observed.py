@@ -1,16 +1,15 @@
-"""Observables beside Z as functionals of the first-order field, with their exact derivatives.
+"""Observables beside Z as functionals of the field, with exact derivatives.
 
-An observable is a figure of the field at one frequency and drive (`workbench.design.evaluation`), of the state that a
-prediction of the recording's problem is made of. The derivative of the state by a parameter is one more solve of the
-same system, and the chain rule does the rest: lengths act through the places of the cavity too, properties of the
-liquid through force, weight and drag. Shapes that deform the cavity act through the pressure alone.
+An observable is a figure of the first-order field at one frequency and drive (`workbench.design.evaluation`). Its
+derivative by a parameter needs one more solve of the same system for the state, and the chain rule for lengths of the
+cavity and properties of the liquid. Shapes that deform the cavity act through the pressure alone.
 
 - focusing time: seconds from 90 to 10 % of a quarter wavelength above the deepest trap
-  (`workbench.acoustics.traps.focus_time`), also where that begins a little above the lid;
+  (`workbench.acoustics.traps.focus_time`), which may begin a little above the lid;
 - temperature rate: K/s of the mean of the whole chip at switch-on, the electrical input power over the heat capacity;
-- temperature rise: K of the mean of a part in the steady state, the losses by region and interface times thermal
-  resistances. These are of the chip as stated, with the losses distributed as they are there;
-- ring: the radius of the trap that a particle at the observed radius is led to.
+- temperature rise: K of the mean of a part in the steady state: the losses by region and interface, distributed as in
+  the chip as stated, times thermal resistances;
+- ring: the radius of the trap that a particle at the observed radius moves to.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.chip import Chip
-from geometry.chip_section import volumes
+from geometry.chip_section import region_volumes
 from geometry.mesh import SectionMesh
 from geometry.names import CAVITY
 from geometry.stretch import moving_together
@@ -40,6 +38,7 @@ from workbench.campaign.observation import (
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.dual import Dual, dual_derivative
 from workbench.design.evaluation import Operation, Question, answer
+from workbench.design.resonance import Responding
 from workbench.fem.linearised import FullSystem, ReducedSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import solve_full
@@ -55,26 +54,23 @@ Complex = NDArray[np.complex128]
 FIGURES = {FOCUSING_TIME: "focus_time", TEMPERATURE_RATE: "power", TEMPERATURE_RISE: "heating",
            RING_RADII: "trap_radius"}
 
-
-#: Share of the cavity's height by which the way that is timed may begin above the lid, where the force goes on along
-#: its tangent. Without it the time would end at a height of nine tenths of half a wavelength, which a search has to
-#: cross. Doubled, the tangent would be followed for a fifth of the height.
+#: Share of the cavity's height by which the timed path may begin above the lid, where the force continues along its
+#: tangent: a search crosses that height, nine tenths of half a wavelength. Doubled, the tangent would cover a fifth.
 BEYOND_LID = 0.1
 
-
-#: Error of Z of the mesh that the losses are distributed on. Doubled, a mean temperature changes by a thousandth.
+#: Error of Z of the mesh for the distribution of losses. Doubled, a mean temperature changes by a thousandth.
 OF_LOSSES = 5e-3
 
 
 class NotObservable(ValueError):
-    """A field in which there is nothing to observe, such as a particle that does not get to the trap."""
+    """A field without the observable, such as a particle outside any trap."""
 
 
 @dataclass(frozen=True, eq=False)
 class FieldObservable:
-    """An ``observation`` of a ``device`` as a functional of the field; see `fitting.fit_recording.Observable`.
+    """An ``observation`` of a ``device`` as a functional of the field.
 
-    ``full`` makes derivatives by full solves. ``known`` holds the cavity on the mesh that it was asked for on.
+    See `fitting.fit_recording.Observable`. ``full`` makes derivatives by full solves. ``known`` caches the last cavity.
     """
 
     observation: Observation
@@ -86,11 +82,11 @@ class FieldObservable:
         return replace(self, full=True)
 
     def __call__(self, prediction: Prediction, names: Sequence[str]) -> tuple[float, Complex]:
-        """The value, and its logarithmic derivatives; see `fitting.fit_recording.Observable`.
+        """The value and its logarithmic derivatives; see `fitting.fit_recording.Observable`.
 
         Raises:
             InputError: the cavity has no field of this kind.
-            NotObservable: the particle does not get to the trap, or there is no ring.
+            NotObservable: the particle does not reach the trap, or there is no ring.
         """
         observation, model, values = self.observation, prediction.model, prediction.values
         figure = FIGURES[observation.kind]
@@ -103,10 +99,10 @@ class FieldObservable:
                             None if cavity is None else self._pressure(cavity, None if self.full else model.basis),
                             BEYOND_LID, observation.value if observation.kind == RING_RADII else None)
         system = FullSystem(model.full, values) if self.full else ReducedSystem(model.operators, values)
-        found = answer(question, system, np.zeros(0), np.zeros(0, dtype=complex))
-        if figure not in found.figures:
-            raise NotObservable(f"{observation.name}: {found.missing[figure]}")
-        value = found.figures[figure]
+        result = answer(question, Responding(system, values))
+        if figure not in result.figures:
+            raise NotObservable(f"{observation.name}: {result.missing[figure]}")
+        value = result.figures[figure]
         if observation.kind == TEMPERATURE_RATE:
             value = value / self._heat_capacity(question)
         if not value.value > 0.0:
@@ -117,7 +113,7 @@ class FieldObservable:
 
     @staticmethod
     def _pressure(cavity: Cavity, basis: Real | None) -> Callable[[Complex], Complex]:
-        """The pressure at the cavity's nodes of full states (size, k), or of states (r, k) on a basis (size, r)."""
+        """The pressure at the cavity's nodes from states. They are full (size, k), or (r, k) on a basis (size, r)."""
         if basis is None:
             return lambda states: np.asarray(np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows],
                                              dtype=np.complex128)
@@ -131,23 +127,23 @@ class FieldObservable:
         device, fluid = self.device, self.device.materials[CAVITY]
         assert isinstance(fluid, Fluid)
         try:
-            found = cavity_of(operators, device.chip, fluid, device.particle, self._lengths(operators, values),
-                              self.observation.frequency)
+            made = cavity_of(operators, device.chip, fluid, device.particle, self._lengths(operators, values),
+                             self.observation.frequency)
         except NoCavity as error:
             raise InputError(device.chip.file, self.observation.name, "this chip", f"a cavity that is a cylinder: "
                              f"{error}") from error
-        self.known[:] = [(operators.mesh, tuple(values), found)]
-        return found
+        self.known[:] = [(operators.mesh, tuple(values), made)]
+        return made
 
     def _lengths(self, operators: FullOperators, values: Mapping[str, complex]) -> list[str]:
-        """The parameters that are lengths of the chip, without those that deform cells of the cavity."""
+        """The lengths of the chip without those that deform the cavity's cells."""
         deforming = {name for each in operators.integrals if each.variant for name in each.coefficient.parameters}
         return [name for name in values if name in self.device.chip.dimensions() and name not in deforming]
 
     def _heat_capacity(self, question: Question) -> Dual:
-        """The heat capacity (J/K) of all parts; that of empty regions does not count."""
+        """The heat capacity (J/K) of all parts; empty regions have none."""
         values, materials = question.values, self.device.materials
-        lengths = _lengths_of(self.device.chip, values)
+        lengths = {name: complex(values[name]).real for name in values if name in self.device.chip.dimensions()}
         stated = {region: thermal_constants(material) for region, material in materials.items()}
 
         def capacity(moved: Mapping[str, float], densities: Mapping[str, float]) -> float:
@@ -174,7 +170,7 @@ class FieldObservable:
 
 @lru_cache(maxsize=32)
 def _thermal_resistances(observation: Observation, device: FilledChip) -> Mapping[str, float]:
-    """The thermal resistances (K/W) of the part whose temperature rises; none for other observables."""
+    """The thermal resistances (K/W) of the observed part. Only temperature rises have them."""
     cooling = observation.cooling
     if cooling is None:
         return {}
@@ -182,24 +178,3 @@ def _thermal_resistances(observation: Observation, device: FilledChip) -> Mappin
     solution = solve_full(assemble(problem.mesh, problem.terms), np.array([observation.frequency]), problem.values)
     return thermal_influence(problem, solution, part=cooling.part, convection=cooling.convection,
                              holder=cooling.holder)
-
-
-def region_volumes(chip: Chip) -> dict[str, float]:
-    """Volumes (m^3) as of `geometry.chip_section.volumes`; of layers of rectangular section in closed form, a thousand
-    times as fast, since an objective asks for them at every step."""
-    if any(layer.profile is not None or layer.shapes for layer in chip.layers):
-        return volumes(chip)
-    volume = chip.measure.device_volume
-    found = {layer.region: volume(layer.channels * layer.inner_radius, layer.outer_radius, layer.thickness.value)
-             for layer in chip.layers}
-    for region, around in chip.further_cavities.items():
-        found[region] = sum(volume(0.0, hole.inner_radius, hole.thickness.value) for hole in around)
-    if chip.holes:
-        found[CAVITY] = sum(volume(0.0, hole.channels * hole.inner_radius, hole.thickness.value) for hole in chip.holes)
-    return found
-
-
-def _lengths_of(chip: Chip, values: Mapping[str, complex]) -> dict[str, float]:
-    """The lengths of a chip (m) that are parameters, by name; shapes are lengths too."""
-    known = chip.dimensions()
-    return {name: complex(values[name]).real for name in values if name in known}

@@ -1,4 +1,4 @@
-"""The criteria of a verdict: all the numbers that a decision rests on, and when a parameter counts as moved."""
+"""The criteria of a verdict, and the condition for a moved parameter."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
-#: Relative changes of stiffness, mass and loss within parts, each as likely in every decade: hardly a part is more
-#: inhomogeneous than the last.
+#: Relative changes of stiffness, mass and loss within parts, each as likely in every decade: few parts are more
+#: inhomogeneous than the last value.
 INHOMOGENEITIES = np.logspace(-4.0, -2.5, 7)
 
-#: Relative sizes of changes within a region of which nothing is known, each as likely in every decade: parts are
-#: inhomogeneous by some tenths of a per cent, and nobody looks for that.
+#: Relative sizes of unknown changes within a region, each as likely in every decade. Smaller ones are the usual
+#: inhomogeneity of parts, some tenths of a per cent.
 REGION_SIZES = np.logspace(-2.0, 0.0, 5)
 
-#: Log evidences that are further behind the best are given up on the way: odds of 160000, where a final optimum has
-#: been seen to change hardly one by a tenth of that.
+#: Hypotheses with log evidences further below the best are dropped during a search: odds of 160000. Final optima
+#: changed few log evidences by a tenth of that.
 CLOSE = 12.0
 
 #: A term describes its effect to this share of it.
@@ -34,40 +35,52 @@ class Criteria:
         hinted: posterior odds from which a hint is mentioned.
         looked_at: posterior odds of one hypothesis, as its score predicts them, from which it is refitted at all.
         rival: odds of the best explanation against another, up to which the data cannot rule the other out.
-        nothing_wrong: prior probability that nothing is.
+        by_number: prior probabilities that nothing is wrong, one thing is, and two are.
         redundant: standard deviations from its neutral value within which a further parameter is redundant: an
             explanation that has the best one's parameters and redundant ones is no rival of it.
-        inflated: times the stated noise that an explanation leaves in a recording at most (`weighting`): neither the
-            null hypothesis nor an effect explains all where more is left. Doubled, mismatches twice as large pass for
-            noise.
-        most: share of the mismatch that an effect has to take away to be named where more than that is left: all but a
-            tenth, so that nobody takes the rest for the larger part.
-        at_odds: distance from its prior, in standard uncertainties, beyond which a parameter is at odds with it, and of
+        level: share of the states of devices in which nothing is concealed that are within :meth:`limit`. A state
+            beyond it is not explained.
+        fitted: factor on the limit of white noise for a fitted state, since real devices are not quite homogeneous.
+        held_out: the same for a predicted state.
+        most: share of the stated mismatch that an effect has to explain to be named where a state is not explained. The
+            residual is then a fifth of the mismatch in rms.
+        at_odds: distance of a parameter from its prior, in standard uncertainties, beyond which it is reported, and of
             an observation from its prediction: of a hundred parameters, one in twenty campaigns. Doubled, mistakes that
             campaigns state are not mentioned.
+        mesh: relative error of Z, both parts together, that the meshes are made for.
     """
 
     accepted: float = 20.0
     hinted: float = 1.0
     looked_at: float = 0.1
     rival: float = 20.0
-    nothing_wrong: float = 0.5
+    by_number: tuple[float, float, float] = (0.5, 0.4, 0.1)
     redundant: float = 2.0
-    inflated: float = 2.0
-    most: float = 0.9
+    level: float = 0.98
+    fitted: float = 1.1
+    held_out: float = 1.15
+    most: float = 0.96
     at_odds: float = 3.5
+    mesh: float = 0.0
 
-    def log_prior(self, hypotheses: int) -> float:
-        """Prior log odds of each effect against none, of so many single `hypotheses`."""
-        return math.log1p(-self.nothing_wrong) - math.log(self.nothing_wrong) - math.log(max(hypotheses, 1))
+    def limit(self, data: int, noise: float, *, held_out: bool = False) -> float:
+        """The largest reduced chi-square of an explained state. It has so many `data` of a relative `noise`."""
+        factor = self.held_out if held_out else self.fitted
+        return factor * float(chi2.ppf(self.level, data)) / data + 0.5 * (self.mesh / noise) ** 2
 
     def __post_init__(self) -> None:
         if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.redundant > 0.0):
             raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
                              "1")
-        if not (self.inflated >= 1.0 and 0.0 < self.most <= 1.0 and self.at_odds > 0.0):
-            raise ValueError(f"{self}: standard uncertainties above zero, an inflation of one at least, and a share of "
-                             "one at most")
-        if not 0.0 < self.nothing_wrong < 1.0:
-            raise ValueError(f"a prior probability of {self.nothing_wrong:g} that nothing is wrong must lie between 0 "
-                             "and 1")
+        if not (min(self.fitted, self.held_out) >= 1.0 and 0.0 < self.level < 1.0 and 0.0 < self.most <= 1.0
+                and self.at_odds > 0.0):
+            raise ValueError(f"{self}: factors of one at least, shares of one at most, and standard uncertainties "
+                             "above zero")
+        if not (min(self.by_number) > 0.0 and math.isclose(sum(self.by_number), 1.0)):
+            raise ValueError(f"prior probabilities {self.by_number} of no, one and two effects must be above zero and "
+                             "add up to one")
+
+
+def odds_text(log_odds: float) -> str:
+    """Odds from their natural logarithm."""
+    return f"{math.exp(log_odds):.3g}" if abs(log_odds) < 14.0 else f"10^{log_odds / math.log(10.0):.0f}"

@@ -1,19 +1,20 @@
-"""The posterior of one hypothesis as a function of its parameters, for samplers.
+"""The posterior of one hypothesis as a function of its parameters.
 
-The probability model is that of the diagnosis (`likelihood`, `evidence`) without its linearisation. With the residuals
-r(theta) = ln(Z_model / Z_measured) (m,), real parts and imaginary parts of all fitted recordings, over the deviations
-that points have by its weights, and the deviations B (m, k) at the place of the hypothesis,
+Samplers use it. The probability model is that of the diagnosis (`likelihood`, `evidence`) without its linearisation.
+With the residuals r(theta) = ln(Z_model / Z_measured) (m,), real parts and imaginary parts of all fitted recordings,
+over the deviations of the points by its weights, and the deviations B (m, k) at the place of the hypothesis,
 
     ln L(theta) = ln mean_s exp(-(r^T Sigma_s^-1 r + ln det Sigma_s) / 2),   Sigma_s = 1 + B diag(s^2) B^T,
 
-the mean being over all settings s of the scales. Left out, as in the evidence of an explanation, is what all
-hypotheses share: -(m / 2) ln 2 pi - sum ln deviation. The integral of L over the prior is therefore the evidence that
-`Explanation.log_evidence` approximates. Laplace's approximation does not see that
+the mean being over all settings s of the scales; the noise scale of each recording is the likeliest one at the place of
+the hypothesis. As in the evidence of an explanation, the terms common to all hypotheses are omitted: -(m / 2) ln 2 pi
+less the logarithms of the stated noise. The integral of L over the prior is therefore the evidence that
+:meth:`Posterior.laplace` approximates. Laplace's approximation ignores that
 
 - r is not linear;
 - normal priors end at the bounds: here they are normalised within these, there over all numbers;
-- a range ends within a few standard deviations of an optimum inside of it (where the optimum is at the end, it does);
-- not all within the bounds is a material.
+- a range ends within a few standard deviations of an optimum inside of it (an active bound is allowed for);
+- some points within the bounds are no admissible material.
 
 Laplace's approximation, evidence and samplers: MacKay 2003, Information Theory, Inference, and Learning Algorithms,
 chapters 27 to 29. The prior as a transform of the unit cube: Skilling 2006, Bayesian Analysis 1, 833.
@@ -34,8 +35,9 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Scales
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.local_problem import Scales
 from workbench.diagnosis.ranking import start
 from workbench.diagnosis.weighting import Weighting
 from workbench.files.errors import nearest_names
@@ -47,8 +49,8 @@ Real = NDArray[np.float64]
 
 
 class NormalApproximation(NamedTuple):
-    """Laplace's approximation: the ``log_evidence``, and the ``mean`` (k,) and ``covariance`` (k, k) of the normal
-    distribution, SI, at the scales of the largest evidence."""
+    """Laplace's approximation: ``log_evidence``, ``mean`` (k,) and ``covariance`` (k, k), SI. The normal distribution
+    is at the scales of the largest evidence."""
 
     log_evidence: float
     mean: Real
@@ -56,7 +58,7 @@ class NormalApproximation(NamedTuple):
 
 
 class _InverseCovariance(NamedTuple):
-    """The inverse of one Sigma: 1 less the square of ``root`` (q, q) on the deviations that are ``acting`` (q,)."""
+    """The inverse of one Sigma. It is 1 less the square of ``root`` (q, q) on the deviations ``acting`` (q,)."""
 
     acting: NDArray[np.int64]
     root: Real
@@ -68,8 +70,8 @@ class Posterior(Brief):
     """The posterior of a hypothesis about the recordings of a campaign.
 
     Everywhere theta (k,) are the free parameters alone, those of :attr:`names`, in SI units (that of a ``relative``
-    parameter is 1). All else stays at the place ``x`` (p,), of which also the deviations B are. Reduced models predict
-    the recordings; they are made about x, and :meth:`error_estimate` estimates their error elsewhere.
+    parameter is 1). All others stay at the place ``x`` (p,), which also determines the deviations B. Reduced models
+    predict the recordings; they are made about x, and :meth:`error_estimate` estimates their error elsewhere.
 
     ``scales`` are those of the deviations, averaged over as in the diagnosis if None.
     """
@@ -82,7 +84,7 @@ class Posterior(Brief):
     def of(
         cls, model: Model, hypothesis: Hypothesis, x: Real, *, errors: Real | None = None, scales: Scales | None = None
     ) -> Posterior:
-        """The posterior on reduced models made for the neighbourhood of x (p,), with the weights of what is left there.
+        """The posterior on reduced models near x (p,), weighted by the residual.
 
         The models cover two standard deviations `errors` (p,), zero of parameters that do not move; by default those of
         Laplace's approximation at x.
@@ -98,13 +100,13 @@ class Posterior(Brief):
 
     @classmethod
     def of_refit(cls, model: Model, refit: Refitted, *, scales: Scales | None = None) -> Posterior:
-        """The posterior of an explanation at its own optimum, with the deviations of its evidence.
+        """The posterior of an explanation at its optimum, with its deviations.
 
         Raises:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
-        found = refit.explanation
-        return cls(LocalModels(model).near(found.hypothesis, found.x, found.errors), found, scales)
+        own = refit.explanation
+        return cls(LocalModels(model).near(own.hypothesis, own.x, own.errors), own, scales)
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -145,19 +147,30 @@ class Posterior(Brief):
         return self._search.high[list(self.free)]
 
     @cached_property
-    def _normal(self) -> tuple[NDArray[np.bool_], Real, Real, Real]:
-        """Which parameters (k,) have a normal prior; of these its precision, and the bounds in its deviations."""
-        free = list(self.free)
-        precision = self._search.precision[free]
-        known = precision > 0.0
-        ends = [((end - self._search.centre[free]) * precision)[known] for end in (self.low, self.high)]
-        return known, precision[known], *ends
+    def _known(self) -> NDArray[np.int64]:
+        """The indices of the parameters (k,) that have a normal prior."""
+        return np.flatnonzero(np.diag(self._prior_rows) > 0.0)
+
+    @cached_property
+    def _prior_rows(self) -> Real:
+        """The root (k, k) of the precision of the prior, lower triangular."""
+        return np.asarray(self._search.prior_rows[np.ix_(self.free, self.free)])
+
+    @cached_property
+    def _centre(self) -> Real:
+        return np.asarray(self._search.centre[list(self.free)])
+
+    def _within(self, i: int, theta: Real) -> tuple[float, float, float]:
+        """The conditional mean of a known parameter, and its bounds in deviations."""
+        row, own = self._prior_rows[i], float(self._prior_rows[i, i])
+        mean = float(self._centre[i] - row[:i] @ (theta - self._centre)[:i] / own)
+        return mean, (float(self.low[i]) - mean) * own, (float(self.high[i]) - mean) * own
 
     def log_prior(self, theta: Real) -> float:
-        """ln of the density of the prior at theta (k,), in units of one over those of all parameters.
+        """ln of the prior density at theta (k,), in SI units.
 
-        Normal within the bounds and normalised there, of a known number; of any other the same all over its range.
-        -inf outside.
+        A known parameter is normal and normalised within its bounds, given those before it; any other is uniform over
+        its range. -inf outside.
 
         Raises:
             ValueError: theta is not of (k,) numbers.
@@ -165,31 +178,32 @@ class Posterior(Brief):
         theta = self._checked(theta)
         if not self._is_inside(theta):
             return -math.inf
-        known, precision, low, high = self._normal
-        deviation = (theta[known] - self._search.centre[list(self.free)][known]) * precision
-        # The centre is within the bounds: neither is a small difference of numbers near one.
-        mass = np.log(ndtr(high) - ndtr(low))
-        normal = np.log(precision) - 0.5 * math.log(2.0 * math.pi) - 0.5 * deviation**2 - mass
-        return float(normal.sum() - np.log((self.high - self.low)[~known]).sum())
+        log = -float(np.log(np.delete(self.high - self.low, self._known)).sum())
+        for i in self._known:
+            mean, low, high = self._within(i, theta)
+            own = float(self._prior_rows[i, i])
+            log += math.log(own) - 0.5 * math.log(2.0 * math.pi) - 0.5 * ((theta[i] - mean) * own) ** 2
+            log -= math.log(float(ndtr(high) - ndtr(low)))
+        return log
 
     def prior_transform(self, u: Real) -> Real:
-        """theta (k,) at u (k,) in the unit cube, as nested sampling asks for the prior: equal volumes are as likely.
+        """theta (k,) at u (k,) in the unit cube, for nested sampling.
 
         Raises:
             ValueError: u is not of (k,) numbers.
         """
         u = self._checked(u)
-        known, precision, low, high = self._normal
         theta = self.low + u * (self.high - self.low)
-        below, above = ndtr(low), ndtr(high)
-        deviation = ndtri(below + u[known] * (above - below))
-        theta[known] = self._search.centre[list(self.free)][known] + deviation / precision
-        return np.asarray(np.clip(theta, self.low, self.high))
+        for i in self._known:
+            mean, low, high = self._within(i, theta)
+            deviation = ndtri(ndtr(low) + u[i] * (ndtr(high) - ndtr(low)))
+            theta[i] = np.clip(mean + deviation / self._prior_rows[i, i], self.low[i], self.high[i])
+        return np.asarray(theta)
 
     def log_likelihood(self, theta: Real) -> float:
-        """ln L at theta (k,), up to a constant of all hypotheses, less the cost of the choice of modes.
+        """ln L at theta (k,), less the cost of choosing modes.
 
-        -inf outside the bounds, where a material would make energy, and where nothing can be predicted.
+        Up to a constant. -inf outside the bounds, for a material that generates energy, or without a prediction.
 
         Raises:
             ValueError: theta is not of (k,) numbers.
@@ -205,11 +219,13 @@ class Posterior(Brief):
         square, along = float(residual @ residual), self._deviations.T @ residual
         logs = [float(np.sum((own.root @ along[own.acting]) ** 2)) - square - own.log_determinant
                 for own in self._inverse_covariances]
-        cost = sum(mode.cost for mode in self.hypothesis.modes)
+        local = self.explanation.local
+        normalisation = float(local.problem.counts @ np.log(local.best[2].noise))
+        cost = normalisation + sum(mode.cost for mode in self.hypothesis.modes)
         return float(logsumexp(0.5 * np.array(logs))) - math.log(len(logs)) - cost
 
     def log_posterior(self, theta: Real) -> float:
-        """The sum of :meth:`log_likelihood` and :meth:`log_prior` at theta (k,): its integral is the evidence.
+        """:meth:`log_likelihood` plus :meth:`log_prior` at theta (k,). Its integral is the evidence.
 
         Raises:
             ValueError: theta is not of (k,) numbers.
@@ -218,7 +234,7 @@ class Posterior(Brief):
         return prior if prior == -math.inf else prior + self.log_likelihood(theta)
 
     def error_estimate(self, theta: Real) -> float:
-        """The estimated relative error of Z of the reduced models at theta (k,): a bound, some hundred times the error.
+        """A bound on the relative error of Z at theta (k,). It is some hundred times the error of the reduced models.
 
         Raises:
             ValueError: theta is not of (k,) numbers.
@@ -229,15 +245,16 @@ class Posterior(Brief):
         return max(float(each.error.max()) for each in predictions)
 
     def laplace(self) -> NormalApproximation:
-        """The approximation by tangents at x, which a diagnosis decides by; samplers begin with it."""
-        local = self.explanation.local
-        if self.scales is None:
-            worth, _, average = local.best
-        else:
-            average = local.averaged(self.scales)
-            worth = average.log_evidence
-        cost = sum(mode.cost for mode in self.hypothesis.modes)
-        return NormalApproximation(worth - cost, self.place + average.step, average.covariance)
+        """The linearised approximation at x, for decisions and to start samplers."""
+        averages = [self.explanation.local.at(each) for each in self._settings]
+        logs = np.array([each.log_evidence for each in averages])
+        average = averages[int(np.argmax(logs))]
+        worth = float(logsumexp(logs)) - math.log(logs.size) - sum(mode.cost for mode in self.hypothesis.modes)
+        return NormalApproximation(worth, self.place + average.step, average.covariance)
+
+    @property
+    def _settings(self) -> Sequence[Scales]:
+        return self.explanation.local.settings if self.scales is None else (self.scales,)
 
     @cached_property
     def _deviations(self) -> Real:
@@ -246,8 +263,7 @@ class Posterior(Brief):
 
     @cached_property
     def _inverse_covariances(self) -> list[_InverseCovariance]:
-        settings = self.explanation.local.settings if self.scales is None else (self.scales,)
-        return [self._inverse_covariance(each) for each in settings]
+        return [self._inverse_covariance(each) for each in self._settings]
 
     def _inverse_covariance(self, scales: Scales) -> _InverseCovariance:
         # By Woodbury: Sigma^-1 = 1 - C (1 + C^T C)^-1 C^T with C = B diag(s).
@@ -272,32 +288,31 @@ class Posterior(Brief):
         return bool(((self.low <= theta) & (theta <= self.high)).all())
 
     def _checked(self, theta: Real | Sequence[float]) -> Real:
-        found = np.asarray(theta, dtype=float)
-        if found.shape != (len(self.free),):
-            raise ValueError(f"parameters of shape {found.shape}: expected ({len(self.free)},), one number each of "
+        checked = np.asarray(theta, dtype=float)
+        if checked.shape != (len(self.free),):
+            raise ValueError(f"parameters of shape {checked.shape}: expected ({len(self.free)},), one number each of "
                              f"{', '.join(self.names)}")
-        return found
+        return checked
 
 
-def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None = None) -> Posterior:
-    """The posterior of the hypothesis of that name, at the best optimum that a search found.
+def posterior_of(model: Model, results: Found, name: str, *, scales: Scales | None = None) -> Posterior:
+    """The posterior of a hypothesis, at its best optimum in a search.
 
-    One that the search did not refit is followed to its optimum first, from its last candidate, or from the start that
-    its score predicts.
+    An unrefitted hypothesis is refitted first, from its last candidate, or from the start that its score predicts.
 
     Raises:
         ValueError: no hypothesis of that name, or nothing near its place is admissible.
         NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
     """
-    for refit in found.final:
+    for refit in results.final:
         if refit.explanation.hypothesis.name == name:
             return Posterior.of_refit(model, refit, scales=scales)
-    best = found.base.explanation.x
+    best = results.base.explanation.x
     begins = {score.effect.name: (Hypothesis((score.effect,)), start(model, score.effect, best, score))
-              for score in found.base.scores}
-    begins |= {each.hypothesis.name: (each.hypothesis, each.x) for each in found.candidates}
+              for score in results.base.scores}
+    begins |= {each.hypothesis.name: (each.hypothesis, each.x) for each in results.candidates}
     if name not in begins:
-        known = [*(each.explanation.hypothesis.name for each in found.final), *begins]
+        known = [*(each.explanation.hypothesis.name for each in results.final), *begins]
         near = f"; did you mean {' or '.join(map(repr, like))}?" if (like := nearest_names(name, known)) else ""
         raise ValueError(f"unknown hypothesis {name!r}{near}; known: {', '.join(dict.fromkeys(known))}")
     hypothesis, x = begins[name]
@@ -306,6 +321,6 @@ def posterior_of(model: Model, found: Found, name: str, *, scales: Scales | None
 
 
 def _explained(likelihood: Likelihood, hypothesis: Hypothesis, x: Real) -> Explanation:
-    """A hypothesis at x (p,), with the weights of what is left there."""
-    found = likelihood.explanation(hypothesis, x)
-    return found.weighted(Weighting.left(likelihood.states, found.log_ratio))
+    """A hypothesis at x (p,), weighted by its residual there."""
+    explanation = likelihood.explanation(hypothesis, x)
+    return explanation.weighted(Weighting.left(likelihood.states, explanation.log_ratio))

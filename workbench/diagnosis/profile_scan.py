@@ -1,9 +1,9 @@
-"""Profile scans: the cost that an effect leaves by its size, about the prior means of the known numbers.
+"""Profile scans: the cost of an effect by its size.
 
-The tangents at the null hypothesis do not show a large effect, and at the end of a search without it, known numbers
-have moved to make up for a part of it. A scan starts from the prior instead: every hypothesis is tried in several
-sizes, and the known numbers follow to first order. The sizes are coarse at first; steps are halved beside the best one
-and in every basin, since a number may have several (the thickness of a gel whose film carries waves).
+The tangents at the null hypothesis do not show a large effect. At the end of a search without it, known parameters have
+moved to compensate a part of it. A scan starts from the prior instead: every hypothesis is tried in several sizes, and
+the known parameters follow to first order. The sizes are coarse at first; steps are halved beside the best one and at
+every local optimum, since an effect may have several (the thickness of a gel whose film carries waves).
 """
 
 from __future__ import annotations
@@ -28,20 +28,23 @@ Real = NDArray[np.float64]
 SIZES = (0.01, 0.03, 0.1, 0.3, 0.6, 0.95)
 
 #: Sizes that models are made for; the span of their states serves between and beyond.
-HELD = (0.1, 0.3, 0.6)
+MODELLED = (0.1, 0.3, 0.6)
 
-#: Points of a recording that a scan uses, about.
-LOOKED_AT = 41
+#: Approximate number of points of a recording in a scan.
+SCAN_POINTS = 41
+
+#: Relative error of Z by truncation of the models of a scan, where points deviate by `levels.LEVELS`.
+TRUNCATED = 1e-3
 
 #: Times that steps about a size are halved.
-HALVED = 3
+HALVINGS = 3
 
-#: Sizes that a scan returns, at most, of the lowest of its basins and of the coarse ones.
-LEFT = 2
+#: Most sizes that a scan returns, of its lowest local optima and of the coarse sizes.
+RETURNED = 2
 
 
 def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
-    """Directions (k,) from nothing to the bounds of each number of an effect, and to those of all together."""
+    """Directions (k,) to the bounds of each parameter, and of all together."""
     own = [model.index(name) for name in effect.names]
     stated = model.stated[own]
     for bound in model.bounds(own):
@@ -53,13 +56,13 @@ def search_directions(model: Model, effect: Effect) -> Iterator[Real]:
 
 
 def corners(model: Model, effect: Effect, x: Real) -> list[Real]:
-    """Points (p,) that models of an effect of any size at x (p,) are made for."""
+    """Points (p,) that models of an effect of any size must cover."""
     return [_sized(model, effect, x, direction, size)
-            for direction in search_directions(model, effect) for size in HELD]
+            for direction in search_directions(model, effect) for size in MODELLED]
 
 
 def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimum]:
-    """The sizes of an effect at x (p,) of least cost where the data weigh little, best first.
+    """The sizes of an effect of least cost, best first.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
@@ -68,13 +71,14 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
     model, refused = likelihood.model, list[Exception]()
     own = [model.index(name) for name in effect.names]
     search = likelihood.search(Hypothesis((effect,)))
-    steps = [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
-    thin = search.with_objective(search.objective.thinned(LOOKED_AT))
+    steps = [each.step(SCAN_POINTS) for each in likelihood.objective.recordings]
+    points = [x, *corners(model, effect, x)]
+    thin = search.with_objective(search.objective.thinned(SCAN_POINTS).truncated(points, TRUNCATED))
     spreads = likelihood.point_deviations(LEVELS[0], steps)
     free = np.setdiff1d(search.free, own)
 
     def tried(direction: Real, size: float) -> InitialOptimum:
-        """The place of a size with the cost that it leaves; infinite where nothing can be predicted."""
+        """The place of a size with its cost; infinite without a prediction."""
         place = _sized(model, effect, x, direction, size)
         cost = math.inf
         try:
@@ -93,14 +97,14 @@ def scan_profiles(likelihood: Likelihood, effect: Effect, x: Real) -> list[Initi
         if refused:
             raise refused[0]
         return []
-    found = [_lowest(profile, size, partial(tried, direction)) for direction, profile in profiles
-             for size in SIZES if profile[size] is coarse[0] or _is_basin(profile, size)]
-    others = (each for each in coarse if not any(each is other for other in found))
-    return sorted([*found, *others], key=lambda each: each.cost)[:LEFT]
+    optima = [_lowest(profile, size, partial(tried, direction)) for direction, profile in profiles
+              for size in SIZES if profile[size] is coarse[0] or _is_local_optimum(profile, size)]
+    others = (each for each in coarse if not any(each is other for other in optima))
+    return sorted([*optima, *others], key=lambda each: each.cost)[:RETURNED]
 
 
-def _is_basin(profile: Mapping[float, InitialOptimum], size: float) -> bool:
-    """Whether both a smaller and a larger size cost more, if there is a larger one."""
+def _is_local_optimum(profile: Mapping[float, InitialOptimum], size: float) -> bool:
+    """Whether both neighbouring sizes cost more, if there is a larger one."""
     at = SIZES.index(size)
     beside = [profile[other].cost for other in (*SIZES[max(at - 1, 0):at], *SIZES[at + 1:at + 2])]
     return at > 0 and all(profile[size].cost < cost for cost in beside)
@@ -109,11 +113,11 @@ def _is_basin(profile: Mapping[float, InitialOptimum], size: float) -> bool:
 def _lowest(
     profile: Mapping[float, InitialOptimum], size: float, tried: Callable[[float], InitialOptimum]
 ) -> InitialOptimum:
-    """The optimum of least cost near a size of a profile, by halving the steps beside it."""
+    """The optimum of least cost near a size, by halved steps."""
     at = SIZES.index(size)
     near = {other: profile[other] for other in SIZES[max(at - 1, 0):at + 2]}
     low = SIZES[at - 1] if at else 0.0
-    for _ in range(HALVED):
+    for _ in range(HALVINGS):
         best = min(near, key=lambda each: near[each].cost)
         sizes = sorted({low, *near})
         place = sizes.index(best)

@@ -1,4 +1,4 @@
-"""The score test: the predicted gain of every hypothesis of the catalogue, from one prediction, without refitting.
+"""The score test: predicted gains of all catalogue hypotheses without refits.
 
 The part of a hypothesis' tangents that the known parameters can imitate, with their priors, is projected out; the rest
 is compared with the residual (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). The score ranks hypotheses, and decides
@@ -7,8 +7,10 @@ nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +23,15 @@ from workbench.diagnosis.evidence import occam_factor
 from workbench.diagnosis.levels import inside, replaced
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.weighting import Weighting
+from workbench.fitting.covariance import prior_rows
 
 Real = NDArray[np.float64]
 
-#: A tangent of which the known parameters leave less than this share has no effect of its own.
+#: Cosine above which recordings cannot tell two changes apart: at 0.99 a change of ten standard deviations differs from
+#: the other by one and a half.
+COLLINEAR = 0.99
+
+#: A tangent has no effect of its own if its share orthogonal to the known parameters is smaller than this.
 UNSEEN = 1e-9
 
 
@@ -35,7 +42,8 @@ class Score:
     ``evidence`` is the predicted gain of log evidence, ``gain`` the fall of chi-square, both within its bounds;
     ``amplitude`` (k,) the predicted change of its parameters, SI, and ``error`` (k,) their standard deviations.
     ``most`` is the largest change of the data by one of its parameters over its whole range, to first order, in
-    standard deviations of the data.
+    standard deviations of the data; ``directions`` (m', k') an orthonormal basis of the changes that the known
+    parameters do not imitate.
     """
 
     effect: Effect
@@ -44,12 +52,32 @@ class Score:
     amplitude: Real
     error: Real
     most: float = 0.0
+    directions: Real = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def is_collinear(self, other: Score) -> bool:
+        """Whether recordings cannot tell it from another: every change is shared."""
+        if self.directions.shape[1] != other.directions.shape[1] or not self.directions.size:
+            return False
+        cosines = np.linalg.svd(self.directions.T @ other.directions, compute_uv=False)
+        return bool(cosines.min() > COLLINEAR)
+
+
+def groups_of(scores: Sequence[Score]) -> list[list[Score]]:
+    """Groups of hypotheses that recordings cannot tell apart, best score first."""
+    groups = list[list[Score]]()
+    for score in sorted(scores, key=lambda each: -each.evidence):
+        own = next((group for group in groups if score.is_collinear(group[0])), None)
+        if own is None:
+            groups.append([score])
+        else:
+            own.append(score)
+    return groups
 
 
 @dataclass(frozen=True, eq=False)
 class Tangents:
-    """The data at x (p,): their derivatives ``jacobian`` (m, p) by all parameters of all hypotheses and the
-    ``residual`` (m,), in units of the stated noise."""
+    """The data at x (p,): ``jacobian`` (m, p) and ``residual`` (m,). The derivatives are by all parameters of all
+    hypotheses, in units of the stated noise."""
 
     x: Real
     jacobian: Real
@@ -57,47 +85,75 @@ class Tangents:
 
 
 def ranked_at_level(model: Model, tangents: Tangents, states: Sequence[DeviceState], level: float) -> list[Score]:
-    """The scores of all hypotheses, best first, where nothing is explained and points have a further deviation of
-    `level`."""
+    """The scores of all hypotheses beside none, best first. Points have a further deviation of `level`."""
     root = 1.0 / np.sqrt(Weighting.stated(states).variances(level))
     return _ranked(model, tangents.jacobian * root[:, None], tangents.residual * root, tangents.x, ())
 
 
-def ranked_beside(model: Model, tangents: Tangents, found: Explanation, *, alone: bool = False) -> list[Score]:
-    """The scores of all hypotheses on other parameters than those of an explanation, best first, by its own weights.
+def ranked_beside(model: Model, tangents: Tangents, explanation: Explanation, *, alone: bool = False) -> list[Score]:
+    """The scores of further hypotheses beside an explanation, best first.
 
-    The `tangents` are those at its optimum, or near it. If points count `alone`, what is left of a spectrum counts as
-    many times as neighbours go together in it: such scores overrate, but hypotheses that may take it all come first.
+    Residual, pulls and the tangents of its parameters are those of the explanation at its likeliest point, with its
+    weights. The `tangents` there serve all other parameters, and may be of another mesh. Otherwise the difference of
+    two meshes, which the known parameters do not imitate exactly, would be promised to any similar hypothesis. If
+    points count `alone`, the correlation length of a residual is ignored: such scores overrate, but hypotheses that may
+    explain all come first.
     """
-    local = found.local
+    local = explanation.local
+    jacobian = tangents.jacobian.copy()
+    jacobian[:, list(explanation.free)] = local.tangents
+    whiten = local.deviating(explanation.scales).whitened
     if alone:
-        local = replace(local.without_inhomogeneity, information=local.information * found.weighting.counts)
-    whiten = local.deviating(found.scales).whitened
-    return _ranked(model, whiten(tangents.jacobian * local.root[:, None]), whiten(local.residual * local.root),
-                   found.likeliest, found.hypothesis.names)
+        root = local.root * np.sqrt(explanation.weighting.counts)
+        return _ranked(model, jacobian * root[:, None], local.residual * root, explanation.likeliest,
+                       explanation.hypothesis.effects)
+    scaled = [_Recording(rows, float(local.information[rows].sum()), float(noise))
+              for rows, noise in zip(local.recordings, local.noise, strict=True)]
+    return _ranked(model, whiten(jacobian * local.root[:, None]), whiten(local.residual * local.root),
+                   explanation.likeliest, explanation.hypothesis.effects, scaled)
 
 
-def _ranked(model: Model, tangents: Real, residual: Real, x: Real, taken: Sequence[str]) -> list[Score]:
-    # No inequality is looked at: those of one hypothesis must not hold all others up.
-    centre = model.stated
-    precision = np.array([0.0 if p.prior is None else 1.0 / p.prior for p in model.parameters])
-    nuisances = np.array(sorted({*range(model.known), *map(model.index, taken)}))
-    offset = (x - centre) * precision
-    everything = _Nuisances.of(tangents, residual, nuisances, precision, offset)
-    # The remainder of the known parameters under the null hypothesis.
-    least = float(everything.residual @ everything.residual)
-    found = []
-    for effect in (each for each in model.effects if not set(taken) & set(each.names)):
+class _Recording(NamedTuple):
+    """The rows of a recording, effective number of data, and noise scale."""
+
+    rows: slice
+    data: float
+    noise: float
+
+
+def _log_likelihood(residual: Real, recordings: Sequence[_Recording]) -> float:
+    """The log likelihood of a residual (m,) with the likeliest noise scales. The residual is in units of the present
+    noise scales of the recordings."""
+    total = -0.5 * float(residual @ residual)
+    for each in recordings:
+        square = float(np.sum(residual[each.rows] ** 2))
+        variance = max(square / each.data, 1.0 / each.noise**2)
+        total += 0.5 * square - 0.5 * square / variance - 0.5 * each.data * math.log(variance)
+    return total
+
+
+def _ranked(
+    model: Model, tangents: Real, residual: Real, x: Real, acting: Sequence[Effect],
+    recordings: Sequence[_Recording] = (),
+) -> list[Score]:
+    # Inequalities are ignored: those of one hypothesis must not stop all others.
+    offset = x - model.stated
+    free, without_prior = model.free(acting)
+    nuisances = np.array(free)
+    everything = _Nuisances.of(model, tangents, residual, nuisances, offset, without_prior)
+    taken = {name for effect in acting for name in effect.names}
+    scores = []
+    for effect in (each for each in model.effects if not taken & set(each.names)):
         own = np.array([model.index(name) for name in effect.names])
         bounds = np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])
         imitated = everything if not effect.releases else _Nuisances.of(
-            tangents, residual, np.setdiff1d(nuisances, own), precision, offset)
-        found.append(_score(effect, tangents[:, own], imitated, least, bounds))
-    return sorted(found, key=lambda score: -score.evidence)
+            model, tangents, residual, nuisances, offset, without_prior, own.tolist())
+        scores.append(_score(effect, tangents[:, own], everything.residual, imitated, bounds, recordings))
+    return sorted(scores, key=lambda score: -score.evidence)
 
 
 def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
-    """The start of a hypothesis at x (p,): its parameters as its score predicts them, or at their error where that is
+    """The start of a hypothesis at x (p,). Its parameters are those predicted by its score, or their error if that is
     larger."""
     indices = [model.index(name) for name in effect.names]
     low, high = model.bounds(indices)
@@ -109,24 +165,33 @@ def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
 
 @dataclass(frozen=True, eq=False)
 class _Nuisances:
-    """The nuisance parameters: an orthonormal ``basis`` (m + k, k) of the changes they make, and the ``residual`` (m +
-    k,) without these."""
+    """The nuisance parameters. ``basis`` (m + k, k) is orthonormal and spans their changes; ``residual`` (m + k,) is
+    without these."""
 
     basis: Real
     residual: Real
 
     @classmethod
     def of(
-        cls, tangents: Real, residual: Real, nuisances: NDArray[np.int64], precision: Real, offset: Real
+        cls, model: Model, tangents: Real, residual: Real, nuisances: NDArray[np.int64], offset: Real,
+        without_prior: Sequence[int], beside: Sequence[int] = (),
     ) -> _Nuisances:
-        rows = np.diag(precision[nuisances])
-        basis, _ = np.linalg.qr(np.vstack([tangents[:, nuisances], rows]))
-        whole = np.concatenate([residual, offset[nuisances]])
+        """The nuisance parameters of these indices except those `beside`. Those `without_prior` have none."""
+        kept = ~np.isin(nuisances, beside)
+        own = nuisances[kept]
+        rows = np.zeros((nuisances.size, own.size))
+        rows[kept] = prior_rows([None if i in without_prior else model.parameters[i].prior for i in own],
+                                model.correlation[np.ix_(own, own)])
+        basis, _ = np.linalg.qr(np.vstack([tangents[:, own], rows]))
+        whole = np.concatenate([residual, rows @ offset[own]])
         return cls(basis, whole - basis @ (basis.T @ whole))
 
 
-def _score(effect: Effect, tangents: Real, nuisances: _Nuisances, least: float, bounds: Real) -> Score:
-    """The score of a hypothesis, from its tangents (m, k), and the `least` chi-square without it."""
+def _score(
+    effect: Effect, tangents: Real, before: Real, nuisances: _Nuisances, bounds: Real,
+    recordings: Sequence[_Recording],
+) -> Score:
+    """The score of a hypothesis from its tangents (m, k). `before` is the residual (m + k,)."""
     basis, residual = nuisances.basis, nuisances.residual
     whole = np.vstack([tangents, np.zeros((residual.size - tangents.shape[0], tangents.shape[1]))])
     apart = whole - basis @ (basis.T @ whole)
@@ -139,9 +204,13 @@ def _score(effect: Effect, tangents: Real, nuisances: _Nuisances, least: float, 
     low, high = bounds[acting].T * size[acting]
     best = lsq_linear(unit, -residual, (np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12))
     amplitude[acting] = best.x / size[acting]
-    gain = least - float(np.sum((residual + unit @ best.x) ** 2))
-    covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[acting], size[acting])
-    error[acting] = np.sqrt(np.diag(covariance))
-    cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[acting])
+    directions, triangle = np.linalg.qr(unit)
+    directions = directions[:residual.size, np.abs(np.diag(triangle)) > UNSEEN]
+    after = residual + unit @ best.x
+    gain = float(before @ before - after @ after)
+    more = _log_likelihood(after, recordings) - _log_likelihood(before, recordings)
+    gram = unit.T @ unit
+    error[acting] = np.sqrt(np.diag(np.linalg.pinv(gram, rcond=1e-12))) / size[acting]
+    cost = occam_factor(gram, (bounds[:, 1] - bounds[:, 0])[acting] * size[acting])
     most = float(np.max(size[acting] * np.abs(bounds[acting]).max(axis=1)))
-    return Score(effect, 0.5 * (gain - cost), gain, amplitude, error, most)
+    return Score(effect, more - 0.5 * cost, gain, amplitude, error, most, directions)

@@ -1,4 +1,4 @@
-"""Pieces of a search, which any process can do that has a search of its own."""
+"""Tasks of a search for any process, and errors of one task."""
 
 from __future__ import annotations
 
@@ -7,10 +7,31 @@ from dataclasses import dataclass
 from types import MethodType
 from typing import Any, cast
 
+import numpy as np
+
+from workbench.diagnosis.evidence import WrongEvidence
+from workbench.fitting.search import NO_END
+
+#: Errors that end one hypothesis: nothing can be predicted or is admissible there, a matrix is singular, or the
+#: evidence is invalid. Any other error is a defect of the program, and ends the search.
+EXPECTED: tuple[type[Exception], ...] = (*NO_END, np.linalg.LinAlgError, ArithmeticError)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The expected error that ended a task, in place of its result."""
+
+    error: Exception
+
+    @property
+    def reason(self) -> str:
+        text = str(self.error).rstrip(".") or type(self.error).__name__
+        return f"its evidence could not be computed: {text}" if isinstance(self.error, WrongEvidence) else text
+
 
 @dataclass(frozen=True, eq=False)
 class SearchTask:
-    """A piece of a search: its ``name``, a ``method`` of searches, and its ``arguments``."""
+    """A piece of a search: ``name``, ``method`` of searches, and ``arguments``."""
 
     name: str
     method: Callable[..., Any]
@@ -18,9 +39,9 @@ class SearchTask:
 
     @classmethod
     def of(cls, name: str, method: Callable[..., Any], *arguments: Any) -> SearchTask:
-        """The task that calls a bound `method` of one search on any search."""
+        """The task that calls a bound `method` on any search."""
         return cls(name, cast(MethodType, method).__func__, arguments)
 
     def __call__(self, search: Any) -> Any:
-        """The result of the task on a search, or the refusal that ended it."""
+        """The result of the task on a search, or the refusal."""
         return search.attempt(self)

@@ -39,9 +39,8 @@ class Lagrange(ElementH1):
 
     def tabulated(self, points: Real) -> tuple[Real, Real, Real]:
         """Values of all functions at local points (2, n), and their slopes along both coordinates: (n, nb) each."""
-        values, slopes = zip(*(self.lbasis(points, i) for i in range(len(self.indices))), strict=True)
-        along, across = np.stack(slopes, axis=-1)
-        return np.stack(values, axis=-1), along, across
+        points = np.ascontiguousarray(points, dtype=float)
+        return _tabulated(self.order, points.tobytes(), points.shape)
 
     def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:
         """Value (n,) and gradient (2, n) of function `i` at local points X (2, n)."""
@@ -56,6 +55,17 @@ def lobatto_weights(order: int) -> Real:
     """Weights (order + 1,) of the Gauss-Lobatto rule on [0, 1], exact for polynomials of twice the order less one."""
     at_nodes = legendre.legval(2.0 * gauss_lobatto(order) - 1.0, [0.0] * order + [1.0])
     return np.asarray(1.0 / (order * (order + 1) * at_nodes**2))
+
+
+@lru_cache(maxsize=256)
+def _tabulated(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real, Real]:
+    """:meth:`Lagrange.tabulated` at some points, which many places of a mesh share; the arrays cannot be written to."""
+    element, local = Lagrange(order), np.frombuffer(points).reshape(shape)
+    values, slopes = zip(*(element.lbasis(local, i) for i in range(len(element.indices))), strict=True)
+    found = (np.stack(values, axis=-1), *np.stack(slopes, axis=-1))
+    for each in found:
+        each.flags.writeable = False
+    return found
 
 
 @lru_cache(maxsize=64)

@@ -9,7 +9,6 @@ differentiated by central differences of sixth order, whose error is below round
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,12 +38,21 @@ DERIVATIVE_LIMIT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
+class Twice:
+    """Second derivatives of a state: ``by_frequency`` (size,) per Hz^2, and ``by_both`` (size, k) by frequency and
+    complex parameters."""
+
+    by_frequency: Complex
+    by_both: Complex
+
+
+@dataclass(frozen=True, eq=False)
 class LinearisedState:
     """A state at one frequency (Hz) and unit electrode voltage, e^{-i w t}, with its derivatives.
 
     ``state`` (size,), ``by_frequency`` (size,) per Hz and ``by_parameter`` (size, k) by the complex parameters
     ``names``; ``charge`` (C), its first and second derivative by frequency, its derivatives (k,) by parameters, and its
-    mixed derivatives (k,) by frequency and parameter.
+    mixed derivatives (k,) by frequency and parameter. ``twice`` are the second derivatives of the state, if requested.
     """
 
     solution: Solution
@@ -55,6 +63,7 @@ class LinearisedState:
     charge_twice_by_frequency: complex
     charge_by_parameter: Complex
     charge_by_both: Complex
+    twice: Twice | None = None
 
     @property
     def frequency(self) -> float:
@@ -80,7 +89,9 @@ class _Forces:
     by_both: Complex
 
 
-def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, moved: Complex) -> LinearisedState:
+def _linearised(
+    solution: Solution, names: tuple[str, ...], forces: _Forces, moved: Complex, twice: Twice | None
+) -> LinearisedState:
     """The state with its derivatives; `moved` (size, 1 + k) are those of the state by frequency and by the parameters.
     """
     state, by_frequency = solution.states[:, 0], moved[:, 0]
@@ -90,7 +101,17 @@ def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, mov
         charge_twice_by_frequency=-complex(2.0 * by_frequency @ forces.by_frequency + state @ forces.twice),
         charge_by_parameter=-(state @ forces.by_parameter),
         charge_by_both=-(2.0 * by_frequency @ forces.by_parameter + state @ forces.by_both),
+        twice=twice,
     )
+
+
+def _twice_forces(forces: _Forces, changing: Complex, of_slope: Complex) -> Complex:
+    """Forces (size, 1 + k) of the second derivatives of a state x by frequency, and by frequency and parameters.
+
+    A x_ff = -(2 A_f x_f + A_ff x), A x_fa = -(A_f x_a + A_a x_f + A_fa x), with `changing` A_f (x_f, x_a) and
+    `of_slope` A_a x_f.
+    """
+    return np.column_stack([2.0 * changing[:, 0] + forces.twice, changing[:, 1:] + of_slope + forces.by_both])
 
 
 def difference_frequencies(frequency: float) -> Real:
@@ -138,8 +159,9 @@ class ReducedSystem:
         """Solve at some frequencies (n,) in Hz."""
         return solve_groups(self.operators, frequencies, self.groups(frequencies))
 
-    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state at one frequency with its derivatives; those by parameters of no coefficient are zero."""
+    def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
+        """The state at one frequency with its derivatives, also second ones if `twice` is set; those by parameters of
+        no coefficient are zero."""
         groups = self.groups(difference_frequencies(frequency))
         value, first, second = by_frequency(np.stack([h for h, _ in groups]), frequency)
         matrix = np.tensordot(value, self._matrices, axes=1)
@@ -152,12 +174,20 @@ class ReducedSystem:
         right = np.column_stack([forces.by_frequency, forces.by_parameter])
         moved = np.zeros((state.size, right.shape[1]), dtype=complex)
         moved[free] = -scipy.linalg.lu_solve(factor, right[free], check_finite=False)
+        further = None
+        if twice:
+            of_slope, _ = self._parameter_forces(frequency, moved[:, 0], names)
+            changing = np.tensordot(first, self._matrices, axes=1) @ moved
+            right = _twice_forces(forces, changing, of_slope)
+            found = np.zeros((state.size, right.shape[1]), dtype=complex)
+            found[free] = -scipy.linalg.lu_solve(factor, right[free], check_finite=False)
+            further = Twice(found[:, 0], found[:, 1:])
         remainder = (matrix @ state)[free]
         at = self.groups(np.array([frequency]))
         solution = Solution(self.operators, np.array([frequency]), at, state[:, None],
                             np.array([-state @ (matrix @ state)]),
                             np.array([np.linalg.norm(remainder) / np.linalg.norm(matrix[free, -1])]))
-        return _linearised(solution, names, forces, moved)
+        return _linearised(solution, names, forces, moved, further)
 
     def _parameter_forces(self, frequency: float, state: Complex, names: tuple[str, ...]) -> tuple[Complex, Complex]:
         if not names:
@@ -177,8 +207,9 @@ class FullSystem:
         self.operators, self.values = operators, values
         self._system = System(operators, values)
 
-    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state with its derivatives, by one factorisation and a back substitution for each name.
+    def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
+        """The state with its derivatives, by one factorisation and a back substitution for each name, two for each if
+        second ones are requested (`twice`).
 
         Raises:
             NotConverged: the solve did not reach its tolerance.
@@ -193,39 +224,22 @@ class FullSystem:
             slopes, change = slope_columns(operators, frequency, self.values, names)
             by_parameter, by_both = np.split(operators.images(state, np.hstack([slopes, change])), 2, axis=1)
             forces = _Forces(first @ images, second @ images, by_parameter, by_both)
-            right = np.column_stack([forces.by_frequency, forces.by_parameter])
-            moved = np.zeros((state.size, right.shape[1]), dtype=complex)
-            for column in range(right.shape[1]):
-                if right[free, column].any():
-                    moved[free, column] = -factor.solve(right[free, column], DERIVATIVE_LIMIT)[0]
+
+            def solved(right: Complex) -> Complex:
+                found = np.zeros((state.size, right.shape[1]), dtype=complex)
+                for column in range(right.shape[1]):
+                    if right[free, column].any():
+                        found[free, column] = -factor.solve(right[free, column], DERIVATIVE_LIMIT)[0]
+                return found
+
+            moved, further = solved(np.column_stack([forces.by_frequency, forces.by_parameter])), None
+            if twice:
+                changing = sum(weight * group.times(moved)
+                               for weight, group in zip(first, self._system.groups, strict=True))
+                of_slope = operators.images(moved[:, 0], slopes)
+                found = solved(_twice_forces(forces, np.asarray(changing), of_slope))
+                further = Twice(found[:, 0], found[:, 1:])
         groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), self.values)
         charge = np.array([self._system.charge(frequency, state)])
         solution = Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
-        return _linearised(solution, names, forces, moved)
-
-
-def log_impedance(state: LinearisedState) -> float:
-    """L = ln |Z|, Z = i / (w Q)."""
-    return -math.log(2.0 * math.pi * state.frequency * abs(state.charge))
-
-
-def frequency_slope(state: LinearisedState) -> float:
-    """dL / df, 1/Hz."""
-    return -1.0 / state.frequency - (state.charge_by_frequency / state.charge).real
-
-
-def curvature(state: LinearisedState) -> float:
-    """d2L / df2, 1/Hz^2."""
-    ratio = state.charge_by_frequency / state.charge
-    return 1.0 / state.frequency**2 - (state.charge_twice_by_frequency / state.charge - ratio**2).real
-
-
-def log_slopes(state: LinearisedState, turns: Complex) -> Real:
-    """dL / d number (k,) at constant frequency."""
-    return -np.asarray(turns * state.charge_by_parameter / state.charge).real
-
-
-def mixed_slopes(state: LinearisedState, turns: Complex) -> Real:
-    """d2L / df d number (k,)."""
-    by_both = state.charge_by_both - state.charge_by_frequency * state.charge_by_parameter / state.charge
-    return -np.asarray(turns * by_both / state.charge).real
+        return _linearised(solution, names, forces, moved, further)

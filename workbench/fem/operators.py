@@ -7,8 +7,8 @@ depend on which of the two they are given. Parameter values are never stored her
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -47,6 +47,9 @@ Complex = NDArray[np.complex128]
 
 #: Two operators in alphabetical order, and the further factor of the measure.
 Pair = tuple[str, str, MeasureFactor | None]
+
+#: The matrix of an integral without its coefficient: variant, domain, weights of pairs of operators, further factor.
+Form = tuple[str, str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None]
 
 #: Number of cells whose points are projected at once, so that they stay in the processor's cache.
 TOGETHER = 64
@@ -87,7 +90,8 @@ class FullOperators(Brief):
 
     ``places`` are keyed by the :attr:`~workbench.physics.term.Integral.domain` of an integral. ``numbering[component]``
     (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the component does not exist or is
-    held at zero; all points of the live electrode share the last row.
+    held at zero; all points of the live electrode share the last row. ``shares[component]`` (number of scalar mesh
+    dofs,) are the factors between the component and its unknown, where some are not 1: those of an electrode in parts.
     """
 
     mesh: SectionMesh
@@ -96,6 +100,7 @@ class FullOperators(Brief):
     places: Mapping[str, Place]
     numbering: Mapping[str, NDArray[np.int64]]
     size: int
+    shares: Mapping[str, Real] = field(default_factory=dict)
 
     def evaluate(
         self, place: Place, operators: Iterable[str], columns: NDArray[np.inexact]
@@ -108,6 +113,8 @@ class FullOperators(Brief):
             rows = self.numbering[component][place.dofs.T]
             local[component] = columns[rows]
             local[component][rows < 0] = 0.0  # not an unknown
+            if component in self.shares:
+                local[component] *= self.shares[component][place.dofs.T][:, :, None]
         taken: dict[Part, NDArray[np.inexact]] = {}
         for component, kind, factor in parts:
             part = _real_times(place.shapes[kind], local[component])
@@ -177,9 +184,20 @@ class FullOperators(Brief):
     @cached_property
     def forms(self) -> NDArray[np.int64]:
         """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
-        known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None], int] = {}
-        return np.array([known.setdefault((i.domain, frozenset((pair_of(p), p.weight) for p in i.products), i.radial),
-                                          len(known)) for i in self.integrals], dtype=int)
+        known = {form: index for index, form in enumerate(self.distinct_forms)}
+        return np.array([known[_form_of(integral)] for integral in self.integrals], dtype=int)
+
+    @cached_property
+    def distinct_forms(self) -> list[Form]:
+        """The distinct forms of the integrals, in the order in which they are met."""
+        return list(dict.fromkeys(map(_form_of, self.integrals)))
+
+    def has_form_of(self, other: FullOperators, form: Form) -> bool:
+        """Whether a form is of one matrix here and in operators of the same unknowns: on the same coordinates."""
+        variant, here, there = form[0], self.mesh, other.mesh
+        return (here.variants.get(variant) is there.variants.get(variant)
+                or (variant in here.variants and variant in there.variants
+                    and np.array_equal(here.variants[variant], there.variants[variant])))
 
     def project(self, basis: Real, further: Real | None = None) -> Real:
         """Matrices basis^T A basis for real columns (size, n), and below them further^T A basis for `further` (size,
@@ -254,6 +272,8 @@ class FullOperators(Brief):
                 found = _real_times(place.shapes[kind].transpose(0, 2, 1), turned)
                 local[component] = local[component] + found if component in local else found
         for component, force in local.items():
+            if component in self.shares:
+                force *= self.shares[component][place.dofs.T][:, :, None]
             touched, at = np.unique(self.numbering[component][place.dofs.T].ravel(), return_inverse=True)
             gather = sparse.csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(touched.size, at.size))
             first = int(touched[0] < 0)  # no unknown
@@ -332,6 +352,10 @@ class FullOperators(Brief):
         # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
         # twice.
         twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
+        if shared := [component for component in components if component in self.shares]:
+            row, column = (self.shares[component][place.dofs].T if component in shared else np.ones(place.dofs.shape).T
+                           for component in components)
+            twice = twice * (row[:, :, None] * column[:, None, :]).ravel()[kept]
         entries = np.empty((len(kinds), positions.size))
         for k, (a, b, radial) in enumerate(kinds):
             weights = place.measure(radial)
@@ -376,6 +400,11 @@ def pair_of(product: Product) -> tuple[str, str]:
     return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 
 
+def _form_of(integral: Integral) -> Form:
+    return (integral.variant, integral.domain, frozenset((pair_of(p), p.weight) for p in integral.products),
+            integral.radial)
+
+
 def _operators_of(integrals: Iterable[Integral]) -> list[str]:
     return list(dict.fromkeys(name for integral in integrals for p in integral.products for name in (p.row, p.column)))
 
@@ -394,12 +423,29 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
             raise ModelError(f"{term!r} needs an axis, and the section is straight: leave the term out")
     conditions = conditions_at_ends((condition for term in terms for condition in term.conditions()), mesh.measure,
                                     mesh.mesh.boundaries)
+    _check(mesh, terms, integrals, unknowns, conditions)
+    places: dict[str, Place] = {}
+    for integral in integrals:
+        if integral.domain not in places:
+            found = place_of(mesh, integral)
+            if found is not None:  # a column of a region ends before the radius that the integral begins at
+                places[integral.domain] = found
+    integrals = tuple(integral for integral in integrals if integral.domain in places)
+    numbering, size, shares = _number(mesh, unknowns, conditions)
+    return FullOperators(mesh, terms, integrals, places, numbering, size, shares)
+
+
+def _check(
+    mesh: SectionMesh, terms: Sequence[Term], integrals: Sequence[Integral], unknowns: Collection[tuple[str, str]],
+    conditions: Sequence[Condition],
+) -> None:
+    """Refuse a model whose terms do not fit together or do not fit the mesh; see :func:`assemble`."""
     named = [i.place for i in integrals] + [i.opposite for i in integrals if i.opposite]
     for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
             known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
             raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
-    if sum(condition.live for condition in conditions) != 1:
+    if sum(any(condition.share for condition in term.conditions()) for term in terms) != 1:
         raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
     for integral in integrals:
         for product in integral.products:
@@ -416,34 +462,25 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     sides = {(i.domain, i.solid, i.fluid, i.opposite_solid) for i in integrals if i.on_boundary}
     if len({domain for domain, *_ in sides}) != len(sides):
         raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")
-    places: dict[str, Place] = {}
-    for integral in integrals:
-        if integral.domain not in places:
-            found = place_of(mesh, integral)
-            if found is not None:  # a column of a region ends before the radius that the integral begins at
-                places[integral.domain] = found
-    integrals = tuple(integral for integral in integrals if integral.domain in places)
-    numbering, size = _number(mesh, unknowns, conditions)
-    return FullOperators(mesh, terms, integrals, places, numbering, size)
 
 
 def _number(
     mesh: SectionMesh, unknowns: set[tuple[str, str]], conditions: tuple[Condition, ...]
-) -> tuple[dict[str, NDArray[np.int64]], int]:
+) -> tuple[dict[str, NDArray[np.int64]], int, dict[str, Real]]:
+    """The row of every unknown, their number, and the shares of the components, as in :class:`FullOperators`."""
     basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
     numbering: dict[str, NDArray[np.int64]] = {}
-    live: dict[str, NDArray[np.bool_]] = {}
+    live: dict[str, Real] = {}
     count = 0
     for component in COMPONENTS:
         present = np.zeros(basis.N, dtype=bool)
         for region in (region for c, region in unknowns if c == component):
             present[basis.element_dofs[:, mesh.mesh.subdomains[region]]] = True
-        live[component] = np.zeros(basis.N, dtype=bool)
+        live[component] = np.zeros(basis.N)
         for condition in conditions:
             if condition.component == component:
                 at = np.asarray(basis.get_dofs(mesh.mesh.boundaries[condition.boundary]).flatten())
-                if condition.live:
-                    live[component][at] = present[at]
+                live[component][at[present[at]]] = condition.share
                 present[at] = False
         rows = np.full(basis.N, -1, dtype=np.int64)
         rows[present] = count + np.arange(int(present.sum()))
@@ -452,5 +489,6 @@ def _number(
     if not any(ties.any() for ties in live.values()):
         raise ModelError("there is no electric potential on the live electrode; is the transducer piezoelectric?")
     for component in COMPONENTS:
-        numbering[component][live[component]] = count
-    return numbering, count + 1
+        numbering[component][live[component] != 0.0] = count
+    return numbering, count + 1, {component: np.where(shares, shares, 1.0) for component, shares in live.items()
+                                  if (shares[shares != 0.0] != 1.0).any()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from skfem.refdom import RefLine, RefQuad
 
 from geometry.measure import Axisymmetric
 from geometry.mesh import SectionMesh
-from geometry.names import parent_part
+from geometry.names import parent_part, parent_place
 from workbench.fem.elements import Lagrange
 from workbench.physics.term import OPPOSITE, Integral, MeasureFactor, ModelError
 
@@ -71,14 +72,29 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
         mesh = replace(mesh, shown=integral.variant)
     if not integral.on_boundary:
         return _volume_place(mesh, integral)
-    if integral.radius_fraction or integral.skin:
-        raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
+    if integral.skin or (integral.radius_fraction and (integral.opposite or not _is_level(mesh, facets))):
+        raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted, or a "
+                         "boundary in a plane across the axis to facets beyond a radius")
+    if integral.radius_fraction:
+        radii = mesh.mesh.p[0, mesh.mesh.facets]
+        edge = radii[:, np.asarray(mesh.mesh.boundaries[parent_part(integral.place)])].max() * integral.radius_fraction
+        facets = facets[radii[:, facets].mean(axis=0) > edge]
     if not integral.opposite:
         return _boundary_place(mesh, facets, integral.solid) if facets.size else None
     near, far = _opposite_facets(mesh, facets, integral)
     return _opposite_place(_boundary_place(mesh, near, integral.solid),
                            _boundary_place(mesh, far, integral.opposite_solid))
+
+
+#: Points and weights of a quadrature rule, which many places share.
+_rule = cache(get_quadrature)
+
+
+def _is_level(mesh: SectionMesh, facets: NDArray[np.int64]) -> bool:
+    """Whether all of some facets lie across the axis."""
+    heights = mesh.mesh.p[1, mesh.mesh.facets[:, facets]]
+    return bool((heights[0] == heights[1]).all())
 
 
 def _degree(mesh: SectionMesh) -> int:
@@ -99,7 +115,9 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     if integral.skin:
         _check_straight(mesh, cells, integral)
         cells = _skin(mesh, cells, integral)
-    points, weights = get_quadrature(RefQuad, _degree(mesh))
+        if not cells.size:
+            return None
+    points, weights = _rule(RefQuad, _degree(mesh))
     if not fraction:
         return _cells(mesh, cells, points, weights)
     _check_straight(mesh, cells, integral)
@@ -127,16 +145,14 @@ def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integ
 
 
 def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
-    """The cells that form the skin of a region, out of the region's cells."""
+    """The cells that form the skin of a region, out of the cells of the region or of a part of it."""
     # Upside down for the lower skin.
-    heights = np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, cells]]
-    whole = np.ptp(heights)
-    skin, rounding = abs(integral.skin) * whole, SAME_SHAPE * whole
-    beside = heights.min(axis=0) > heights.max() - skin - rounding
-    kept = cells[beside]
-    if not kept.size or np.abs(np.ptp(heights[:, beside], axis=0) - skin).max() > rounding:
+    every = np.asarray(mesh.mesh.subdomains[parent_place(integral.place)])
+    whole, heights = (np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, each]] for each in (every, cells))
+    edge, rounding = whole.max() - abs(integral.skin) * np.ptp(whole), SAME_SHAPE * np.ptp(whole)
+    if ((heights.min(axis=0) < edge - rounding) & (heights.max(axis=0) > edge + rounding)).any():
         raise ModelError(f"the mesh has no row of elements for {integral.domain!r}; mesh the region with such a skin")
-    return np.asarray(kept)
+    return np.asarray(cells[heights.min(axis=0) > edge - rounding])
 
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
@@ -249,7 +265,7 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
     """The place of some facets, with points in order of radius or height, and normals out of `solid`."""
     owners = mesh.mesh.f2t[0, facets]
     outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
-    (along,), weights = get_quadrature(RefLine, _degree(mesh))
+    (along,), weights = _rule(RefLine, _degree(mesh))
     sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
     indices = np.array(Lagrange(mesh.order).indices)
     parts, order = [], []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -12,6 +12,9 @@ from typing import Any
 
 #: Characters of a received value that a message shows. Doubled, an array fills the lines that say what is expected.
 SHOWN_CHARACTERS = 200
+
+#: Names that a message lists. Doubled, the list of a folder of materials hides the nearest one.
+LISTED = 15
 
 
 @dataclass
@@ -49,7 +52,8 @@ def expect(value: object, kind: type, *, reader: str, source: str, field: str) -
         InputError: it is of another kind, such as the path of a file.
     """
     if not isinstance(value, kind):
-        raise InputError(source, field, value, f"a {kind.__name__}; read one with wb.{reader} (this is a "
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise InputError(source, field, value, f"{article} {kind.__name__}; read one with wb.{reader} (this is a "
                          f"{type(value).__name__})")
 
 
@@ -75,6 +79,15 @@ def expect_whole(value: object, expected: str, *, source: str, field: str, low: 
     return int(value)
 
 
+def one_of(names: Collection[str], name: object) -> str:
+    """The choices for a message: all of a few, of more than :data:`LISTED` their count and the three nearest `name`."""
+    if len(names) <= LISTED:
+        return "one of " + ", ".join(names)
+    folded = {each.casefold(): each for each in names}
+    near = difflib.get_close_matches(str(name).casefold(), folded, n=3, cutoff=0.0)
+    return f"one of {len(names)} names, such as {', '.join(folded[each] for each in near)}"
+
+
 def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[str, ...]:
     """Names in `known` that `name` may stand for, best first (case is ignored)."""
     folded = {k.casefold(): k for k in known}
@@ -88,8 +101,8 @@ def nearest_files(path: Path, wanted: Callable[[Path], bool]) -> tuple[str, ...]
 
 
 def choose(name: object, known: Iterable[str], *, source: str, field: str) -> str:
-    """The `name` if it is one of `known`; otherwise an :class:`InputError` that lists them and the nearest."""
+    """The `name` if it is one of `known`; otherwise an :class:`InputError` with :func:`one_of` and the nearest."""
     names = sorted(known)
     if isinstance(name, str) and name in names:
         return name
-    raise InputError(source, field, name, "one of " + ", ".join(names), nearest_names(str(name), names))
+    raise InputError(source, field, name, one_of(names, name), nearest_names(str(name), names))

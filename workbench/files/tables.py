@@ -12,7 +12,7 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any
 
-from workbench.files.errors import InputError, choose, nearest_files, nearest_names
+from workbench.files.errors import InputError, choose, nearest_files, nearest_names, one_of
 from workbench.files.quantities import parse_quantity
 
 #: Most levels of tables and lists in a file. Files of the workbench have eight at most; Python's own limits for reading
@@ -21,6 +21,9 @@ DEEPEST = 50
 
 #: A line that begins with a key of more parts than that.
 LONG_KEY = re.compile(rf"\s*\[{{0,2}}\s*[\w-]+(?:\s*\.\s*[\w-]+){{{DEEPEST},}}\s*[]=]")
+
+#: The parser's words for a table that is there twice.
+TWICE = re.compile(r"Cannot declare \((?P<parts>.*?)\) twice \((?P<place>.*?)\)")
 
 #: Whole numbers of TOML have 64 bits.
 LARGEST = 2**63
@@ -36,7 +39,19 @@ def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[st
     if any(LONG_KEY.match(line) for line in text.splitlines()):
         raise InputError(source, field, f"a key of more than {DEEPEST} parts",
                          f"valid TOML, with at most {DEEPEST} levels of tables and lists")
-    return _parsed(tomllib.loads, text, "valid TOML", source=source, field=field)
+    return _parsed(_loaded, text, "valid TOML", source=source, field=field)
+
+
+def _loaded(text: str) -> dict[str, Any]:
+    """The content of TOML text; a table that is there twice has a message in words of the file."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        twice = TWICE.search(str(error))
+        if twice is None:
+            raise
+        name = ".".join(part.strip(" '\"") for part in twice["parts"].split(",") if part.strip())
+        raise ValueError(f"the table [{name}] a second time ({twice['place']})") from None
 
 
 def parse_json(text: str, *, source: str, expected: str) -> Any:
@@ -149,7 +164,7 @@ class FileTable:
         for key in self.content:
             if key not in known:
                 hint = f"; {key!r} was renamed to {renamed[key]!r}" if key in renamed else ""
-                raise InputError(self.source, self.at(key), key, "one of " + ", ".join(known) + hint,
+                raise InputError(self.source, self.at(key), key, one_of(known, key) + hint,
                                  () if hint else nearest_names(key, known))
         return self
 

@@ -1,9 +1,9 @@
-"""Conditions on the free parameters of a material: it stores energy, and never makes any."""
+"""Conditions on the free parameters of a passive material with positive energy."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.fitting.parameter import Parameter
+from workbench.fitting.parameter import Parameter, coefficients_of
 from workbench.model.numbers import LOSS
 from workbench.model.problem import Problem
 from workbench.search.constrained import Inequality
@@ -23,8 +23,11 @@ Real = NDArray[np.float64]
 #: range"; rubber approaches the upper end.
 POISSON_RATIO = (0.1, 0.495)
 
-#: One entry of a matrix: sum of (factor, coefficient).
-_Sum = tuple[tuple[float, str], ...]
+#: Parameters by their columns; None for those that do not act in the recording.
+_Acting = Sequence[Parameter | None]
+
+#: Matrices by the name of their condition, linear in the coefficients of a material.
+_Matrices = Callable[[Mapping[str, float]], dict[str, list[list[float]]]]
 
 
 def inequalities(
@@ -33,12 +36,10 @@ def inequalities(
 ) -> tuple[Inequality, ...]:
     """Every condition on the free parameters that bounds alone do not state.
 
-    Materials must be materials in each of the `recordings`, of which the `problems` are, with what is added there; and
-    a number with what is added to it must keep to its own bounds.
-
-    For a transversely isotropic piezoelectric solid the 9 x 9 matrices of stored energy and of dissipation fall apart
-    into blocks of the motions that do not mix: plane dilatation with thickness and axial field, shear along the poling
-    with transverse field, and shear across the poling.
+    Materials are admissible in each of the `recordings` of the `problems`, offsets included, and a number with its
+    offset keeps to its own bounds. The 9 x 9 matrices of stored energy and of dissipation of a transversely isotropic
+    piezoelectric solid fall apart into the blocks of motions that do not mix: plane dilatation with thickness and axial
+    field, shear along the poling with transverse field, and shear across the poling.
 
     Raises:
         InputError: a coupling loss is free while a loss it needs is fixed at zero, which no passive solid can have.
@@ -52,28 +53,18 @@ def inequalities(
             if (material.name, added) in done:
                 continue
             done.add((material.name, added))
-            match material:
-                case Piezoelectric():
-                    found = _piezoelectric(problem, material.name, acting)
-                case IsotropicSolid():
-                    found = _isotropic(problem, material.name, acting, poisson)
-                case _:
-                    found = []
-            result += [replace(each, name=f"{each.name} in {recording}") for each in found] if added else found
+            for each in _conditions(problem, material.name, acting, poisson):
+                result.append(replace(each, name=f"{each.name} in {recording}") if added else each)
     return (*result, *_totals(parameters))
 
 
-#: Parameters by their places; None for those that do not act in the recording.
-_Acting = Sequence[Parameter | None]
-
-
 def _totals(parameters: Sequence[Parameter]) -> Iterator[Inequality]:
-    """The bounds of numbers with what one recording adds; those of the bench end nowhere in particular."""
-    places = {p.name: i for i, p in enumerate(parameters) if not p.offset}
+    """The bounds of parameters with their offsets in one recording. Bench elements have none."""
+    columns = {p.name: i for i, p in enumerate(parameters) if not p.offset}
     for i, p in enumerate(parameters):
-        if not p.offset or p.is_bench or p.parsed.shared not in places:
+        if not p.offset or p.is_bench or p.parsed.shared not in columns:
             continue
-        k = places[p.parsed.shared]
+        k = columns[p.parsed.shared]
         shared = parameters[k]
         slopes = np.zeros((len(parameters), 1, 1))
         slopes[[i, k]] = 1.0 / (shared.high - shared.low)
@@ -82,80 +73,64 @@ def _totals(parameters: Sequence[Parameter]) -> Iterator[Inequality]:
             yield Inequality(f"{shared.name} with {p.name} {text} {end:g}", constant, sign * slopes)
 
 
-def _piezoelectric(problem: Problem, name: str, parameters: _Acting) -> list[Inequality]:
-    size = complex(problem.values[f"{name}.c33"]).real
-    root = math.sqrt(2.0)
-    # The axial field in units that make its energy as large as that of the strain, as in `materials.passivity`.
-    field = math.sqrt(size / (VACUUM_PERMITTIVITY * complex(problem.values[f"{name}.eps33"]).real))
-    squared = VACUUM_PERMITTIVITY * field**2
-    dilatation: list[list[_Sum]] = [
-        [((1.0, "c11"), (1.0, "c12")), ((root, "c13"),)],
-        [((root, "c13"),), ((1.0, "c33"),)],
-    ]
-    losses: list[list[_Sum]] = [
-        [((-1.0, "c11"), (-1.0, "c12")), ((-root, "c13"),), ((root * field, "e31"),)],
-        [((-root, "c13"),), ((-1.0, "c33"),), ((field, "e33"),)],
-        [((root * field, "e31"),), ((field, "e33"),), ((squared, "eps33"),)],
-    ]
-    shear: list[list[_Sum]] = [
-        [((-1.0, "c44"),), ((field, "e15"),)],
-        [((field, "e15"),), ((squared, "eps11"),)],
-    ]
-    across: _Sum = ((1.0, "c11"), (-1.0, "c12"))
-    blocks = [
-        _block(problem, name, parameters, dilatation, "", size, "stored energy"),
-        _block(problem, name, parameters, [[across]], "", size, "stored energy of shear across the poling"),
-        _block(problem, name, parameters, losses, LOSS, size, "passivity"),
-        _block(problem, name, parameters, shear, LOSS, size, "passivity of shear along the poling"),
-        _block(problem, name, parameters, [[((-1.0, "c11"), (1.0, "c12"))]], LOSS, size,
-               "passivity of shear across the poling"),
-    ]
-    return [block for block in blocks if block is not None]
-
-
-def _block(
-    problem: Problem, material: str, parameters: _Acting, entries: list[list[_Sum]], part: str,
-    size: float, text: str,
-) -> Inequality | None:
-    """The matrix of `entries` over `size` as a function of the free parameters; None if none of them is in it."""
-    count = len(entries)
-    constant = np.zeros((count, count))
-    slopes = np.zeros((len(parameters), count, count))
-    for row in range(count):
-        for column in range(count):
-            for factor, coefficient in entries[row][column]:
-                name = f"{material}.{coefficient}{part}"
-                found = [(i, p.offset) for i, p in enumerate(parameters) if p and p.parsed.shared == name]
-                for i, _ in found:
-                    slopes[i, row, column] += factor / size
-                if all(offset for _, offset in found):
-                    value = complex(problem.values[f"{material}.{coefficient}"])
-                    constant[row, column] += factor * (value.imag if part else value.real) / size
-    if not slopes.any():
-        return None
-    # A motion that neither loses nor may lose: nothing of its row may be there.
-    idle = [i for i in range(count) if constant[i, i] == 0.0 and not slopes[:, i, i].any()]
-    for i in idle:
-        if slopes[:, i].any() or constant[i].any():
-            free = next((p.name for k, p in enumerate(parameters) if p and slopes[k, i].any()), material)
-            needed = next(c for _, c in entries[i][i])
-            raise InputError("fit", "free", free, f"{needed}{part} free or not zero: a loss of the coupling alone "
-                             "would make energy")
-    kept = [i for i in range(count) if i not in idle]
-    return Inequality(f"{text} of {material}", constant[np.ix_(kept, kept)], slopes[:, kept][:, :, kept])
-
-
-def _isotropic(
+def _conditions(
     problem: Problem, name: str, parameters: _Acting, poisson: tuple[float, float]
-) -> list[Inequality]:
-    size = complex(problem.values[f"{name}.bulk_modulus"]).real
-    result = []
-    for ratio, sign in ((poisson[0], 1.0), (poisson[1], -1.0)):
+) -> Iterator[Inequality]:
+    """The conditions on the material of that name; none on a liquid."""
+    def real(coefficient: str) -> float:
+        return complex(problem.values[f"{name}.{coefficient}"]).real
+
+    def stored(c: Mapping[str, float]) -> dict[str, list[list[float]]]:
+        plane, mixed = c["c11"] + c["c12"], math.sqrt(2.0) * c["c13"]
+        return {"stored energy": [[plane, mixed], [mixed, c["c33"]]],
+                "stored energy of shear across the poling": [[c["c11"] - c["c12"]]]}
+
+    def dissipated(c: Mapping[str, float]) -> dict[str, list[list[float]]]:
+        plane, mixed = -c["c11"] - c["c12"], -math.sqrt(2.0) * c["c13"]
+        # The axial field in units that make its energy as large as that of the strain, as in `materials.passivity`.
+        field = math.sqrt(real("c33") / (VACUUM_PERMITTIVITY * real("eps33")))
+        e31, e33, e15 = math.sqrt(2.0) * field * c["e31"], field * c["e33"], field * c["e15"]
+        eps33, eps11 = (VACUUM_PERMITTIVITY * field**2 * c[key] for key in ("eps33", "eps11"))
+        return {"passivity": [[plane, mixed, e31], [mixed, -c["c33"], e33], [e31, e33, eps33]],
+                "passivity of shear along the poling": [[-c["c44"], e15], [e15, eps11]],
+                "passivity of shear across the poling": [[c["c12"] - c["c11"]]]}
+
+    def ratios(c: Mapping[str, float]) -> dict[str, list[list[float]]]:
         # nu = (3 K - 2 G) / (2 (3 K + G)) above `ratio`: 3 K (1 - 2 ratio) - 2 G (1 + ratio) >= 0
-        entry: _Sum = ((sign * 3.0 * (1.0 - 2.0 * ratio), "bulk_modulus"),
-                       (-sign * 2.0 * (1.0 + ratio), "shear_modulus"))
-        block = _block(problem, name, parameters, [[entry]], "", size,
-                       f"Poisson's ratio {'above' if sign > 0 else 'below'} {ratio:g}")
-        if block is not None:
-            result.append(block)
-    return result
+        above, below = (3.0 * (1.0 - 2.0 * ratio) * c["bulk_modulus"] - 2.0 * (1.0 + ratio) * c["shear_modulus"]
+                        for ratio in poisson)
+        return {f"Poisson's ratio above {poisson[0]:g}": [[above]], f"Poisson's ratio below {poisson[1]:g}": [[-below]]}
+
+    match next(m for m in problem.materials.values() if m.name == name):
+        case Piezoelectric():
+            yield from _blocks(problem, name, parameters, stored, "", real("c33"))
+            yield from _blocks(problem, name, parameters, dissipated, LOSS, real("c33"))
+        case IsotropicSolid():
+            yield from _blocks(problem, name, parameters, ratios, "", real("bulk_modulus"))
+
+
+def _blocks(
+    problem: Problem, material: str, parameters: _Acting, matrices: _Matrices, part: str, size: float
+) -> Iterator[Inequality]:
+    """The conditions of `matrices`, over `size`, on free parameters, by their `part`."""
+    own = [p if p and p.parsed.owner == material and p.is_loss == bool(part) else None for p in parameters]
+    replaced = {p.parsed.coefficient for p in own if p and not p.offset}
+    none = dict.fromkeys(coefficients_of(problem, material), 0.0)
+    values = {key: complex(problem.values[f"{material}.{key}"]) for key in none}
+    fixed = matrices({key: 0.0 if key in replaced else value.imag if part else value.real
+                      for key, value in values.items()})
+    by_parameter = [matrices({**none, p.parsed.coefficient: 1.0} if p else none) for p in own]
+    for text, matrix in fixed.items():
+        constant, slopes = np.array(matrix) / size, np.array([each[text] for each in by_parameter]) / size
+        if not slopes.any():
+            continue
+        # A motion that neither loses nor may lose: nothing of its row may be there.
+        idle = [i for i in range(len(matrix)) if constant[i, i] == 0.0 and not slopes[:, i, i].any()]
+        for i in idle:
+            if slopes[:, i].any() or constant[i].any():
+                free = next((p.name for k, p in enumerate(own) if p and slopes[k, i].any()), material)
+                needed = next(key for key in none if matrices({**none, key: 1.0})[text][i][i])
+                raise InputError("fit", "free", free, f"{needed}{part} free or not zero: a loss of the coupling alone "
+                                 "would make energy")
+        kept = [i for i in range(len(matrix)) if i not in idle]
+        yield Inequality(f"{text} of {material}", constant[np.ix_(kept, kept)], slopes[:, kept][:, :, kept])

@@ -1,4 +1,4 @@
-"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and their statistics.
+"""Batches of recordings: the list file, the cache, and statistics.
 
     [batch]
     name = "four discs"
@@ -33,12 +33,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
 from materials.versions import check_saved_name
 from workbench.files.errors import InputError, choose
@@ -55,19 +56,13 @@ Real = NDArray[np.float64]
 #: (Iglewicz and Hoaglin 1993, How to detect and handle outliers).
 OUTLIER = 3.5
 
-#: Standard deviation of a normal law over its median absolute deviation.
-MAD_TO_SIGMA = 1.4826
-
-#: With fewer devices nobody can say which of them is the odd one.
+#: Fewer devices do not determine an outlier.
 ENOUGH = 4
-
-_RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
-                   "correction", "without_outliers", "save")
 
 
 @dataclass(frozen=True)
 class BatchMember:
-    """One recording to be fitted; see the module for the fields, `prepare.prepare` for their meaning."""
+    """One recording to fit; fields as in the module and `recordings.fit`."""
 
     name: str
     recording: Path
@@ -96,8 +91,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of every job: folders of materials, whether chips are inviscid, mesh, algorithm, further starts, and
-    whether to insist."""
+    """Settings of every job. `materials` are folders, and `force` saves a rejected fit."""
 
     materials: tuple[Path, ...] = ()
     inviscid: bool = False
@@ -126,38 +120,36 @@ def read_batch(path: Path) -> Batch:
     table = FileTable.read(path).only(("batch", "recordings", "joint"))
     head = table.table("batch", expected="a table [batch]").only(("name",))
     name = check_title(head.content.get("name", path.stem), source=table.source, field=head.at("name"))
-    members: dict[str, BatchMember] = {}
-    saves: dict[str, str | None] = {}
+    alone: dict[str, Job] = {}
     for row in table.tables("recordings", expected="tables [[recordings]]"):
-        member = _member(row.only(_RECORDING_KEYS), path.parent)
-        if member.name in members:
+        member = _member(row, path.parent)
+        if member.name in alone:
             raise row.error("name", "a name of its own")
-        members[member.name] = member
-        saves[member.name] = _save(row)
-    if not members:
+        alone[member.name] = Job(member.name, (member,), save=_save(row))
+    if not alone:
         raise InputError(table.source, "recordings", "none", "at least one table [[recordings]]")
     groups: list[Job] = []
     grouped: set[str] = set()
     for row in table.tables("joint", expected="tables [[joint]]"):
         wanted = row.only(("name", "recordings", "own", "save")).texts("recordings", ())
         for one in wanted:
-            choose(one, members, source=row.source, field=row.at("recordings"))
+            choose(one, alone, source=row.source, field=row.at("recordings"))
             if one in grouped:
                 raise InputError(row.source, row.at("recordings"), one, "each recording in one group only")
             grouped.add(one)
         if len(wanted) < 2:
             raise InputError(row.source, row.at("recordings"), list(wanted), "two recordings or more")
-        groups.append(Job(_name(row), tuple(members[one] for one in wanted), row.texts("own", ()),
-                          _save(row)))
-    jobs = [Job(member.name, (member,), save=saves[member.name]) for member in members.values()
-            if member.name not in grouped] + groups
+        groups.append(Job(_name(row), tuple(alone[one].members[0] for one in wanted), row.texts("own", ()), _save(row)))
+    jobs = (*(job for job in alone.values() if job.name not in grouped), *groups)
     for job in jobs:
         if [other.name for other in jobs].count(job.name) > 1:
             raise InputError(table.source, "joint.name", job.name, "a name that no recording has")
-    return Batch(name, tuple(jobs))
+    return Batch(name, jobs)
 
 
 def _member(row: FileTable, folder: Path) -> BatchMember:
+    row.only(("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
+              "correction", "without_outliers", "save"))
     band: tuple[float | None, float | None] = (None, None)
     if "band" in row:
         low, high = row.quantities("band", "frequency",
@@ -165,64 +157,47 @@ def _member(row: FileTable, folder: Path) -> BatchMember:
         if not 0.0 < low < high:
             raise row.error("band", "two rising frequencies")
         band = low, high
-    correction = row.optional_text("correction")
+    if "correction" in row:
+        row.choice("correction", ("negate", "conjugate", "signs"))
+    texts = {key: row.optional_text(key) for key in ("state", "material", "region", "format", "correction")}
     return BatchMember(
-        _name(row), _path(row, "file", folder), _path(row, "chip", folder), row.choice("kind", KINDS),
-        row.optional_text("state"), row.optional_text("material"), row.optional_text("region"),
-        row.texts("free", (DEFAULT,)), band, _path(row, "columns", folder) if "columns" in row else None,
-        row.optional_text("format"), None if correction is None else row.choice("correction", ("negate", "conjugate")),
-        row.flag("without_outliers"),
-    )
-
-
-def _path(row: FileTable, key: str, folder: Path) -> Path:
-    found = folder / row.text(key)
-    if not found.is_file():
-        raise InputError(row.source, row.at(key), str(found), "an existing file")
-    return found
+        _name(row), row.path("file", folder, expected="a recording"), row.path("chip", folder, expected="a chip file"),
+        row.choice("kind", KINDS),
+        free=row.texts("free", (DEFAULT,)), band=band, without_outliers=row.flag("without_outliers"),
+        columns=row.path("columns", folder, expected="a column map") if "columns" in row else None, **texts)
 
 
 def _save(row: FileTable) -> str | None:
-    found = row.optional_text("save")
-    return None if found is None else check_saved_name(found, source=row.source, field=row.at("save"))
+    name = row.optional_text("save")
+    return None if name is None else check_saved_name(name, source=row.source, field=row.at("save"))
 
 
 def _name(row: FileTable) -> str:
     return check_name(row.required("name", "a name"), source=row.source, field=row.at("name"))
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# Running.
-
-
 def content_key(job: Job, settings: Settings, filling: Sequence[Mapping[str, object]]) -> str:
-    """A digest of all that decides a result: contents of the files, materials with their values, options, version.
+    """A digest of files, materials with values, options and version.
 
     Args:
         filling: for every member the materials of its chip by region.
     """
-    files = [(file_digest(m.recording), file_digest(m.chip), "" if m.columns is None else file_digest(m.columns))
-             for m in job.members]
-    members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction,
-                m.without_outliers) for m in job.members]
-    options = (settings.accuracy, settings.algorithm, settings.starts, settings.tries,
-               settings.gel_thicknesses)
+    files = [[path and file_digest(path) for path in (m.recording, m.chip, m.columns)] for m in job.members]
+    # Files and materials count by their content.
+    members = tuple(replace(m, recording=Path(), chip=Path(), columns=None) for m in job.members)
+    options = replace(settings, materials=(), inviscid=False, force=False)
     values = [sorted((region, repr(material)) for region, material in one.items()) for one in filling]
-    deciding = repr((files, members, job.name, job.own, job.save, options, values, software()))
+    deciding = repr((files, replace(job, members=members), options, values, software()))
     return hashlib.sha256(deciding.encode()).hexdigest()
 
 
 def finished(folder: Path, key: str) -> dict[str, Any] | None:
-    """The ``fit.json`` of a folder if it is whole and of that `key`; None otherwise."""
+    """The complete ``fit.json`` of a folder with that `key`; else None."""
     try:
         record = json.loads((folder / "fit.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) and record.get("key") == key else None
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# Summary.
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,65 +221,51 @@ class BatchColumn:
 
 
 def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[BatchColumn, ...]:
-    """Statistics over the fits of several devices: by parameter, for those that two devices or more have.
+    """Statistics over the fits of several devices, by parameter.
 
     Args:
-        records: ``fit.json`` by device. Materials are left out of the parameters' names, so that c33 of one disc stands
-            beside c33 of another. A parameter of a joint group that each recording has for itself is a device each.
+        records: ``fit.json`` by device. Parameters are compared without the name of their material, if two devices or
+            more have them. Each recording's own parameter in a joint group is a device of its own.
     """
-    found: dict[str, dict[str, tuple[float, ...]]] = {}
-    units: dict[str, str] = {}
+    by_device: dict[tuple[str, str], dict[str, list[float]]] = {}
 
     def add(name: str, unit: str, device: str, entry: Mapping[str, Any]) -> None:
         # Without an interval (see `record`): the value alone.
-        found.setdefault(name, {})[device] = tuple(
-            entry["value"] if entry.get(key) is None else entry[key] for key in ("value", "low", "high"))
-        units[name] = unit
+        by_device.setdefault((name, unit), {})[device] = [
+            entry["value"] if entry.get(key) is None else entry[key] for key in ("value", "low", "high")]
 
     for device, record in records.items():
-        shown = [p["name"] for p in record["parameters"] if not p["recordings"]]
-        short = {name: _short(name) for name in shown}
+        parsed = [ParameterName.parse(p["name"]) for p in record["parameters"] if not p["recordings"]]
+        short = {str(name): name.local if name.is_material else str(name) for name in parsed}
         # A free disc and a sample fitted together: both have a density.
         short = {name: text if list(short.values()).count(text) == 1 else name for name, text in short.items()}
         for parameter in record["parameters"]:
-            own = parameter["recordings"]
-            add(parameter["name"] if own else short[parameter["name"]], parameter["unit"],
-                f"{device}: {own[0]}" if own else device, parameter)
+            own, name = parameter["recordings"], parameter["name"]
+            add(name if own else short[name], parameter["unit"], f"{device}: {own[0]}" if own else device, parameter)
         for one in record["recordings"]:
-            merit = one["figures"]["measured"]
+            label = device if len(record["recordings"]) == 1 else f"{device}: {one['name']}"
             for name, key, unit in (("f0", "f0_hz", "Hz"), ("Z_min", "z_min_ohm", "ohm"), ("Q", "q", "1")):
-                if merit.get(key) is not None:
-                    label = device if len(record["recordings"]) == 1 else f"{device}: {one['name']}"
-                    add(f"measured {name}", unit, label, {"value": merit[key]})
+                if (value := one["figures"]["measured"].get(key)) is not None:
+                    add(f"measured {name}", unit, label, {"value": value})
         for quantity in record.get("derived", []):
             add(quantity["name"], quantity["unit"], device, quantity)
-    return tuple(_column(name, units[name], rows) for name, rows in found.items() if len(rows) > 1)
-
-
-def _short(name: str) -> str:
-    """The name of a parameter without its material: c33 of one disc beside c33 of another."""
-    parsed = ParameterName.parse(name)
-    return parsed.local if parsed.is_material else name
-
-
-def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> BatchColumn:
-    table = np.array(list(rows.values()))
-    values, devices = table[:, 0], tuple(rows)
-    mean = float(values.mean())
-    return BatchColumn(
-        name, unit, devices, values, table[:, 1], table[:, 2], mean, float(values.std(ddof=1)),
-        100.0 * float(np.ptp(values)) / abs(mean) if mean else float("nan"),
-        tuple(device for device, out in zip(devices, outlying(values), strict=True) if out))
+    columns = []
+    for (name, unit), rows in by_device.items():
+        if len(rows) > 1:
+            values, low, high = np.array(list(rows.values())).T
+            mean = float(values.mean())
+            columns.append(BatchColumn(
+                name, unit, tuple(rows), values, low, high, mean, float(values.std(ddof=1)),
+                100.0 * float(np.ptp(values)) / abs(mean) if mean else float("nan"),
+                tuple(device for device, out in zip(rows, outlying(values), strict=True) if out)))
+    return tuple(columns)
 
 
 def outlying(values: Real) -> NDArray[np.bool_]:
-    """Which values (d,) lie further than :data:`OUTLIER` robust standard deviations from the median.
+    """Outliers among values (d,), beyond :data:`OUTLIER` robust standard deviations.
 
-    None of fewer than :data:`ENOUGH`. Where more than half agree exactly, whatever differs by more than rounding lies
-    outside.
+    The distance is from the median, and above rounding. Fewer than :data:`ENOUGH` values have none.
     """
-    if values.size < ENOUGH:
-        return np.zeros(values.size, dtype=bool)
-    away = np.abs(values - np.median(values))
-    sigma = MAD_TO_SIGMA * float(np.median(away))
-    return np.asarray(away > max(OUTLIER * sigma, 1e-9 * abs(float(np.median(values)))))
+    middle = float(np.median(values))
+    least = max(OUTLIER * float(median_abs_deviation(values, scale="normal")), 1e-9 * abs(middle))
+    return np.asarray((np.abs(values - middle) > least) & (values.size >= ENOUGH))

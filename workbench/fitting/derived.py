@@ -1,13 +1,14 @@
-"""Quantities derived from the moduli of a solid: the rows of Table 4 of Acevedo-Espinosa et al. (RP-UEIS), with
-intervals."""
+"""Quantities derived from the moduli of a solid, with intervals. They are the rows of Table 4 of Acevedo-Espinosa et
+al. (RP-UEIS)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from materials import conversions
 from workbench.fitting.parameter import POLYMER_FOUR
@@ -22,7 +23,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class Derived:
-    """One quantity that follows from fitted ones, SI or dB/m; `low` to `high` is its 95 % interval."""
+    """A derived quantity, SI or dB/m, with its 95 % interval."""
 
     name: str
     unit: str
@@ -32,7 +33,7 @@ class Derived:
     high: float
 
 
-#: Names and units, in the order of Table 4. Quantities that no passive solid can have below zero are marked.
+#: Units, in the order of Table 4, and whether no passive solid can have the quantity below zero.
 QUANTITIES: Mapping[str, tuple[str, bool]] = {
     "Young's modulus": ("Pa", True),
     "Young's modulus, loss": ("Pa", False),
@@ -48,7 +49,7 @@ QUANTITIES: Mapping[str, tuple[str, bool]] = {
 
 
 def moduli_quantities(moduli: Real, density: float, frequency: float) -> Real:
-    """The quantities of :data:`QUANTITIES` from K', K'', G', G'' (Pa, e^{-i w t}), kg/m^3 and Hz."""
+    """:data:`QUANTITIES` from K', K'', G', G'' (Pa), density (kg/m^3) and frequency (Hz)."""
     bulk, shear = complex(moduli[0], moduli[1]), complex(moduli[2], moduli[3])
     young, poisson = conversions.young_and_poisson(bulk, shear)
     decibels = [conversions.decibels_per_metre(alpha) for alpha in
@@ -61,57 +62,41 @@ def moduli_quantities(moduli: Real, density: float, frequency: float) -> Real:
 def derived_moduli(
     moduli: Mapping[str, float], covariance: Real, *, density: float, frequency: float, density_error: float = 0.0
 ) -> tuple[Derived, ...]:
-    """The quantities that follow from the moduli of an isotropic solid, with linearly propagated intervals.
+    """The derived quantities of an isotropic solid, with linearly propagated intervals.
 
     Args:
         moduli: by the names of `parameter.POLYMER_FOUR`, Pa, losses negative.
-        covariance: (4, 4) Pa^2 in that order; zero rows for what was held fixed.
+        covariance: (4, 4) Pa^2 in that order; zero rows for fixed moduli.
         density: kg/m^3, known independently of the moduli with the standard error `density_error`.
         frequency: of the absorptions, Hz.
     """
-    at = np.array([moduli[name] for name in POLYMER_FOUR])
+    def quantities(x: Real) -> Real:
+        return moduli_quantities(x[:4], float(x[4]), frequency)
+
+    at = np.array([*(moduli[name] for name in POLYMER_FOUR), density])
     # A loss may be zero: it is stepped by a share of its modulus.
-    sizes = np.abs([at[0], at[0], at[2], at[2]])
-    values = moduli_quantities(at, density, frequency)
-    slopes = _slopes(lambda x: moduli_quantities(x, density, frequency), at, STEP * sizes)
-    by_density = _slopes(lambda x: moduli_quantities(at, float(x[0]), frequency), np.array([density]),
-                         np.array([STEP * density]))[:, 0]
-    variance = np.einsum("qi,ij,qj->q", slopes, covariance, slopes) + (by_density * density_error) ** 2
-    errors = np.sqrt(np.maximum(variance, 0.0))
+    steps = STEP * np.abs(at[[0, 0, 2, 2, 4]])
+    changes = [quantities(at + step) - quantities(at - step) for step in np.diag(steps)]
+    slopes = np.stack(changes, axis=1) / (2.0 * steps)
+    variances = np.einsum("qi,ij,qj->q", slopes, block_diag(covariance, density_error**2), slopes)
     result = []
-    for (name, (unit, positive)), value, error in zip(QUANTITIES.items(), values, errors, strict=True):
-        low, high = value - DEVIATIONS * error, value + DEVIATIONS * error
-        result.append(Derived(name, unit, float(value), float(error), float(max(low, 0.0) if positive else low),
-                              float(high)))
+    for (name, (unit, positive)), value, error in zip(
+            QUANTITIES.items(), quantities(at).tolist(), np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True):
+        low = value - DEVIATIONS * error
+        result.append(Derived(name, unit, value, error, max(low, 0.0) if positive else low, value + DEVIATIONS * error))
     return tuple(result)
 
 
 def moduli_of(
     names: Sequence[str], values: Real, covariance: Real, fixed: Mapping[str, complex], material: str
 ) -> tuple[dict[str, float], Real]:
-    """Moduli of a material and their covariance (4, 4) out of a fit's, what was held fixed from its start.
+    """Moduli of a material and their covariance (4, 4), from a fit. The `fixed` ones, by full name, have none.
 
     Args:
         names: of the fit's parameters, with `values` (p,) and `covariance` (p, p).
-        fixed: complex values by full name.
     """
     full = [f"{material}.{name}" for name in POLYMER_FOUR]
-    moduli, chosen = {}, np.zeros((len(full), len(names)))
-    for row, (short, name) in enumerate(zip(POLYMER_FOUR, full, strict=True)):
-        if name in names:
-            column = list(names).index(name)
-            chosen[row, column] = 1.0
-            moduli[short] = float(values[column])
-        else:
-            moduli[short] = real_part(fixed, name)
-    return moduli, chosen @ covariance @ chosen.T
-
-
-def _slopes(function: Callable[[Real], Real], at: Real, steps: Real) -> Real:
-    """Central differences (q, p)."""
-    columns = []
-    for i, step in enumerate(steps):
-        shift = np.zeros(at.size)
-        shift[i] = step
-        columns.append((function(at + shift) - function(at - shift)) / (2.0 * step))
-    return np.stack(columns, axis=1)
+    chosen = np.array([[float(name == other) for other in names] for name in full])
+    free = dict(zip(names, values.tolist(), strict=True))
+    moduli = [free[name] if name in free else real_part(fixed, name) for name in full]
+    return dict(zip(POLYMER_FOUR, moduli, strict=True)), chosen @ covariance @ chosen.T

@@ -1,4 +1,4 @@
-"""A recording that a problem is to explain: a spectrum, or one value of an observable beside Z."""
+"""A recording to fit: a spectrum, or one value of an observable."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Error of Z of a model that predicts observables. The error of Z is the square of that of the states, and an
-#: observable is wrong by a few times the error of these, 1e-4. A larger one would leave out how the least of the
-#: parameters change it: models of one frequency are small anyway.
+#: observable is wrong by a few times the error of these, 1e-4. A larger one would lose the effect of the weakest
+#: parameters: models of one frequency are small anyway.
 OF_STATES = 1e-8
 
 
-#: Places about a point that models of observables hold the ways to: their states are needed to first order, not their
-#: squares. Without them a focusing time was wrong by 3 % where all numbers had moved by an uncertainty.
+#: Places about a point whose directions models of observables contain: their states are needed to first order, not
+#: their squares. Without them a focusing time was wrong by 3 % if all parameters had moved by an uncertainty.
 CORNERS = 8
 
 
 class Observable(Protocol):
-    """A positive real functional of the first-order field at the frequency of a recording, with its derivative."""
+    """A positive real functional of the first-order field, with its derivative."""
 
     def __call__(self, prediction: Prediction, names: Sequence[str]) -> tuple[float, Complex]:
-        """The value (SI), and s (len(names),) with d ln value = Re(s dtheta) for complex values theta, e^{-i w t}.
+        """The value (SI), and s (len(names),): d ln value = Re(s dtheta). theta are complex values, e^{-i w t}.
 
         Raises:
             ValueError: the field has no such value.
         """
 
     def by_full_solves(self) -> Observable:
-        """A copy whose derivatives come of full solves, for models that hold no changes of the states."""
+        """A copy with derivatives by full solves, for models without state changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitRecording:
-    """A measured spectrum and the problem that is to explain it; the chip where its dimensions may be moved.
+    """A measured spectrum and its problem; the chip if dimensions move.
 
     With an ``observable``, ``measured`` is one point: the frequency and the positive value, and the residual is
     ln(model / measured), whose imaginary part is zero. No bench is between the value and the device. ``state`` names
@@ -68,7 +68,7 @@ class FitRecording:
         return max(1, round(self.measured.frequency.size / points))
 
     def thinned(self, points: int) -> FitRecording:
-        """The recording with at most about `points` of its points, evenly; itself where it has no more."""
+        """The recording with about `points` of its points, evenly, or itself."""
         measured, every = self.measured, self.step(points)
         if every == 1:
             return self

@@ -1,7 +1,5 @@
-"""The change of the spectrum of a fitted sample with the thickness of the coupling gel: Fig. 6 of the paper.
-
-Acevedo-Espinosa et al. (RP-UEIS), section 4.3: nothing is fitted again, only the gel is made thicker or thinner.
-"""
+"""The spectrum of a fitted sample by gel thickness, without refits. See Acevedo-Espinosa et al. (RP-UEIS), section 4.3
+and Fig. 6."""
 
 from __future__ import annotations
 
@@ -25,13 +23,13 @@ from workbench.results.spectrum import Origin, Spectrum
 
 COUPLANT = "couplant"
 
-#: The thicknesses (m) of the paper and the mean errors of |Z| (%) it found with its recording.
+#: The thicknesses (m) of the paper and its mean errors of |Z| (%).
 PUBLISHED = {5e-6: 26.19, 20e-6: 25.91, 50e-6: 32.82}
 
 
 @dataclass(frozen=True, eq=False)
 class GelCase:
-    """One thickness (m) of the gel: the spectrum predicted with it, and how far that is from the recording."""
+    """A gel thickness (m), its predicted spectrum, and their mismatch."""
 
     thickness: float
     spectrum: Spectrum
@@ -50,14 +48,10 @@ def with_gel(chip: Chip, thickness: float) -> Chip:
 
 
 def gel_study(
-    prepared: Prepared,
-    registry: Registry,
-    *,
-    numbers: Mapping[str, float],
-    thicknesses: Sequence[float],
+    prepared: Prepared, registry: Registry, *, numbers: Mapping[str, float], thicknesses: Sequence[float],
     accuracy: float | Discretisation = ACCURACY,
 ) -> tuple[GelCase, ...]:
-    """Predict the first recording with the fitted `numbers` (by parameter name, SI) and each gel thickness (m).
+    """Predict the first recording with `numbers` (SI) and each thickness (m).
 
     Raises:
         InputError: see :func:`with_gel`.

@@ -1,5 +1,4 @@
-"""The measurement model: the impedance that an instrument sees through its bench, and the comparison of spectra,
-smoothed and by the logarithm of a ratio."""
+"""Impedance through a bench, log ratios of spectra, and their smoothing."""
 
 from __future__ import annotations
 
@@ -24,19 +23,24 @@ def log_ratio(model: Complex, measured: Complex) -> Complex:
     return np.asarray(np.log(np.abs(ratio)) + 1j * np.angle(ratio))
 
 
+def rms(log_ratio: Complex) -> float:
+    """The rms of |ln(model / measured)| (n,)."""
+    return float(np.sqrt(np.mean(np.abs(log_ratio) ** 2)))
+
+
 def through_bench(
     impedance: Complex, omega: Real, bench: Mapping[str, float], slope: Callable[[], Complex] | None = None
 ) -> tuple[Complex, Complex, dict[str, Complex]]:
-    """The impedance that an instrument sees of a device (n,), e^{+j w t}, through the elements named in `bench`.
+    """The impedance (n,) that an instrument measures through its `bench`.
 
-    Where a clock is off, `impedance` is that of the device at the frequencies that the generator really makes.
+    The convention is e^{+j w t}. With a clock error, `impedance` is at the actual frequencies of the generator.
 
     Args:
-        slope: d ln Z / d ln f (n,) of the impedance, asked for where the clock is named.
+        slope: d ln Z / d ln f (n,) of the impedance, called where the clock is named.
 
     Returns:
-        the impedance seen (n,), d ln seen / d ln impedance (n,), of the impedance at the generator's frequency, and
-        d ln seen / d element (n,) for every element; for the clock only where it is named and a slope given.
+        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element; for
+        the clock only where it is named and a slope given.
     """
     def element(name: str) -> float:
         return bench.get(BENCH + name, 0.0)
@@ -60,7 +64,7 @@ def through_bench(
 
 
 def lorentzian(frequency: Real, half_width: float) -> Real:
-    """Weights (n, n), rows of sum one, that smooth with a Lorentzian of that half width (Hz) on any grid."""
+    """Weights (n, n) that smooth with a Lorentzian on any grid. `half_width` is in Hz; rows have the sum one."""
     spacing = np.gradient(frequency)
     weights = spacing[None, :] / ((frequency[:, None] - frequency[None, :]) ** 2 + half_width**2)
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -1,13 +1,12 @@
-"""The objective of a fit: the distance of a set of parameters from the recordings, and its exact derivative.
+"""The objective of a fit: weighted residuals and their exact derivative.
 
-The residual is ln(Z_model / Z_measured), complex: the relative error of the magnitude and the error of the phase in
-radian, equally weighted, which is what an instrument of constant relative accuracy leaves. Each point is divided by its
-relative standard deviation.
+The residual is ln(Z_model / Z_measured), complex, over the relative standard deviation of each point. The relative
+error of the magnitude and the error of the phase in radian weigh the same, as for an instrument of constant accuracy.
 
-A spectrum with sharp overtones has many local minima: one for every way to lay the overtones of the model on those of
-the recording. Both are therefore smoothed first, with the same Lorentzian weights applied to both admittances: for a
-causal response this is the response at a complex frequency, that is with damping added, in which overtones merge into
-the one broad resonance that every parameter set has. The width is then let down to nothing (`joint`).
+A spectrum with sharp overtones has a local minimum for every match of the model's overtones to those of the recording.
+Both admittances are therefore smoothed first with the same Lorentzian weights: for a causal response this is the
+response at a complex frequency, with damping added, in which overtones merge into one broad resonance. The width is
+then reduced to zero (`joint`).
 """
 
 from __future__ import annotations
@@ -24,24 +23,27 @@ from geometry.stretch import canonical_names
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fitting.fit_recording import CORNERS, OF_STATES
 from workbench.fitting.fit_recording import FitRecording as FitRecording
-from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, through_bench
+from workbench.fitting.measurement_model import CLOCK, log_ratio, lorentzian, rms, through_bench
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
 from workbench.model.problem import Problem
-from workbench.reduced.about_point import DRAWS, TERMS, LocalBasis, local_basis
+from workbench.reduced.about_point import DRAWS, TERMS, local_basis
 from workbench.reduced.predictor import Prediction, Predictor
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+_Moved = tuple[tuple[int, Parameter, str], ...]
+_Scaled = tuple[tuple[int, str, float], ...]
+_Bench = tuple[tuple[int, Parameter], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Weighted residuals and their derivative by the parameters in SI units.
+    """Weighted residuals and their derivative by the parameters (SI).
 
-    ``vector`` (2 n,) real parts then imaginary parts, recording after recording; ``jacobian`` (2 n, p); ``log_ratio``
-    ln(Z_model / Z_measured) of every recording, unweighted; ``predictions`` one for every recording.
+    ``vector`` (2 n,) real parts then imaginary parts, recording after recording; ``jacobian`` (2 n, p). For every
+    recording: ``log_ratio`` ln(Z_model / Z_measured) (n,), unweighted, ``impedance`` (n,) ohm, and the ``predictions``.
     """
 
     vector: Real
@@ -56,24 +58,24 @@ class Residual:
         return max((float(each.error.max()) for each in self.predictions), default=0.0)
 
     @property
-    def cost(self) -> float:
-        return 0.5 * float(self.vector @ self.vector)
+    def rms(self) -> float:
+        """The rms of |ln(Z_model / Z_measured)| over all points of all recordings."""
+        return rms(np.concatenate(self.log_ratio))
 
 
 @dataclass(frozen=True, eq=False)
 class RecordingView:
-    """A recording with its predictor and the parameters of an objective that act on it.
+    """A recording with its predictor and acting parameters.
 
-    ``moved`` are the columns and parameters that move a value of its problem, and which, offsets last, which add to
-    what the others set; ``scaled`` the columns that scale values of its problem, which, and by what power; ``bench``
-    the columns and parameters of the bench.
+    ``moved`` are columns, parameters and the values of its problem that they move, offsets last; ``scaled`` columns,
+    values of its problem that they scale, and powers; ``bench`` the columns and parameters of the bench.
     """
 
     recording: FitRecording
     predictor: Predictor
-    moved: tuple[tuple[int, Parameter, str], ...]
-    scaled: tuple[tuple[int, str, float], ...]
-    bench: tuple[tuple[int, Parameter], ...]
+    moved: _Moved
+    scaled: _Scaled
+    bench: _Bench
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -83,11 +85,11 @@ class RecordingView:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Residuals of several recordings as a function of one vector of parameters.
+    """Residuals of several recordings as a function of one parameter vector.
 
     A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; dimensions
-    of the chip are put among them. Recordings of one problem share a predictor. An objective is a value: where its
-    models do not predict within their tolerance, predictions are of enriched ones, which :meth:`holding` goes on with.
+    of the chip are put among them. Recordings of one problem share a predictor. An objective is a value: a prediction
+    beyond the tolerance of its models comes from enriched copies, and :meth:`holding` keeps these.
     """
 
     views: tuple[RecordingView, ...]
@@ -108,16 +110,16 @@ class Objective:
         flexed: dict[Any, Problem] = {}
         acting = [p for p in parameters if any(p.acts_in(r.owner) for r in recordings)]
         recordings = [_with_lengths(r, acting, flexed) for r in recordings]
-        parts = []
-        for r in recordings:
-            own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(r.owner)]
-            moved = sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
-                           key=lambda each: each[1].offset)
-            scaled = [(column, key, power) for column, p in own for key, power in p.powers if key in r.problem.values]
-            parts.append((tuple(moved), tuple(scaled), tuple((column, p) for column, p in own if p.is_bench)))
+        parts = [_acting_on(r, parameters) for r in recordings]
         predictors = _shared(recordings, [_keys(*each[:2]) for each in parts], tolerance)
-        return cls(tuple(RecordingView(r, predictor, *each)
-                         for r, predictor, each in zip(recordings, predictors, parts, strict=True)), tuple(parameters))
+        return cls(tuple(RecordingView(r, predictor, *each) for r, predictor, each in zip(
+            recordings, predictors, parts, strict=True)), tuple(parameters))
+
+    def with_parameters(self, more: Sequence[Parameter]) -> Objective:
+        """A copy with further parameters after its own. Its models are not made to move their values."""
+        parameters = (*self.parameters, *more)
+        return Objective(tuple(RecordingView(view.recording, view.predictor, *_acting_on(view.recording, parameters))
+                               for view in self.views), parameters)
 
     @cached_property
     def recordings(self) -> tuple[FitRecording, ...]:
@@ -130,7 +132,7 @@ class Objective:
 
     @property
     def solves(self) -> int:
-        """Full solves spent on the models there are."""
+        """Full solves spent on the present models."""
         return sum(p.solves for p in set(self.predictors))
 
     def predicted_by(self, predictors: Sequence[Predictor]) -> Objective:
@@ -139,7 +141,7 @@ class Objective:
                                          for view, each in zip(self.views, predictors, strict=True)))
 
     def holding(self, predictions: Sequence[Prediction]) -> Objective:
-        """The objective that goes on with the models that `predictions`, one for each recording, were made with."""
+        """The objective with the models of `predictions`, one per recording."""
         latest = {predictor: prediction.model
                   for predictor, prediction in zip(self.predictors, predictions, strict=True)}
         if all(predictor.model is model for predictor, model in latest.items()):
@@ -151,150 +153,151 @@ class Objective:
         self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None,
         enriches: bool = True,
     ) -> Objective:
-        """A copy on local bases about x (p,), where parameters move by `reach`, by name (`about_point.local_basis`).
+        """A copy on local bases about x (p,), for moves by `reach`.
 
-        Its models stay as they are. Where only the parameters of the indices `only` are going to move, models hold no
-        more than that takes. Unless they are to be `neumann_enriched`, the factors of the full solves are let go.
+        See `about_point.local_basis`. Models stay as they are. If only the parameters of the indices `only` will move,
+        models contain no more. Unless they are to be `neumann_enriched`, the factors of the full solves are dropped.
         """
-        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
-            moves, within = self._moves_about(x, indices, reach), tolerance
-            if observes := self.recordings[indices[0]].observable is not None:
-                within = min(tolerance, OF_STATES)
-            made = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]), moves,
-                               tolerance=within, draws=len(moves) if observes else DRAWS)
-            if observes:
-                made = made.neumann_enriched(_corners(made.values, moves), within)
-            return made if enriches else made.without_factors()
-
         own = self if only is None else self._acting(x, only)
-        # Recordings of one model whose values differ, by their offsets, have a basis each.
-        return own._on_bases(local, [(predictor, alike) for predictor, indices in own._sharing().items()
-                                     for alike in own._alike(x, indices)])
+        made = dict[int, Predictor]()
+        for predictor, sharing in own._sharing().items():
+            # Recordings of one model whose values differ, by their offsets, have a basis each.
+            for indices in own._alike(x, sharing):
+                moves, within = self._moves_about(x, indices, reach), tolerance
+                if observes := self.recordings[indices[0]].observable is not None:
+                    within = min(tolerance, OF_STATES)
+                basis = local_basis(predictor.operators, predictor.frequencies, self._values(x, indices[0]), moves,
+                                    tolerance=within, draws=len(moves) if observes else DRAWS)
+                if observes:
+                    # Places where all values have moved by as much as is expected, in directions that are drawn.
+                    signs = np.random.default_rng(1).choice([-1.0, 1.0], (CORNERS, len(moves)))
+                    corners = [{**basis.values, **{name: basis.values[name] + sign * moves[name]
+                                                   for sign, name in zip(row, moves, strict=True)}} for row in signs]
+                    basis = basis.neumann_enriched(corners, within)
+                made.update(dict.fromkeys(indices, predictor.on_basis(basis if enriches else basis.without_factors())))
+        return own.predicted_by([made[index] for index in range(len(own.views))])
 
     def enriched(self, x: Real, tolerance: float) -> Objective:
-        """A copy whose models predict at x (p,) within a `tolerance` of Z, by full solves there where they did not.
+        """A copy whose models predict at x (p,) within `tolerance` of Z.
 
         Raises:
             NotEnriched: a model did not reach the tolerance.
         """
-        made = {predictor: replace(predictor, tolerance=tolerance) for predictor in set(self.predictors)}
-        for index, view in enumerate(self.views):
-            strict = made[view.predictor]
-            made[view.predictor] = strict.holding(strict(self._values(x, index)).model)
-        made = {own: replace(each, tolerance=own.tolerance) for own, each in made.items()}
-        return self.predicted_by([made[predictor] for predictor in self.predictors])
+        def strict(predictor: Predictor, indices: Sequence[int]) -> Predictor:
+            made = replace(predictor, tolerance=tolerance)
+            for index in indices:
+                made = made.holding(made(self._values(x, index)).model)
+            return replace(made, tolerance=predictor.tolerance)
+
+        return self._remade(strict)
 
     def on_bases_of(self, other: Objective) -> Objective | None:
-        """A copy on the local bases of an objective, of :meth:`near`, over the same recordings; None if their meshes
-        differ."""
+        """A copy on another objective's local bases over the same recordings. None if their meshes differ."""
         made = dict[Predictor, Predictor]()
         for own, known in zip(self.predictors, other.predictors, strict=True):
-            if own.every.size != known.every.size or known.local is None:
+            if known.local is None or own.every.size != known.every.size or not np.array_equal(
+                    own.every.mesh.mesh.p, known.every.mesh.mesh.p):
                 return None
             if known not in made:
                 values = {**own.problem.values, **known.local.values}
                 made[known] = own.on_basis(replace(known.local.of(own.every), values=values))
         return self.predicted_by([made[known] for known in other.predictors])
 
+    def coarser(self, tolerance: float) -> Objective:
+        """A copy on local bases reduced to `tolerance` of Z."""
+        def few(predictor: Predictor, indices: Sequence[int]) -> Predictor:
+            local = predictor.local
+            return predictor if local is None else predictor.on_basis(
+                replace(local, model=local.model.coarser(tolerance)))
+
+        return self._remade(few)
+
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
-        """A copy without terms that are zero at x (p,) and stay so while no others than `only` move."""
+        """A copy without terms that stay zero while only `only` move. x is (p,)."""
         moving = sorted(only)
         # Anywhere else: a term that is zero there too is zero everywhere, unless a number brings it in further on.
         scales = np.array([self.parameters[i].scale for i in moving])
         y = x.copy()
         y[moving] += 0.01 * scales * np.random.default_rng(0).uniform(0.5, 1.0, len(moving))
-        made = {}
-        for predictor, indices in self._sharing().items():
+
+        def acting(predictor: Predictor, indices: Sequence[int]) -> Predictor:
             there = {key: value for index in indices for key, value in self.settings(y, index)[0].items()}
             brought = {key for index in indices for i, p, key in self.views[index].moved
                        if i in only and p.prior is None and p.parsed.kind is ParameterKind.TERM}
-            made[predictor] = predictor.restricted(self._values(x, indices[0]), there, brought)
-        return self.predicted_by([made[predictor] for predictor in self.predictors])
+            return predictor.restricted(self._values(x, indices[0]), there, brought)
+
+        return self._remade(acting)
 
     def neumann_enriched(
         self, x: Real, places: Sequence[Real], tolerance: float, *, only: Collection[int], terms: int = TERMS
     ) -> Objective:
-        """A copy, of :meth:`near`, on models that also hold the states on the way from x to `places` (p,).
+        """A copy of :meth:`near`, with models of the way to `places` (p,).
 
-        Nothing but the parameters of the indices `only` is going to move.
+        The way begins at x (p,). Only the parameters of the indices `only` will move.
         """
-        def local(predictor: Predictor, indices: Sequence[int]) -> LocalBasis:
-            assert predictor.local is not None  # one of `near`
-            there = self._relative(predictor.local, indices[0], x, places)
-            observes = self.recordings[indices[0]].observable is not None
-            return predictor.local.neumann_enriched(there, min(tolerance, OF_STATES) if observes else tolerance, terms)
-
         own = self._acting(x, only)
-        return own._on_bases(local, own._sharing().items())
 
-    def _relative(self, local: LocalBasis, index: int, x: Real, places: Sequence[Real]) -> list[dict[str, complex]]:
-        """Parameter values of one recording at each of `places`, relative to the point the local basis was made at.
+        def further(predictor: Predictor, indices: Sequence[int]) -> Predictor:
+            assert predictor.local is not None  # one of `near`
+            # Values relative to the point that the local basis was made at; places equal to x are left out.
+            here, made_at = self._values(x, indices[0]), predictor.local.values
+            there = [{name: made_at[name] + values[name] - here[name] for name in made_at}
+                     for values in (self._values(each, indices[0]) for each in places) if values != here]
+            observes = self.recordings[indices[0]].observable is not None
+            return predictor.on_basis(predictor.local.neumann_enriched(
+                there, min(tolerance, OF_STATES) if observes else tolerance, terms))
 
-        Places equal to x (p,) are left out.
-        """
-        here, own = self._values(x, index), local.values
-        return [{name: own[name] + values[name] - here[name] for name in own}
-                for values in (self._values(each, index) for each in places) if values != here]
+        return own._remade(further)
 
     def with_every(self, x: Real) -> Objective:
-        """A copy for x (p,) alone, on models that give the derivatives by every parameter there."""
-        made = {predictor: predictor.with_every([self.settings(x, index)[0] for index in indices])
-                for predictor, indices in self._sharing().items()}
+        """A copy at x (p,) alone, with derivatives by every parameter."""
         views = [view if (observable := view.recording.observable) is None else replace(
             view, recording=replace(view.recording, observable=observable.by_full_solves())) for view in self.views]
-        return replace(self, views=tuple(views)).predicted_by([made[predictor] for predictor in self.predictors])
+        return replace(self, views=tuple(views))._remade(lambda predictor, indices: predictor.with_every(
+            [self.settings(x, index)[0] for index in indices]))
 
     def _values(self, x: Real, index: int) -> dict[str, complex]:
-        """All values of the problem of the recording of that index at x (p,)."""
+        """All problem values of a recording at x (p,)."""
         return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
 
     def _alike(self, x: Real, indices: Sequence[int]) -> list[list[int]]:
-        """Recordings, by index, in groups of equal values at x (p,), of the values that anything depends on."""
-        groups: list[tuple[dict[str, complex], list[int]]] = []
+        """Recordings, by index, in groups of equal values at x (p,). Unused values are ignored."""
+        groups: dict[frozenset[tuple[str, complex]], list[int]] = {}
         for index in indices:
             depending = self.predictors[index].operators.coefficients.parameters
-            values = {name: value for name, value in self._values(x, index).items() if name in depending}
-            known = next((group for other, group in groups if other == values), None)
-            if known is None:
-                groups.append((values, [index]))
-            else:
-                known.append(index)
-        return [group for _, group in groups]
-
-    def _on_bases(
-        self, local: Callable[[Predictor, Sequence[int]], LocalBasis],
-        groups: Iterable[tuple[Predictor, Sequence[int]]],
-    ) -> Objective:
-        """A copy on other local bases, one for each predictor and some of its recordings, by index."""
-        made = dict[int, Predictor]()
-        for predictor, indices in groups:
-            made.update(dict.fromkeys(indices, predictor.on_basis(local(predictor, indices))))
-        return self.predicted_by([made[index] for index in range(len(self.views))])
+            values = frozenset(item for item in self._values(x, index).items() if item[0] in depending)
+            groups.setdefault(values, []).append(index)
+        return list(groups.values())
 
     def _moves_about(self, x: Real, indices: Sequence[int], reach: Mapping[str, float]) -> dict[str, float]:
-        """The distances of values of recordings that share a model from those of the first of them at x (p,)."""
+        """Distances of the values of recordings of one model, at x (p,). They are from the first recording."""
         values, _ = self.settings(x, indices[0])
         moves: dict[str, float] = {}
         for index in indices:
             there = self.settings(x, index)[0]
             # Offsets set recordings apart that share a model: it has to reach from the first to each.
             apart = {key: size for key in values if (size := abs(there.get(key, values[key]) - values[key])) > 0.0}
-            found = self._reach(index, reach)
-            for key in {**found, **apart}:
-                moves[key] = max(moves.get(key, 0.0), found.get(key, 0.0) + apart.get(key, 0.0))
+            own = self._reach(index, reach)
+            for key in {**own, **apart}:
+                moves[key] = max(moves.get(key, 0.0), own.get(key, 0.0) + apart.get(key, 0.0))
         return moves
 
     def _sharing(self) -> dict[Predictor, list[int]]:
         """The recordings of each predictor, by index."""
-        found: dict[Predictor, list[int]] = {}
+        indices: dict[Predictor, list[int]] = {}
         for index, predictor in enumerate(self.predictors):
-            found.setdefault(predictor, []).append(index)
-        return found
+            indices.setdefault(predictor, []).append(index)
+        return indices
+
+    def _remade(self, make: Callable[[Predictor, Sequence[int]], Predictor]) -> Objective:
+        """A copy with predictors made from each and its recordings' indices."""
+        made = {predictor: make(predictor, indices) for predictor, indices in self._sharing().items()}
+        return self.predicted_by([made[predictor] for predictor in self.predictors])
 
     def _reach(self, index: int, reach: Mapping[str, float]) -> dict[str, float]:
-        """The moves of the values of one recording where parameters move by `reach`: an offset adds to the others.
+        """The moves of one recording's values for parameter moves `reach`.
 
-        Only of values that parameters in `reach` move.
+        An offset adds to the others. Only values that parameters in `reach` move are included.
         """
         problem = self.recordings[index].problem
         parts: dict[tuple[str, bool], float] = {}
@@ -314,21 +317,24 @@ class Objective:
         return replace(self, views=tuple(view for view in self.views if view.recording.name in names))
 
     def joined(self, other: Objective) -> Objective:
-        """A copy with the recordings of another objective of the same parameters after its own."""
+        """A copy with the recordings of another objective after its own. Both have the same parameters."""
         return replace(self, views=self.views + other.views)
 
-    def truncated(self, points: Sequence[Real]) -> Objective:
-        """A copy truncated to what the spectra at `points` (p,) need of each basis, with a count of its own."""
-        made = dict[Predictor, Predictor]()
-        for predictor, indices in self._sharing().items():
+    def truncated(self, points: Sequence[Real], error: float | None = None) -> Objective:
+        """A copy with bases truncated for `points` (p,), and its own count.
+
+        The truncation adds a relative `error` of Z; see `Predictor.truncated`.
+        """
+        def few(predictor: Predictor, indices: Sequence[int]) -> Predictor:
             settings: list[dict[str, complex]] = []
             for each in (self.settings(point, index)[0] for point in points for index in indices):
                 settings += [each] if each not in settings else []
-            made[predictor] = predictor.truncated(settings)
-        return self.predicted_by([made[predictor] for predictor in self.predictors])
+            return predictor.truncated(settings, error)
+
+        return self._remade(few)
 
     def thinned(self, points: int) -> Objective:
-        """A copy of at most about `points` points of each recording, with a count of its own."""
+        """A copy of about `points` points of each recording. It has a count of its own."""
         views, known = [], dict[tuple[Predictor, bytes], Predictor]()
         for view in self.views:
             recording = view.recording.thinned(points)
@@ -340,7 +346,7 @@ class Objective:
         return replace(self, views=tuple(views))
 
     def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float]]:
-        """Complex values and bench elements that x (p,) means for the recording of that index."""
+        """Complex values and bench elements of a recording at x (p,)."""
         view = self.views[index]
         problem = view.recording.problem
         result = {name: complex(problem.values[name]) for name in view.keys}
@@ -352,21 +358,20 @@ class Objective:
         for column, p in view.bench:
             # An ideal element is zero, so the shared number and the offset of one recording add up.
             bench[p.parsed.key] = bench.get(p.parsed.key, 0.0) + float(x[column])
-        result = {key: value * self._scale(x, index, key) for key, value in result.items()}
-        return result, bench
+        return {key: value * self._scale(x, index, key) for key, value in result.items()}, bench
 
     def _scale(self, x: Real, index: int, key: str) -> float:
-        """The factor on a value of a recording's problem by all parameters that scale it."""
+        """The factor on a value of a problem by all scaling parameters."""
         powers = [(1.0 + x[column]) ** power for column, own, power in self.views[index].scaled if own == key]
         return float(np.prod(powers))
 
     def predict(
         self, x: Real, index: int, free: Collection[int] | None = None, known: Prediction | None = None
     ) -> tuple[Complex, Complex, Prediction]:
-        """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them.
+        """Impedance (n,) behind the bench, its logarithmic derivatives, and the prediction.
 
-        Derivatives by other parameters than those of the indices `free`, if these are given, are left zero. A
-        prediction `known` of the same problem stands for this one where it is of the same system.
+        d ln Z / dx (n, p) by parameters outside the indices `free`, if given, stays zero. A prediction `known` of the
+        same system is used again.
         """
         view = self.views[index]
         problem, predictor = view.recording.problem, view.predictor
@@ -405,9 +410,9 @@ class Objective:
         self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
         free: Collection[int] | None = None,
     ) -> Residual:
-        """The residuals at x (p,), SI; `smoothing` is the half width (Hz) of the Lorentzian, 0 for none.
+        """The residuals at x (p,), SI, smoothed by a Lorentzian.
 
-        `free` as in :meth:`predict`.
+        `smoothing` is its half width (Hz), 0 for none; `free` as in :meth:`predict`.
 
         Raises:
             NotEnriched, MeshError, InputError: nothing can be predicted at x.
@@ -437,26 +442,26 @@ class Objective:
 def _shared(
     recordings: Sequence[FitRecording], moved: Sequence[tuple[str, ...]], tolerance: float
 ) -> tuple[Predictor, ...]:
-    """One predictor of every recording, shared by all of one problem, with tangents by all parameters `moved` in any.
+    """One predictor for every problem, with tangents by all parameters `moved`.
 
-    Values that only one of them moves do not set it apart: predictors get all values with every call.
+    Values that only one recording moves do not separate them: predictors get all values with every call.
     """
     alike = [(id(r.problem.mesh), r.problem.terms, r.measured.frequency.tobytes()) for r in recordings]
-    found: dict[Any, Predictor] = {}
+    predictors: dict[Any, Predictor] = {}
     assembled: dict[Any, FullOperators] = {}
     for r, key in zip(recordings, alike, strict=True):
-        if key not in found:
+        if key not in predictors:
             tangents = dict.fromkeys(name for names, other in zip(moved, alike, strict=True) if other == key
                                      for name in names if name in r.problem.values)
             if key[:2] not in assembled:
                 assembled[key[:2]] = assemble(r.problem.mesh, r.problem.terms)
-            found[key] = Predictor(r.problem, r.measured.frequency, tolerance=tolerance, tangents=tuple(tangents),
-                                   every=assembled[key[:2]])
-    return tuple(found[key] for key in alike)
+            predictors[key] = Predictor(r.problem, r.measured.frequency, tolerance=tolerance, tangents=tuple(tangents),
+                                        every=assembled[key[:2]])
+    return tuple(predictors[key] for key in alike)
 
 
 def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> FitRecording:
-    """The recording with those lengths of its chip among the values of its problem that parameters move.
+    """The recording with moved lengths of its chip among its problem's values.
 
     Problems of one mesh and one model go on sharing these; `known` holds those made so far.
     """
@@ -470,25 +475,25 @@ def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], know
     key = id(problem.mesh), problem.terms, tuple(ranges.items())
     if key not in known:
         known[key] = parametrised_within(problem, chip, ranges)
-    like = known[key]
-    return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
-                                              values={**like.values, **problem.values}))
+    return replace(recording, problem=problem.following(known[key]))
 
 
-def _corners(values: Mapping[str, complex], moves: Mapping[str, float]) -> list[dict[str, complex]]:
-    """Some places where all values have moved by as much as is expected, in directions that are drawn."""
-    signs = np.random.default_rng(1).choice([-1.0, 1.0], (CORNERS, len(moves)))
-    return [{**values, **{name: values[name] + sign * moves[name] for sign, name in zip(row, moves, strict=True)}}
-            for row in signs]
+def _acting_on(recording: FitRecording, parameters: Sequence[Parameter]) -> tuple[_Moved, _Scaled, _Bench]:
+    """The parameters that act on a recording, as a :class:`RecordingView` has them."""
+    own = [(column, p) for column, p in enumerate(parameters) if p.acts_in(recording.owner)]
+    moved = sorted(((column, p, key) for column, p in own if (key := _moves(p, recording)) is not None),
+                   key=lambda each: each[1].offset)
+    scaled = [(column, key, power) for column, p in own for key, power in p.powers if key in recording.problem.values]
+    return tuple(moved), tuple(scaled), tuple((column, p) for column, p in own if p.is_bench)
 
 
-def _keys(moved: Sequence[tuple[int, Parameter, str]], scaled: Sequence[tuple[int, str, float]]) -> tuple[str, ...]:
+def _keys(moved: Iterable[tuple[int, Parameter, str]], scaled: Iterable[tuple[int, str, float]]) -> tuple[str, ...]:
     """The values that are moved or scaled, each once."""
     return tuple(dict.fromkeys([*(key for _, _, key in moved), *(key for _, key, _ in scaled)]))
 
 
 def _moves(parameter: Parameter, recording: FitRecording) -> str | None:
-    """The value of a recording's problem that a parameter moves, None if there is none."""
+    """The value of a recording's problem that a parameter moves, or None."""
     values = recording.problem.values
     if parameter.is_bench:
         return None

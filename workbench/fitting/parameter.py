@@ -1,7 +1,4 @@
-"""The free parameters of a fit: real numbers with a start, bounds and a prior.
-
-Their names are those of `workbench.model.numbers`.
-"""
+"""The free parameters of a fit, with start, bounds and prior."""
 
 from __future__ import annotations
 
@@ -27,10 +24,16 @@ DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0
 HANDBOOK = 0.2
 
 #: The loss a fit starts from where none is known, and how far it may lie off, relative to the real part. A ceramic
-#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2.
+#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2. The permittivities of a soft one at constant strain lose
+#: three times what the sheet states of them at constant stress.
 CERAMIC_LOSS = 1e-3
 CERAMIC_LOSS_REACH = 5e-2
+PERMITTIVITY_LOSS_REACH = 0.2
 POLYMER_LOSS_REACH = 0.3
+
+#: Coefficients whose real part is above zero in every solid, and whose loss has one sign.
+DIAGONAL = ("c11", "c33", "c44", "bulk_modulus", "shear_modulus")
+PERMITTIVITIES = ("eps11", "eps33")
 
 #: Share of a size that a derivative by it needs on either side.
 NEARBY = 0.005
@@ -41,14 +44,13 @@ BEYOND = "short of another radius; to search beyond that, change the radius in t
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Number):
-    """A number that a fit may move, from its value and within its range; what is stated of it is the prior.
+    """A free parameter: a number with start, range and prior.
 
-    ``recordings`` are the names of those it acts in, empty for all. Where ``relative``, the number multiplies the
-    coefficient that each recording's problem has: a fluid at two temperatures. An ``offset`` is added to what the other
-    parameters of the value, or its problem, give: to the factor where both are relative. ``beyond`` tells what to do
-    about a bound that does not come from what is known. ``nuisance`` is whether it is no answer, and is there for what
-    it leaves uncertain of the others. ``powers`` are values, by their keys, that the number x scales together: each by
-    (1 + x)**power, after all others have been set.
+    ``recordings`` are the names of those it acts in, empty for all. If ``relative``, it multiplies the coefficient of
+    each recording's problem: a fluid at two temperatures. An ``offset`` is added to the value by the other parameters
+    or by the problem: to the factor if both are relative. ``beyond`` is the remedy for an arbitrary bound. A
+    ``nuisance`` is free only for its effect on uncertainties. The number x scales the values of the keys in ``powers``
+    together: each by (1 + x)**power, after all others have been set.
     """
 
     recordings: tuple[str, ...] = ()
@@ -72,12 +74,12 @@ class Parameter(Number):
 
     @property
     def prior(self) -> float | None:
-        """The standard uncertainty of :attr:`start` known beforehand, None if nothing was."""
+        """The standard uncertainty of :attr:`start`, None without a prior."""
         return self.stated.deviation if self.stated else None
 
     @property
     def is_film(self) -> bool:
-        """Whether it is the thickness of a film of gel or glue, which spectra may show at several values."""
+        """Whether it is a film thickness, with several optima in a spectrum."""
         return self.is_dimension and is_film(self.name) and not self.offset
 
     def acts_in(self, recording: str) -> bool:
@@ -86,7 +88,7 @@ class Parameter(Number):
 
     @property
     def scale(self) -> float:
-        """The unit of its steps: the prior, or a fifth of the admitted range."""
+        """The unit of steps: the prior, or a fifth of its range."""
         return self.prior if self.prior is not None else 0.2 * (self.high - self.low)
 
 
@@ -98,7 +100,7 @@ POLYMER_FOUR = ("bulk_modulus", "bulk_modulus.loss", "shear_modulus", "shear_mod
 
 
 def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
-    """The parameter ``<material>.<name>`` of a problem, with the bounds and the prior of its kind.
+    """The parameter ``<material>.<name>`` of a problem, with bounds and prior.
 
     A real part may move by half of itself, with the registry's uncertainty for prior or else that of a data sheet;
     a loss within the reach of its kind. A loss the registry does not know starts at a thousandth of the real part.
@@ -107,64 +109,53 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
         InputError: the material has no such coefficient, or it cannot have a loss.
     """
     known = coefficients_of(problem, material)
-    parsed = ParameterName.parse(name)
-    coefficient = parsed.key
+    full = ParameterName.parse(f"{material}.{name}")
+    coefficient = full.coefficient
     if coefficient not in known:
         raise InputError("fit", "free", name, f"a coefficient of {material}: {', '.join(known)}, each also with "
                          f"{LOSS!r}", nearest_names(coefficient, known))
-    found = next(m for m in problem.materials.values() if m.name == material)
-    value = complex(problem.values[f"{material}.{coefficient}"])
-    full = ParameterName.parse(f"{material}.{name}")
-    if parsed.is_loss:
-        return _loss(full, value, found)
-    stated = coefficient_number(found, coefficient).stated or Stated(_data_sheet(coefficient) * abs(value.real),
-                                                                     origin="data sheets of its kind")
-    reach = max(0.5 * abs(value.real), 5.0 * stated.deviation)
-    low, high = value.real - reach, value.real + reach
-    if coefficient in ("c11", "c33", "c44", "eps11", "eps33", "density", "sound_speed", "bulk_modulus",
-                       "shear_modulus"):
+    solid = next(m for m in problem.materials.values() if m.name == material)
+    value = complex(problem.values[full.key])
+    if full.is_loss:
+        return _loss(full, value, solid)
+    size = abs(value.real)
+    kinds = ("density", "eps", "e", "c")
+    by_kind = next((DATA_SHEET[kind] for kind in kinds if coefficient.startswith(kind)), HANDBOOK)
+    stated = coefficient_number(solid, coefficient).stated or Stated(by_kind * size, origin="data sheets of its kind")
+    reach = max(0.5 * size, 5.0 * stated.deviation)
+    low = value.real - reach
+    if coefficient in (*DIAGONAL, *PERMITTIVITIES, "density", "sound_speed"):
         low = max(low, 0.05 * value.real)
-    return Parameter(str(full), value.real, low, high, stated, full.unit)
+    return Parameter(str(full), value.real, low, value.real + reach, stated, full.unit)
 
 
 def coefficients_of(problem: Problem, material: str) -> list[str]:
-    """The coefficients of a `material` among the values of a problem, without its name."""
+    """The coefficients of a `material` in a problem, without its name."""
     return [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
 
 
-def _data_sheet(coefficient: str) -> float:
-    for prefix in ("density", "eps", "e", "c"):
-        if coefficient.startswith(prefix):
-            return DATA_SHEET[prefix]
-    return HANDBOOK
-
-
 def _loss(name: ParameterName, value: complex, material: Material) -> Parameter:
-    coefficient = name.coefficient
-    if coefficient == "density" or not isinstance(material, Piezoelectric | IsotropicSolid):
+    if name.coefficient == "density" or not isinstance(material, Piezoelectric | IsotropicSolid):
         raise InputError("fit", "free", str(name), "a coefficient that can have a loss: a stiffness, a modulus, a "
                          "piezoelectric constant or a permittivity")
-    size = abs(value.real)
+    size, start = abs(value.real), value.imag
     ceramic = isinstance(material, Piezoelectric)
-    reach = (CERAMIC_LOSS_REACH if ceramic else POLYMER_LOSS_REACH) * size
-    gains = coefficient in ("eps11", "eps33")
-    diagonal = gains or coefficient in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus")
-    sign = 1.0 if gains or not diagonal else -1.0
-    start = value.imag
+    permittivity = name.coefficient in PERMITTIVITIES
+    diagonal = permittivity or name.coefficient in DIAGONAL
     if start == 0.0 and diagonal:
-        start = sign * (CERAMIC_LOSS if ceramic else 0.02) * size
-    reach = max(reach, 3.0 * abs(start))
-    low, high = (-reach, reach) if not diagonal else ((0.0, reach) if gains else (-reach, 0.0))
+        start = (1.0 if permittivity else -1.0) * (CERAMIC_LOSS if ceramic else 0.02) * size
+    reach = PERMITTIVITY_LOSS_REACH if permittivity else CERAMIC_LOSS_REACH if ceramic else POLYMER_LOSS_REACH
+    reach = max(reach * size, 3.0 * abs(start))
+    low, high = 0.0 if permittivity else -reach, reach if permittivity or not diagonal else 0.0
     return Parameter(str(name), start, low, high, Stated(max(0.5 * reach, abs(start)), origin="losses of its kind"),
                      name.unit)
 
 
 def dimension_parameter(chip: Chip, name: str) -> Parameter:
-    """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
+    """A dimension of a chip, within three tolerances of its value.
 
-    Where the chip file states none, its role says what is assumed (`geometry.assumed`). A radius does not reach the
-    next one, and stands for all radii of its length, under the first of their names; what several of them state of
-    their tolerance must agree.
+    The tolerance bounds a uniform law; if not stated, it is that of the role (`geometry.assumed`). A radius does not
+    reach the next one, and stands for all radii of its length, by the first name; their stated tolerances must agree.
 
     Raises:
         InputError: the chip has no such dimension, states it as exact, or states two tolerances of radii that coincide.
@@ -173,27 +164,27 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     if name not in known:
         raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
                          nearest_names(name, known))
-    found = length_number(chip, name)
-    if found.tolerance == 0.0:
+    number = length_number(chip, name)
+    if number.tolerance == 0.0:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
-    wanted = found.known.lowest, found.known.highest
-    low, high = stretchable([chip], found.name, *wanted)
-    beyond = BEYOND if found.parsed.is_radius and (low, high) != wanted else ""
-    stated = found.stated or assumed_by_role(found.name, found.value)
-    return Parameter(found.name, found.value, low, high, stated, found.unit, found.tied, beyond=beyond)
+    wanted = number.known.lowest, number.known.highest
+    low, high = stretchable([chip], number.name, *wanted)
+    beyond = BEYOND if number.parsed.is_radius and (low, high) != wanted else ""
+    stated = number.stated or assumed_by_role(number.name, number.value, number.material)
+    return Parameter(number.name, number.value, low, high, stated, number.unit, number.tied, material=number.material,
+                     beyond=beyond)
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
-    """A range (m or rad) about a shape that the chip states, or another size of it: twice the usual size of such
-    shapes, or twice :data:`NEARBY` of the size, to either side."""
+    """A narrow range (m or rad) about a size, for derivatives."""
     value = chip.dimensions()[name].value
     reach = 2.0 * SHAPE_UNCERTAINTY.get(ParameterName.parse(name).coefficient, NEARBY * abs(value))
     return admissible_range(chip, name, value - reach, value + reach)
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
-    """The part of bounds (m) within which the meshes of those `chips` that have the dimension keep their topology."""
+    """The part of bounds (m) where meshes of `chips` keep their topology."""
     for chip in chips:
         if name in chip.dimensions():
             low, high = admissible_range(chip, name, low, high)
@@ -203,25 +194,23 @@ def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tu
 def ranges_of_dimensions(
     parameters: Iterable[Parameter], known: Mapping[str, Dimension]
 ) -> dict[str, tuple[float, float]]:
-    """The range (m or rad) of each of the `known` dimensions under `parameters` in any recording, by its name there."""
+    """The ranges (m or rad) of the `known` dimensions under `parameters`. They are over any recording, by name."""
     shared: dict[str, tuple[float, float]] = {}
     own: dict[str, tuple[float, float]] = {}
     for p in parameters:
         for name in p.names:
             if p.is_dimension and name in known:
-                found, start = (own, 0.0) if p.offset else (shared, known[name].value)
-                low, high = found.get(name, (start, start))
-                found[name] = min(low, p.low), max(high, p.high)
-    result = dict(shared)
+                ranges, start = (own, 0.0) if p.offset else (shared, known[name].value)
+                low, high = ranges.get(name, (start, start))
+                ranges[name] = min(low, p.low), max(high, p.high)
     for name, (below, above) in own.items():
         low, high = shared.get(name, (known[name].value,) * 2)
-        result[name] = low + below, high + above
-    return result
+        shared[name] = low + below, high + above
+    return shared
 
 
 def shared_gain(uncertainty: float) -> Parameter:
-    """The gain that all points of a recording share, known to a standard `uncertainty` (relative): of a standard's
-    tolerance, say. It moves no more than what it leaves uncertain of permittivities and stiffnesses."""
+    """The gain of all points of a recording, with a relative `uncertainty`."""
     return replace(bench_parameter("gain"), stated=Stated(uncertainty, origin="the recording"), nuisance=True)
 
 
@@ -236,13 +225,13 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
-    found = bench_number(element)
-    return Parameter(found.name, found.value, found.low, found.high, found.stated, found.unit,
+    number = bench_number(element)
+    return Parameter(number.name, number.value, number.low, number.high, number.stated, number.unit,
                      recordings=tuple(recordings))
 
 
 def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequence[str]) -> tuple[Parameter, ...]:
-    """The parameters called `names`: coefficients of `material`, dimensions of `chip`, or bench elements.
+    """The parameters of some `names`: coefficients, dimensions, or bench elements.
 
     A coefficient of another material is given by its full name, ``material/source.coefficient``.
 
@@ -250,31 +239,26 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
         InputError: a name that is none of these, or given twice.
     """
     result: list[Parameter] = []
+    owners = {m.name for m in problem.materials.values()}
+    own, dimensions = coefficients_of(problem, material), {} if chip is None else chip.dimensions()
     for name in names:
         parsed = ParameterName.parse(name)
         if parsed.is_bench:
-            found = bench_parameter(name)
+            added = bench_parameter(name)
         elif parsed.is_material:
-            if parsed.owner not in {m.name for m in problem.materials.values()}:
-                raise InputError("fit", "free", name, "a coefficient of one of "
-                                 + ", ".join(sorted({m.name for m in problem.materials.values()})))
-            found = material_parameter(problem, parsed.owner, parsed.local)
-        elif chip is not None and name in chip.dimensions():
-            found = dimension_parameter(chip, name)
+            if parsed.owner not in owners:
+                raise InputError("fit", "free", name, f"a coefficient of one of {', '.join(sorted(owners))}")
+            added = material_parameter(problem, parsed.owner, parsed.local)
+        elif chip is not None and name in dimensions:
+            added = dimension_parameter(chip, name)
+        elif parsed.key in own:
+            added = material_parameter(problem, material, name)
         else:
-            found = _own_or_none(problem, chip, material, name)
-        if any(other.name == found.name for other in result):
+            known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
+                     *(BENCH + key for key in BENCH_ELEMENTS)]
+            raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
+                             f"{', '.join(known)}", nearest_names(name, known))
+        if any(other.name == added.name for other in result):
             raise InputError("fit", "free", name, "each parameter once")
-        result.append(found)
+        result.append(added)
     return tuple(result)
-
-
-def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) -> Parameter:
-    own = set(coefficients_of(problem, material))
-    if ParameterName.parse(name).key in own:
-        return material_parameter(problem, material, name)
-    dimensions = [] if chip is None else list(chip.dimensions())
-    known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
-             *(BENCH + key for key in BENCH_ELEMENTS)]
-    raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
-                     f"{', '.join(known)}", nearest_names(name, known))

@@ -1,4 +1,4 @@
-"""A fit from Python: one recording of a device, the chip that describes it, and the material that comes of it.
+"""A fit from Python: recording and chip in, material out.
 
     found = fit(read_recording("disc.csv"), read_chip("disc.toml"), "pzt")
     found.values, found.findings
@@ -23,9 +23,9 @@ from materials.registry import Registry, user_folder, user_registry
 from materials.saving import save_fit
 from workbench.fitting import joint
 from workbench.fitting.joint import FitResult
-from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, prepare
-from workbench.fitting.record import Source, file_digest, refusals, registry_entry
-from workbench.jobs.progress import Progress
+from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, other_ceramics, prepare
+from workbench.fitting.record import Source, file_digest, refusals, registry_entry, tried
+from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.readers import Reading
 from workbench.results.notebook import Shown, Summary
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray
 
 class NotAccepted(RuntimeError):
-    """A fit that is not to be believed is not saved unless that is forced; ``reasons`` say why."""
+    """Saving of a rejected fit without `force`; ``reasons`` say why."""
 
     def __init__(self, reasons: tuple[str, ...]) -> None:
         super().__init__("; ".join(reasons) + "; force=True saves it all the same")
@@ -44,11 +44,7 @@ class NotAccepted(RuntimeError):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MaterialFit(Shown):
-    """A material fitted to a recording.
-
-    ``result`` holds estimates, covariance, descents, bands left out and findings; ``prepared`` what was asked;
-    ``source`` the files it was fitted from.
-    """
+    """A material fitted to a recording: ``result``, ``prepared`` input, and ``source`` files."""
 
     result: FitResult
     prepared: Prepared
@@ -76,19 +72,19 @@ class MaterialFit(Shown):
 
     @property
     def material(self) -> Material:
-        """The freed material with the fitted numbers, their intervals and where they come from."""
+        """The freed material with fitted values, intervals and sources."""
         temperature = self.prepared.chip.state(self.prepared.state).temperature
         return registry_entry(self.result, self.prepared, [self.source], date=datetime.now(UTC),
                               forced=bool(self.reasons_against), temperature=temperature)
 
     def save(self, name: str, *, folder: Path | str | None = None, force: bool = False) -> str:
-        """Keep the material as the next version of `name` in a folder of materials, the user's own by default.
+        """Save the material as the next version of `name` in a folder. By default it is the user's own.
 
         Returns:
             the name it is kept under, such as ``"pzt_mine/disc_7@1"``.
 
         Raises:
-            NotAccepted: the fit is not to be believed, and `force` is not set.
+            NotAccepted: there are reasons against the fit, and `force` is not set.
             InputError: a name that no material can have.
         """
         if self.reasons_against and not force:
@@ -96,7 +92,7 @@ class MaterialFit(Shown):
         return save_fit(self.material, name, folder=user_folder() if folder is None else Path(folder))
 
     def summary(self) -> Summary:
-        """Values with their intervals and the reasons not to trust the fit, for a notebook."""
+        """Values, intervals, and reasons not to trust the fit, for a notebook."""
         match = self.result.recordings[0]
         rows = [("parameter", "value", "95 % interval", "unit")]
         rows += [(e.parameter.name, f"{e.value:.5g}", f"{e.low:.5g} to {e.high:.5g}" if math.isfinite(e.low) else "",
@@ -108,50 +104,42 @@ class MaterialFit(Shown):
                        {"measured": match.measured, "fitted": match.fitted}, ("measured",))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Values, 95 % intervals and standard errors (SI) over ``parameter``; ``correlation`` over two of them."""
+        """Values, 95 % intervals, standard errors (SI) and ``correlation`` over ``parameter``."""
         import xarray
 
         estimates = self.result.estimates
         names = [each.parameter.name for each in estimates]
-        columns = {key: ("parameter", np.array([getattr(each, key) for each in estimates]))
-                   for key in ("value", "low", "high", "standard_error")}
-        columns["start"] = ("parameter", np.array([each.parameter.start for each in estimates]))
-        units = ("parameter", [each.parameter.unit for each in estimates])
-        correlation = (("parameter", "other_parameter"), self.result.correlation)
-        return xarray.Dataset({**columns, "correlation": correlation},
-                              {"parameter": names, "other_parameter": names, "unit": units},
-                              {"mape_percent": self.result.recordings[0].after.mape_percent})
+        return xarray.Dataset(
+            {**{key: ("parameter", np.array([getattr(each, key) for each in estimates]))
+                for key in ("value", "low", "high", "standard_error")},
+             "start": ("parameter", np.array([each.parameter.start for each in estimates])),
+             "correlation": (("parameter", "other_parameter"), self.result.correlation)},
+            {"parameter": names, "other_parameter": names,
+             "unit": ("parameter", [each.parameter.unit for each in estimates])},
+            {"mape_percent": self.result.recordings[0].after.mape_percent})
 
 
 def fit(
-    recording: Reading | Spectrum,
-    chip: Chip,
-    kind: str = "pzt",
-    *,
-    state: str | None = None,
-    material: str | None = None,
-    region: str | None = None,
-    free: Sequence[str] = (DEFAULT,),
-    band: tuple[float, float] | None = None,
-    starts: Sequence[str] = (),
-    registry: Registry | None = None,
-    accuracy: float | Discretisation = ACCURACY,
-    tries: int = 32,
-    progress: Progress | None = None,
+    recording: Reading | Spectrum, chip: Chip, kind: str = "pzt", *, state: str | None = None,
+    material: str | None = None, region: str | None = None, free: Sequence[str] = (DEFAULT,),
+    band: tuple[float, float] | None = None, starts: Sequence[str] = (), registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY, tries: int = 32, progress: Progress = no_progress,
 ) -> MaterialFit:
     """Fit a material to the recording of a device.
 
     Args:
         kind: "pzt" frees the constants of the transducer, "polymer" the moduli of the sample.
         state: of the chip; its last one by default.
-        material: what the fit starts from, in place of the chip's own material of that region.
+        material: the start of the fit, in place of the chip's own material of that region.
         region: whose material is free, in place of the kind's own.
         free: names of parameters, such as ``c33``, ``c33.loss``, ``transducer.thickness``,
-            ``bench.series_resistance``; "default" stands for those of the kind.
-        band: in Hz; the chip's own by default.
-        starts: further materials of the registry to start from.
+            ``bench.series_resistance``; "default" stands for the constants of a ceramic that the recording shows, or
+            for the moduli of a sample.
+        band: the part of the recording that is fitted, Hz; the chip's own by default.
+        starts: further materials of the registry to start from: their values of the free parameters. All other
+            ceramics of the registry are tried where the recording stays unexplained.
         registry: where materials are looked up; the package's and the user's own by default.
-        accuracy: relative error of Z that the mesh is made for.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
         tries: most further descents where the recording stays unexplained.
 
     Raises:
@@ -165,16 +153,16 @@ def fit(
     name = Path(measured.origin.source).stem or "recording"
     prepared = prepare(chip, registry, kind=kind, name=name, measured=measured, state=state, material=material,
                        region=region, free=free, band=band, accuracy=accuracy)
-    result = joint.fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse,
-                                  starts=material_starts(prepared, registry, starts), tries=tries, progress=progress)
-    return MaterialFit(result, prepared, _source(measured, chip, findings))
-
-
-def _source(measured: Spectrum, chip: Chip, findings: tuple[str, ...]) -> Source:
-    """The files behind a recording and a chip; the digest of the content where there is no file."""
+    result = joint.fit_parameters(
+        prepared.recordings, prepared.parameters, coarse=prepared.coarse,
+        starts=material_starts(prepared, registry, starts),
+        others=material_starts(prepared, registry, other_ceramics(prepared, registry, starts)), tries=tries,
+        progress=progress)
+    result = tried(result, prepared, registry, tries, progress)
+    # The digest of the content where there is no file.
+    file, origin = Path(chip.file), measured.origin
     content = np.concatenate([measured.frequency, measured.impedance.real, measured.impedance.imag]).tobytes()
-    file = Path(chip.file)
     described = file_digest(file) if file.is_file() else hashlib.sha256(repr(chip).encode()).hexdigest()
-    return Source(measured.origin.source or "a spectrum of no file",
-                  measured.origin.sha256 or hashlib.sha256(content).hexdigest(), chip.file or chip.name, described,
-                  findings)
+    return MaterialFit(result, prepared, Source(
+        origin.source or "a spectrum of no file", origin.sha256 or hashlib.sha256(content).hexdigest(),
+        chip.file or chip.name, described, findings))

@@ -1,4 +1,4 @@
-"""The least-squares problem of a fit: weighted data, priors, bounds, matrix inequalities; tempered searches in it."""
+"""The least-squares problem of a fit, and tempered searches in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geometry.mesh import MeshError
 from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
-from workbench.fitting.covariance import Covariance
+from workbench.fitting.covariance import Covariance, prior_rows
 from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.jobs.progress import Progress, no_progress
 from workbench.reduced.at_point import NotEnriched
@@ -23,15 +23,15 @@ from workbench.search.optimum import standard_errors
 
 Real = NDArray[np.float64]
 
-#: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
-#: the prior hold what the smoothed spectra cannot see.
-EXPLORATION = 0.05
+#: Stages from far smoothing to none. The deviation of the points stands for all physics missing in the model. With it
+#: the prior fixes parameters that smoothed spectra do not determine. A stage that has not ended after 20 steps is in a
+#: flat valley, or in none.
+SCHEDULE = Schedule(tuple(ContinuationStage(0.05, smoothing) for smoothing in (0.03, 0.01, 0.003, 0.0)))
 
-#: Stages from far smoothing to none. One that has not ended after its 20 steps is in a valley that says little, or in
-#: none.
-SCHEDULE = Schedule(tuple(ContinuationStage(EXPLORATION, smoothing) for smoothing in (0.03, 0.01, 0.003, 0.0)))
+#: Relative error of the reduced model while exploring.
+COARSE = 5e-2
 
-#: Points of a recording that a search uses, at most about.
+#: Approximate number of points of a recording in a search.
 SEARCHED_POINTS = 241
 
 #: A descent is given up where it costs more than this many times the cost of the best at the same smoothing.
@@ -46,7 +46,7 @@ NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """A residual with the prior's rows below: what `minimise` sees."""
+    """A residual with the prior's rows below, for `minimise`."""
 
     vector: Real
     jacobian: Real
@@ -64,30 +64,30 @@ FitDescent = TemperedMinimum[Weighted]
 class FitSearch:
     """The least-squares problem of one objective: bounds, prior and inequalities around it.
 
-    Only the parameters of the indices `free` move, all by default; the priors of those in `released` are left out.
+    Only the parameters of the indices `free` move, all by default; those in `without_prior` have none. ``prior_rows`` R
+    (p, p) is a root of the precision R^T R of the prior, whose numbers have the `correlation` (p, p), none by default.
     """
 
     def __init__(
-        self, objective: Objective, *, poisson: tuple[float, float] | None = None, free: Sequence[int] | None = None,
-        released: Collection[int] = (), refusals: list[str] | None = None,
+        self, objective: Objective, *, free: Sequence[int] | None = None, without_prior: Collection[int] = (),
+        refusals: list[str] | None = None, correlation: Real | None = None,
     ) -> None:
-        #: The objective with the models that the search has come to.
+        #: The objective with the present models of the search.
         self.objective, self.parameters = objective, objective.parameters
-        #: Why steps could not be taken, one entry for each; shared by all that are made of this.
+        #: Reasons of failed steps, one entry for each; shared by all copies.
         self.refusals = [] if refusals is None else refusals
         self.free = np.arange(len(self.parameters)) if free is None else np.array(sorted(free), dtype=int)
         self.low = np.array([p.low for p in self.parameters])
         self.high = np.array([p.high for p in self.parameters])
         self.scale = np.array([p.scale for p in self.parameters])
         self.centre = np.array([p.start for p in self.parameters])
-        self.precision = np.array([0.0 if p.prior is None or i in released else 1.0 / p.prior
-                                   for i, p in enumerate(self.parameters)])
-        problems = [r.problem for r in objective.recordings]
-        moving = [self.parameters[i] for i in self.free]
-        names = [r.name for r in objective.recordings]
-        found = (inequalities(problems, moving, recordings=names) if poisson is None
-                 else inequalities(problems, moving, poisson=poisson, recordings=names))
-        self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
+        self.prior_rows = prior_rows([None if i in without_prior else p.prior for i, p in enumerate(self.parameters)],
+                                     correlation)
+        conditions = inequalities([r.problem for r in objective.recordings], [self.parameters[i] for i in self.free],
+                                  recordings=[r.name for r in objective.recordings])
+        among = np.eye(len(self.parameters))[:, self.free]
+        #: Inequalities of the free parameters, as functions of all.
+        self.inequalities = tuple(replace(each, slopes=np.tensordot(among, each.slopes, axes=1)) for each in conditions)
         #: Covariance of the deviations beside the noise of the points, if there are any.
         self.covariance: Covariance | None = None
 
@@ -103,33 +103,23 @@ class FitSearch:
         other.covariance = covariance
         return other
 
-    def thinned(self) -> FitSearch:
-        """The problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
-        return self.with_objective(self.objective.thinned(SEARCHED_POINTS))
-
-    def _among_all(self, inequality: Inequality) -> Inequality:
-        """An inequality of the free parameters as one of all."""
-        slopes = np.zeros((len(self.parameters), *inequality.constant.shape))
-        slopes[self.free] = inequality.slopes
-        return replace(inequality, slopes=slopes)
-
     def evaluate(
         self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0, free: Collection[int] | None = None
     ) -> Weighted:
-        """Data and prior, about the parameters' own starts, at x (p,); `free` as in `Objective.predict`."""
+        """Data and prior at x (p,); `free` as in `Objective.predict`. The prior is about the parameters' own starts."""
         data = self.objective(x, deviation=deviation, smoothing=smoothing, free=free)
         self.objective = self.objective.holding(data.predictions)
         vector, jacobian = data.vector, data.jacobian
         if self.covariance is not None:
             vector, jacobian = self.covariance.whitened(vector), self.covariance.whitened(jacobian)
-        vector = np.concatenate([vector, (x - self.centre) * self.precision])
-        return Weighted(vector, np.vstack([jacobian, np.diag(self.precision)]), data)
+        vector = np.concatenate([vector, self.prior_rows @ (x - self.centre)])
+        return Weighted(vector, np.vstack([jacobian, self.prior_rows]), data)
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
         tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
     ) -> Optimum:
-        """The least cost near x; the parameters of the indices `fixed` stay where they are."""
+        """The least cost near x, with the indices `fixed` not moved."""
         free = np.setdiff1d(self.free, fixed)
         moved = frozenset(map(int, free))
 
@@ -140,22 +130,22 @@ class FitSearch:
 
         def reduced(y: Real) -> Weighted:
             full = self.evaluate(whole(y), deviation, smoothing, moved)
-            return Weighted(full.vector, full.jacobian[:, free], full.data)
+            return replace(full, jacobian=full.jacobian[:, free])
 
-        found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
-                         inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
-                         refused=REFUSED)
-        self.refusals.extend(found.refusals)
-        return replace(found, x=whole(found.x))
+        minimum = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
+                           inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
+                           refused=REFUSED)
+        self.refusals.extend(minimum.refusals)
+        return replace(minimum, x=whole(minimum.x))
 
     def inside(self, x: Real) -> Real:
-        """The start of :meth:`minimise` from x (p,): x, or a point near it strictly inside the admissible set."""
+        """x (p,), or a point near it strictly inside the admissible set."""
         result, free = x.copy(), self.free
         result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
         return result
 
     def _conditions(self, x: Real, free: NDArray[np.int64]) -> list[Inequality]:
-        """The inequalities of the parameters of the indices `free`, with the others where x (p,) has them."""
+        """The inequalities of the parameters `free`, with others at x (p,)."""
         held = x.copy()
         held[free] = 0.0
         return [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
@@ -171,7 +161,7 @@ class FitSearch:
         return SCHEDULE.resolved(_spacing(self.objective.recordings[0]) / self.middle)
 
     def solve(self, stage: ContinuationStage, x: Real, deviation: Sequence[Real | float]) -> Optimum:
-        """The end of a stage from x (p,), with points of that `deviation`, the stage's own included."""
+        """The end of a stage from x (p,). The points have that `deviation` and the stage's own."""
         return self.minimise(x, deviation, smoothing=stage.smoothing * self.middle, limit=stage.limit,
                              tolerance=stage.tolerance, fixed=stage.held)
 
@@ -179,10 +169,9 @@ class FitSearch:
         self, x: Real, *, first: int = 0, rival: FitDescent | None = None,
         progress: Progress = no_progress,
     ) -> FitDescent:
-        """The end of a tempered search from x (p,), moved to where it is admissible, from the stage of number `first`.
+        """The end of a tempered search from x (p,), from stage `first`.
 
-        The prior holds what the smoothed spectra cannot see. The search is given up where it is clearly worse than its
-        `rival` was at the same stage.
+        It is given up if it is clearly worse than its `rival` at the same stage.
         """
         def solve(stage: ContinuationStage, x: Real) -> Optimum:
             # A smoothed spectrum has as many independent points as widths fit into the band.
@@ -194,11 +183,10 @@ class FitSearch:
                         progress=progress)
 
     def errors(self, optimum: Optimum) -> Real:
-        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of parameters that are not
-        free."""
-        found = np.zeros(self.scale.size)
-        found[self.free] = standard_errors(optimum.residual.jacobian, self.scale[self.free])
-        return found
+        """Standard errors (p,) at an optimum with its data weights. They are zero for fixed parameters."""
+        deviations = np.zeros(self.scale.size)
+        deviations[self.free] = standard_errors(optimum.residual.jacobian, self.scale[self.free])
+        return deviations
 
 
 def _spacing(recording: FitRecording) -> float:

@@ -1,8 +1,9 @@
-"""Uncertainty of a fit: intervals, correlations, and the directions that the data do not determine, at the minimum."""
+"""Uncertainty of a fit at its minimum: intervals, correlations, and undetermined directions."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
-from workbench.fitting.measurement_model import CLOCK, log_ratio, through_bench
+from workbench.fitting.covariance import covariance_root
+from workbench.fitting.held import NARROWED, HeldNumber, held_moves, judge_held
+from workbench.fitting.measurement_model import CLOCK, log_ratio, rms, through_bench
+from workbench.fitting.noise import STRUCTURED, Noise
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import REFUSED, FitSearch, Optimum, Weighted
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison
-from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,11 +29,11 @@ CONFIDENCE = 0.95
 DEVIATIONS = 1.959964
 CHI_SQUARE = DEVIATIONS**2
 
-#: A parameter is determined if the data narrow what was known before by this factor or more.
-NARROWED = 2.0
-
 #: Where the cost at the end of an interval differs by more than this share from the quadratic's, it is profiled.
 NOT_QUADRATIC = 0.3
+
+#: The end of a profile is known to this share of its distance.
+END_KNOWN = 0.05
 
 #: A parameter closer to its bound than this share of the admitted range is at it.
 AT_BOUND = 1e-3
@@ -40,40 +43,26 @@ ACTIVE = 1e-6
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The distribution of the residual of one recording.
-
-    ``deviation`` relative standard deviation of a point (root mean square over the band), ``correlation`` the number of
-    neighbouring points that carry the information of one (1: white), ``stated`` whether the recording brought its own
-    uncertainties, and ``ratio`` the factor by which the residual exceeds them (1 where it brought none).
-    """
-
-    deviation: float
-    correlation: float
-    stated: bool
-    ratio: float
-
-
-@dataclass(frozen=True)
 class ParameterEstimate:
     """One fitted parameter, SI.
 
-    ``standard_error`` holds the noise and the ``numerical`` error, what the mesh may have moved the value by; ``low``
-    and ``high`` bound the 95 % interval; ``method`` says how it was found: "quadratic" or "profile";
-    ``at_bound`` names the bound or inequality that holds the value, empty if none; ``determined`` is whether the data
-    say more of it than was known before; ``narrowing`` the standard error over the prior.
+    ``standard_error`` includes the noise, the ``numerical`` error of the mesh, and ``held``, that by fixed parameters;
+    ``low`` and ``high`` bound the 95 % interval, by the ``method`` "quadratic" or "profile"; ``at_bound`` names the
+    active bound or inequality, empty if none; ``narrowing`` is the standard error over the prior, and ``determined``
+    whether it is a half or less. All are NaN where an algorithm gives a value alone.
     """
 
     parameter: Parameter
     value: float
-    standard_error: float
-    numerical: float
-    low: float
-    high: float
-    method: str
-    at_bound: str
-    determined: bool
-    narrowing: float
+    standard_error: float = math.nan
+    numerical: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    method: str = "none"
+    at_bound: str = ""
+    determined: bool = True
+    narrowing: float = math.nan
+    held: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +80,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class HeldOutBand:
-    """A part of a recording's band (Hz): rms of |ln ratio| there when it was fitted and when it was left out."""
+    """A part of a band (Hz), with its fitted and predicted rms. Both are of |ln ratio|."""
 
     recording: str
     low: float
@@ -102,130 +91,75 @@ class HeldOutBand:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitUncertainty(Brief):
-    """Estimates with intervals, their covariance (p, p) in SI, undetermined directions and findings in words."""
+    """Estimates with covariance (p, p) in SI, undetermined directions, findings, fixed parameters."""
 
     estimates: tuple[ParameterEstimate, ...]
     covariance: Real
     undetermined: tuple[Direction, ...]
     findings: tuple[str, ...]
-
-
-def noise_shape(measured: Spectrum) -> Real:
-    """Relative standard deviation (n,) of each point up to a common factor: the spectrum's own, or constant.
-
-    A deviation that all points share is left out: it is a number of the bench.
-    """
-    noise = measured.noise
-    if noise is None:
-        return np.ones(measured.frequency.size)
-    return np.asarray(noise / measured.magnitude)
-
-
-def noise(log_ratio: Complex, deviation: Real, stated: bool, ratio: float) -> Noise:
-    """The noise that a residual (n,) shows."""
-    return Noise(float(np.sqrt(np.mean(deviation**2))), correlation_length(log_ratio / deviation), stated,
-                 ratio if stated else 1.0)
-
-
-def correlation_length(residual: Complex) -> float:
-    """The number of neighbouring points that carry the information of one: the integrated autocorrelation, at least 1.
-
-    1 + 2 sum rho_k, summed up to five times itself (Sokal 1997, Monte Carlo methods in statistical mechanics, section
-    3); 1 where the first correlation does not stand out of what white noise of so many points shows.
-    """
-    count = residual.size
-    power = float(np.sum(np.abs(residual) ** 2))
-    if count < 8 or power == 0.0:
-        return 1.0
-    padded = np.fft.fft(residual, 2 * count)
-    correlation = np.fft.ifft(np.abs(padded) ** 2).real[:count] / power
-    if correlation[1] < 3.0 / np.sqrt(2.0 * count):
-        return 1.0
-    length = 1.0
-    for lag in range(1, count):
-        length += 2.0 * float(correlation[lag])
-        if lag >= 5.0 * length:
-            break
-    return max(1.0, length)
+    held: tuple[HeldNumber, ...] = ()
 
 
 def estimate_uncertainty(
-    search: FitSearch,
-    minimum: Optimum,
-    noise: Sequence[Noise],
-    *,
-    profiles: bool,
-    coarser: Objective | None = None,
+    search: FitSearch, minimum: Optimum, noise: Sequence[Noise], *, profiles: bool, coarser: Objective | None = None,
+    held: Sequence[Parameter] = (),
 ) -> FitUncertainty:
     """Intervals, correlations and undetermined directions at a minimum.
 
-    The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
-    The difference of the spectrum at the minimum on the meshes of `coarser` gives the shift of the
-    parameters by the mesh's own error (Richardson); it is added to the covariance.
+    The covariance is the inverse of the information of the data, J^T J / correlation, and of the prior together. The
+    difference from the spectrum on the meshes of `coarser` gives the shift of the parameters by the mesh's own error
+    (Richardson); it is added to the covariance, and so are the shifts by the uncertainties of the parameters `held`.
 
-    Where an inequality holds a value, the interval also covers where the data alone would put it: a loss constant
-    that noise or rounding has pushed out of passivity is inside.
+    At an active inequality, the interval also covers the optimum of the data alone: a loss constant that noise or
+    rounding has pushed out of passivity is inside.
     """
-    deviation = deviations(search, noise)
-    here = search.evaluate(minimum.x, deviation)
-    information = here.data.jacobian.T @ here.data.jacobian
-    covariance = _inverse(information, search)
-    near = search.with_objective(search.objective.truncated(_around(search, minimum.x, covariance)))
-    evaluated = near.evaluate(minimum.x, deviation) if profiles else here
-    shift = np.zeros(minimum.x.size)
+    x, deviation = minimum.x, [each.effective for each in noise]
+    here = search.evaluate(x, deviation)
+    # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
+    units = np.outer(search.scale, search.scale)
+    information = here.data.jacobian.T @ here.data.jacobian * units
+    covariance: Real = np.asarray(np.linalg.inv(information + np.eye(x.size)) * units)
+    # Intervals and held-out bands are searched within three standard errors.
+    steps = 3.0 * search.scale * covariance_root(covariance / units).T
+    around = [x, *np.clip(x + steps, search.low, search.high)]
+    near = search.with_objective(search.objective.truncated(around))
+    evaluated = near.evaluate(x, deviation) if profiles else here
+    shift = np.zeros(x.size)
     if coarser is not None:
-        shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, minimum.x, deviation))
-    whole = covariance + np.outer(shift, shift)
-    errors = np.sqrt(np.diag(whole))
-    bounds = [_bound(search, minimum.x, i) for i in range(len(search.parameters))]
-    alone = minimum.x - covariance @ (here.jacobian.T @ here.vector)
+        shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, x, deviation))
+    by_held, moves = held_moves(search.objective, x, held, deviation, here.data, covariance)
+    whole = covariance + np.outer(shift, shift) + moves @ moves.T
+    errors, of_held = np.sqrt(np.diag(whole)), np.linalg.norm(moves, axis=1)
+    alone = x - covariance @ (here.jacobian.T @ here.vector)
     estimates = []
     for i, parameter in enumerate(search.parameters):
-        low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
-        held = "bound" in bounds[i]
-        if profiles and (held or _not_quadratic(near, minimum.x, evaluated, covariance, i, deviation)):
-            ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
-            low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
-                         for sign, end in zip((-1.0, 1.0), ends, strict=True))
+        bound, reach, method = _bound(search, x, i), DEVIATIONS * errors[i], "quadratic"
+        low, high = x[i] - reach, x[i] + reach
+        if profiles and ("bound" in bound or _not_quadratic(near, x, evaluated, covariance, i, deviation)):
+            further = DEVIATIONS * np.hypot(shift[i], of_held[i])
+            low, high = (x[i] + sign * np.hypot(end - x[i], further) for sign, end in zip(
+                (-1.0, 1.0), profile(near, minimum, i, covariance, deviation), strict=True))
             method = "profile"
-        if bounds[i] and not held:
-            low, high = (min(low, alone[i] - DEVIATIONS * errors[i]), max(high, alone[i] + DEVIATIONS * errors[i]))
-        narrowing = errors[i] / search.scale[i]
+        if bound and "bound" not in bound:
+            low, high = min(low, alone[i] - reach), max(high, alone[i] + reach)
+        narrowing = float(errors[i] / search.scale[i])
         estimates.append(ParameterEstimate(
-            parameter, float(minimum.x[i]), float(errors[i]), float(abs(shift[i])), float(max(low, parameter.low)),
-            float(min(high, parameter.high)), method, bounds[i], bool(narrowing * NARROWED <= 1.0), float(narrowing)))
-    undetermined = _undetermined(search, minimum.x, information)
-    statements = _statements(search, estimates, undetermined)
-    conditioned = [e.parameter.name for e in estimates if e.at_bound and "bound" not in e.at_bound]
+            parameter, float(x[i]), float(errors[i]), float(abs(shift[i])), float(max(low, parameter.low)),
+            float(min(high, parameter.high)), method, bound, narrowing * NARROWED <= 1.0, narrowing, float(of_held[i])))
+    undetermined = _undetermined(search, x, information)
+    statements = _statements(estimates, undetermined)
+    conditioned = [f"{e.parameter.name} at {number:.5g}" for e, number in zip(estimates, alone, strict=True)
+                   if e.at_bound and "bound" not in e.at_bound]
     if conditioned:
-        statements.append("The data alone, without that condition, would put " + ", ".join(
-            f"{p.name} at {number:.5g}" for p, number in zip(search.parameters, alone, strict=True)
-            if p.name in conditioned) + ".")
+        statements.append(f"The data alone, without that condition, would put {', '.join(conditioned)}.")
     if coarser is None:
         statements.append("The intervals do not hold the error of the mesh: no coarser mesh was given to tell it by.")
-    return FitUncertainty(tuple(estimates), whole, undetermined, tuple(statements))
-
-
-def _inverse(information: Real, search: FitSearch) -> Real:
-    """Covariance (p, p) of data and prior together; a parameter without a prior is known to a fifth of its admitted
-    range."""
-    # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
-    scale = np.outer(search.scale, search.scale)
-    return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)
-
-
-def _around(search: FitSearch, x: Real, covariance: Real) -> list[Real]:
-    """The minimum x (p,), and points about it within which intervals and held-out bands are searched."""
-    values, vectors = np.linalg.eigh(covariance / np.outer(search.scale, search.scale))
-    around = [x]
-    for value, vector in zip(values, vectors.T, strict=True):
-        step = 3.0 * np.sqrt(max(value, 0.0)) * vector * search.scale
-        around.append(np.clip(x + step, search.low, search.high))
-    return around
+    return FitUncertainty(tuple(estimates), whole, undetermined, tuple(statements),
+                          judge_held(here.data, moves, by_held, errors, search.parameters, held))
 
 
 def _mesh_error(search: FitSearch, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
-    """Estimated weighted error (2 n,) of the predictions for the mesh of `search`, from that of `coarser`."""
+    """Estimated weighted mesh error (2 n,) of predictions, from the `coarser` mesh."""
     objective = search.objective
     result = []
     for index, (recording, other) in enumerate(zip(objective.recordings, coarser.recordings, strict=True)):
@@ -244,8 +178,8 @@ def _mesh_error(search: FitSearch, coarser: Objective, x: Real, deviation: Seque
 def unrefined(
     coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float
 ) -> tuple[Complex, Objective]:
-    """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz), and the objective that
-    goes on with the model of that."""
+    """The impedance (n,) of a recording by `coarser` at other frequencies (Hz). The second result is the objective with
+    the model used."""
     values, bench = coarser.settings(x, index)
     predictor = coarser.predictors[index]
     prediction = predictor.at(frequency * (1.0 + bench.get(CLOCK, 0.0)), tolerance)(values)
@@ -254,35 +188,23 @@ def unrefined(
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0], coarser.predicted_by(going_on)
 
 
-def deviations(search: FitSearch, noise: Sequence[Noise]) -> list[Real]:
-    """The relative deviation (n,) of every point, inflated so that the squares count independent data."""
-    result = []
-    for recording, level in zip(search.objective.recordings, noise, strict=True):
-        shape = noise_shape(recording.measured)
-        result.append(shape * (level.deviation * np.sqrt(level.correlation) / np.sqrt(np.mean(shape**2))))
-    return result
-
-
 def _bound(search: FitSearch, x: Real, index: int) -> str:
-    """The bound or inequality that holds a parameter where it is."""
-    parameter = search.parameters[index]
-    width = parameter.high - parameter.low
-    if x[index] - parameter.low < AT_BOUND * width:
-        return f"lower bound {parameter.low:.4g}"
-    if parameter.high - x[index] < AT_BOUND * width:
-        return f"upper bound {parameter.high:.4g}"
-    for inequality in search.inequalities:
-        if inequality.slopes[index].any() and inequality.margin(x) < ACTIVE:
-            return inequality.name
-    return ""
+    """The active bound or inequality of a parameter."""
+    low, high, near = search.low[index], search.high[index], AT_BOUND * (search.high[index] - search.low[index])
+    if x[index] - low < near:
+        return f"lower bound {low:.4g}"
+    if high - x[index] < near:
+        return f"upper bound {high:.4g}"
+    return next((inequality.name for inequality in search.inequalities
+                 if inequality.slopes[index].any() and inequality.margin(x) < ACTIVE), "")
 
 
 def _not_quadratic(
     search: FitSearch, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
 ) -> bool:
-    """Whether the cost at the ends of the quadratic's interval, the others following, is not the quadratic's.
+    """Whether the cost at the interval's ends differs from the quadratic. The other parameters follow.
 
-    `here` is what `search` says at the minimum x (p,).
+    `here` is the evaluation at the minimum x (p,).
     """
     cost = float(here.vector @ here.vector)
     slope = 2.0 * (here.jacobian.T @ here.vector)
@@ -301,68 +223,67 @@ def _not_quadratic(
 
 
 def profile(
-    search: FitSearch, minimum: Optimum, index: int, error: float, deviation: Sequence[Real]
+    search: FitSearch, minimum: Optimum, index: int, covariance: Real, deviation: Sequence[Real]
 ) -> tuple[float, float]:
-    """The 95 % interval of one parameter with all others refitted at every value (profile likelihood).
+    """The 95 % interval of one parameter by profile likelihood.
 
-    Ends where chi-square has risen by 3.84, or at the bound of the parameter.
+    It ends where chi-square has risen by 3.84 with all others refitted, or at a bound. Refits start from the prediction
+    of the `covariance` (p, p): far along a narrow valley one ends early, and the interval with it.
     """
     base = search.evaluate(minimum.x, deviation)
     cost = 0.5 * float(base.vector @ base.vector)
 
-    def rise(value: float, near: Real) -> tuple[float, Real]:
-        x = near.copy()
-        x[index] = value
-        found = search.minimise(x, deviation, fixed=(index,), limit=8, tolerance=1e-3 / max(cost, 1e-3), radius=0.3)
-        return 2.0 * (found.cost - cost), found.x
+    def refitted(value: float, near: Real) -> tuple[float, Real]:
+        """The rise of chi-square at a value, and the others' optimum."""
+        x = np.clip(near + covariance[:, index] / covariance[index, index] * (value - near[index]), search.low,
+                    search.high)
+        try:
+            there = search.minimise(x, deviation, fixed=(index,), limit=8, tolerance=1e-3 / max(cost, 1e-3), radius=0.3)
+        except (ValueError, MeshError):  # no admissible point with the parameter there, or no chip
+            return np.inf, near
+        return 2.0 * (there.cost - cost), there.x
 
-    ends = []
+    here, step, ends = float(minimum.x[index]), DEVIATIONS * float(np.sqrt(covariance[index, index])), list[float]()
     for sign, bound in ((-1.0, search.low[index]), (1.0, search.high[index])):
-        inside, x, last = minimum.x[index], minimum.x, 0.0
-        outside: float | None = None
-        step, known = DEVIATIONS * error, False
+        edge = bound - sign * 1e-6 * (search.high[index] - search.low[index])
+        inside, outside, near, trial = here, None, minimum.x, here + sign * step
         for _ in range(12):
-            trial = 0.5 * (inside + outside) if outside is not None else inside + sign * step
-            if sign * (trial - bound) > 0.0:
-                trial = bound - sign * 1e-6 * (search.high[index] - search.low[index])
-            try:
-                height, other = rise(float(trial), x)
-            except (ValueError, MeshError):  # no admissible point with the parameter there, or no chip
-                height, other = np.inf, x
-            if height > CHI_SQUARE:
-                outside = float(trial)
-                if np.isfinite(height) and height - last > 0.0:
-                    # The cost is close to a parabola about the minimum: its root is a better guess than the middle.
-                    guess = minimum.x[index] + (trial - minimum.x[index]) * np.sqrt(CHI_SQUARE / height)
-                    if min(inside, outside) < guess < max(inside, outside):
-                        height, other = rise(float(guess), x)
-                        inside, outside = (inside, guess) if height > CHI_SQUARE else (guess, outside)
-            else:
-                inside, x, last = float(trial), other, height
-                if abs(trial - bound) <= 2e-6 * (search.high[index] - search.low[index]):
-                    break
-            known = outside is not None and abs(outside - inside) < 0.05 * abs(outside - minimum.x[index])
-            if known:
+            trial = sign * min(sign * trial, sign * edge)
+            rise, x = refitted(trial, near)
+            # The end, if the cost is a parabola through the minimum and the trial.
+            root = here + (trial - here) * float(np.sqrt(CHI_SQUARE / max(rise, 1e-3)))
+            if abs(rise / CHI_SQUARE - 1.0) < 2.0 * END_KNOWN and sign * root < sign * bound:
+                inside = root
                 break
-        ends.append(float(outside if outside is not None and known else inside))
+            if rise > CHI_SQUARE:
+                outside = trial
+            else:
+                inside, near = trial, x
+                if trial == edge:
+                    break
+            if outside is None:
+                trial = inside + sign * step
+            elif abs(outside - inside) < END_KNOWN * abs(outside - here):
+                inside = outside
+                break
+            else:
+                between = sign * inside < sign * root < sign * outside
+                trial = root if between else 0.5 * (inside + outside)
+        ends.append(float(inside))
     return ends[0], ends[1]
 
 
 def _undetermined(search: FitSearch, x: Real, information: Real) -> tuple[Direction, ...]:
-    """Eigenvectors of the data's information in units of the priors along which less is learned than was known."""
-    scale = search.scale
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    result = []
+    """Eigenvectors of the data's information that adds less than the priors. They are in units of the priors."""
+    result, nuisance = [], np.array([p.nuisance for p in search.parameters])
+    values, vectors = np.linalg.eigh(information)
     for value, vector in zip(values, vectors.T, strict=True):
         # The standard error with the prior is 1 / sqrt(1 + value) of the prior.
         narrowing = float(1.0 / np.sqrt(1.0 + max(value, 0.0)))
-        if narrowing * NARROWED <= 1.0:
-            continue
-        if sum(share**2 for share, p in zip(vector, search.parameters, strict=True) if p.nuisance) > 0.5:
-            continue
-        order = np.argsort(-np.abs(vector))
-        shares = tuple((search.parameters[i].name, float(vector[i])) for i in order if abs(vector[i]) > 0.1)
-        result.append(Direction(shares, narrowing, _symmetry(search, x, vector * scale)))
+        if narrowing * NARROWED > 1.0 and np.sum(vector[nuisance] ** 2) <= 0.5:
+            shares = tuple((search.parameters[i].name, float(vector[i]))
+                           for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1)
+            result.append(Direction(shares, narrowing, _symmetry(search, x, vector * search.scale)))
     return tuple(result)
 
 
@@ -377,34 +298,28 @@ _SYMMETRIES: dict[str, dict[str, float]] = {
 
 
 def _symmetry(search: FitSearch, x: Real, direction: Real) -> str:
-    """The exact symmetry that a direction of parameter space is, by its relative changes."""
+    """The exact symmetry of a direction, by its relative changes."""
     if any(len(r.problem.materials) > 1 for r in search.objective.recordings):
         return ""
     relative = direction / np.where(x == 0.0, search.scale, x)
     for text, exponents in _SYMMETRIES.items():
         expected = np.array([exponents.get(_quantity(p), 0.0) for p in search.parameters])
-        if not expected.any():
-            continue
-        cosine = abs(float(expected @ relative)) / (np.linalg.norm(expected) * np.linalg.norm(relative))
-        if cosine > 0.99:
+        size = np.linalg.norm(expected) * np.linalg.norm(relative)
+        if size > 0.0 and abs(float(expected @ relative)) > 0.99 * size:
             return text
     return ""
 
 
 def _quantity(parameter: Parameter) -> str:
+    """The kind of a number, as in :data:`_SYMMETRIES`; empty for any other."""
     if parameter.is_dimension:
         return parameter.parsed.quantity
-    last = parameter.parsed.coefficient
-    for prefix in ("eps", "e", "c"):
-        if last.startswith(prefix) and last != "density":
-            return prefix
-    return last
+    return next((kind for kind in ("density", "eps", "e", "c") if parameter.parsed.coefficient.startswith(kind)), "")
 
 
 def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[HeldOutBand, ...]:
-    """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
-    result = []
-    base = deviations(search, noise)
+    """Predictions of equal `parts` of each band by fits without them."""
+    result, base = [], [each.effective for each in noise]
     logs = search.evaluate(minimum.x, base).data.log_ratio
     for index, recording in enumerate(search.objective.recordings):
         frequency = recording.measured.frequency
@@ -413,75 +328,63 @@ def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise],
             inside = (frequency >= low) & (frequency <= high)
             if np.count_nonzero(inside) < 2 or np.count_nonzero(~inside) < 2:
                 continue
-            # A point of infinite deviation has no say.
+            # A point of infinite deviation has no weight.
             without = [np.where(inside, np.inf, d) if i == index else d for i, d in enumerate(base)]
-            found = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
-            predicted = found.residual.data.log_ratio[index]
-            result.append(HeldOutBand(recording.name, float(low), float(high), _rms(logs[index][inside]),
-                                      _rms(predicted[inside])))
+            refitted = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
+            predicted = refitted.residual.data.log_ratio[index]
+            result.append(HeldOutBand(recording.name, float(low), float(high), rms(logs[index][inside]),
+                                      rms(predicted[inside])))
     return tuple(result)
 
 
-def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, float, int]:
-    """The largest relative difference of the reduced model from full solves, where (Hz), and how many these were.
+def reduced_model_error(objective: Objective, x: Real) -> tuple[float, float, int]:
+    """The reduced model's largest relative error, its frequency (Hz), and the solves.
 
-    At the smallest and largest |Z| of every recording, where errors are largest, and where the estimate is worst.
+    Full solves are made at the smallest and largest |Z| of every recording, and at the worst error estimate.
     """
     worst, where, solves = 0.0, 0.0, 0
     for index, predictor in enumerate(objective.predictors):
-        values, _ = objective.settings(x, index)
         _, _, prediction = objective.predict(x, index)
         size = np.abs(prediction.impedance)
-        chosen = sorted({int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(prediction.error))})[:count]
-        full = predictor.full(values, predictor.frequencies[chosen])
+        chosen = sorted({int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(prediction.error))})
+        frequency = predictor.frequencies[chosen]
+        off = np.abs(prediction.impedance[chosen] / predictor.full(objective.settings(x, index)[0], frequency) - 1.0)
         solves += len(chosen)
-        off = np.abs(prediction.impedance[chosen] / full - 1.0)
         if off.max() > worst:
-            worst, where = float(off.max()), float(predictor.frequencies[chosen][int(np.argmax(off))])
+            worst, where = float(off.max()), float(frequency[int(np.argmax(off))])
     return worst, where, solves
 
 
 def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
     """The unexplained part of one recording, and where it lies, in words."""
-    result = []
-    residual = np.abs(after.log_residual)
-    power = residual**2
     frequency = after.measured.frequency
     # The narrowest window that holds half of the residual.
-    total = np.concatenate(([0.0], np.cumsum(power)))
+    total = np.concatenate(([0.0], np.cumsum(np.abs(after.log_residual) ** 2)))
     ends = np.searchsorted(total, total[:-1] + 0.5 * total[-1])
-    valid = ends < total.size
-    widths = np.where(valid, frequency[np.minimum(ends, frequency.size) - 1] - frequency, np.inf)
-    first = int(np.argmin(widths))
-    last = int(min(ends[first], frequency.size) - 1)
-    result.append(
-        f"{name}: {100 * after.rms_log_residual:.2g} % rms remains (MAPE of |Z| {after.mape_percent:.2g} %, largest "
-        f"{after.worst_percent:.2g} % at {after.worst_frequency / 1e3:.1f} kHz); half of it lies between "
-        f"{frequency[first] / 1e3:.1f} and {frequency[last] / 1e3:.1f} kHz.")
+    last = np.minimum(ends, frequency.size) - 1
+    first = int(np.argmin(np.where(ends < total.size, frequency[last] - frequency, np.inf)))
+    result = [f"{name}: {100 * after.rms_log_residual:.2g} % rms remains (MAPE of |Z| {after.mape_percent:.2g} %, "
+              f"largest {after.worst_percent:.2g} % at {after.worst_frequency / 1e3:.1f} kHz); half of it lies between "
+              f"{frequency[first] / 1e3:.1f} and {frequency[last[first]] / 1e3:.1f} kHz."]
     if noise.correlation > 1.0:
         result.append(f"{name}: the residual is no white noise, {noise.correlation:.1f} neighbouring points carry the "
                       "information of one: something systematic is left, and the intervals are widened for it.")
-    if noise.stated and noise.ratio > 1.2:
+    if noise.ratio > STRUCTURED:
         result.append(f"{name}: the residual is {noise.ratio:.2g} times the recording's stated uncertainty.")
     return result
 
 
-def _statements(search: FitSearch, estimates: Sequence[ParameterEstimate],
-                undetermined: Sequence[Direction]) -> list[str]:
+def _statements(estimates: Sequence[ParameterEstimate], undetermined: Sequence[Direction]) -> list[str]:
     result = []
-    for found in estimates:
-        if found.at_bound:
-            beyond = found.parameter.beyond if "bound" in found.at_bound else ""
-            result.append(f"{found.parameter.name} is held by {found.at_bound}{beyond and f', {beyond}'}.")
-        if not found.determined and not found.parameter.nuisance:
-            result.append(f"{found.parameter.name} is not determined by these data: its interval is that of the prior "
-                          f"narrowed to {100 * found.narrowing:.0f} %.")
+    for estimate in estimates:
+        if estimate.at_bound:
+            beyond = estimate.parameter.beyond if "bound" in estimate.at_bound else ""
+            result.append(f"{estimate.parameter.name} is held by {estimate.at_bound}{beyond and f', {beyond}'}.")
+        if not estimate.determined and not estimate.parameter.nuisance:
+            result.append(f"{estimate.parameter.name} is not determined by these data: its interval is that of the "
+                          f"prior narrowed to {100 * min(1.0, estimate.narrowing):.0f} %.")
     for direction in undetermined:
         listed = ", ".join(f"{share:+.2f} {name}" for name, share in direction.shares[:6])
-        result.append(f"Not determined: the combination {listed}" + (
-            f", the {direction.symmetry}." if direction.symmetry else "."))
+        symmetry = direction.symmetry and f", the {direction.symmetry}"
+        result.append(f"Not determined: the combination {listed}{symmetry}.")
     return result
-
-
-def _rms(values: Complex) -> float:
-    return float(np.sqrt(np.mean(np.abs(values) ** 2)))

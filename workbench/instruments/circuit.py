@@ -1,8 +1,7 @@
 """The circuit of the bench: a generator behind its source resistance, the device, and a reference resistor in series.
 
-One channel measures across device and reference resistor, the other across the resistor alone, so that Z = (V_total -
-V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25). :class:`Circuit` holds the parasitic
-elements of leads, probes and resistor; with all of them zero, eq. 25 is exact. Everything is in e^{+j w t}.
+Z = (V_total - V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25) is exact if the parasitic
+elements of leads, probes and resistor in :class:`Circuit` are zero. Everything is in e^{+j w t}.
 """
 
 from __future__ import annotations
@@ -49,8 +48,7 @@ class Circuit:
                              f"{self.reference_resistance!r} ohm; expected both above zero")
 
     def responses(self, frequency: float, device: complex) -> tuple[complex, complex]:
-        """Complex voltages of the total and the reference channel per volt of the open circuit, for a device of
-        impedance `device` (ohm)."""
+        """Complex volts of the total and the reference channel per volt of the open circuit; `device` in ohm."""
         s = 2j * pi * frequency
         reference = self.reference_resistance + s * self.reference_inductance
         reference = reference / (1.0 + s * self.probe_capacitance * reference)

@@ -1,7 +1,8 @@
-"""Faults of a bench, which a test can make happen at a chosen moment on the simulated one."""
+"""Faults that happen to the simulated bench at a chosen command."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -39,18 +40,25 @@ class FaultKind(StrEnum):
     IGNORED_RUN = "ignored_run"  # oscilloscope: an acquisition is not made, the records stay those of the one before
 
 
+_GENERATOR_ONLY = (FaultKind.WRONG_FREQUENCY, FaultKind.IGNORED_FREQUENCY, FaultKind.IGNORED_AMPLITUDE)
+_OSCILLOSCOPE_ONLY = tuple(FaultKind)[tuple(FaultKind).index(FaultKind.CLIPPED):]
+
 #: The kinds that can happen to each instrument.
-KINDS = {
-    GENERATOR: tuple(kind for kind in FaultKind if kind not in (
-        FaultKind.CLIPPED, FaultKind.HIDDEN, FaultKind.TRUNCATED_CURVE, FaultKind.WRONG_COUNT, FaultKind.HEADERS,
-        FaultKind.NO_TRIGGER,
-        FaultKind.IGNORED_RUN)),
-    OSCILLOSCOPE: tuple(kind for kind in FaultKind if kind not in (
-        FaultKind.WRONG_FREQUENCY, FaultKind.IGNORED_FREQUENCY, FaultKind.IGNORED_AMPLITUDE)),
-}
+KINDS = {GENERATOR: tuple(kind for kind in FaultKind if kind not in _OSCILLOSCOPE_ONLY),
+         OSCILLOSCOPE: tuple(kind for kind in FaultKind if kind not in _GENERATOR_ONLY)}
 
 #: Identification of a wrong instrument, by the one that should be there.
 STRANGERS = {GENERATOR: b"MHS-5200A\n", OSCILLOSCOPE: b"RIGOL TECHNOLOGIES,DS1052E,0,00.04.02\n"}
+
+#: The commands that a kind can strike; a kind that is not listed strikes questions.
+_QUESTION = rb"a|cf|.*\?"
+_STRUCK = {
+    FaultKind.WRONG_INSTRUMENT: rb"a|\*IDN\?", FaultKind.WRONG_FREQUENCY: rb"cf",
+    FaultKind.IGNORED_FREQUENCY: rb"bf.*", FaultKind.IGNORED_AMPLITUDE: rb"ba.*",
+    **dict.fromkeys((FaultKind.CLIPPED, FaultKind.NO_TRIGGER, FaultKind.IGNORED_RUN), rb"ACQUIRE:STATE RUN"),
+    **dict.fromkeys((FaultKind.HIDDEN, FaultKind.TRUNCATED_CURVE, FaultKind.WRONG_COUNT), rb"CURVE\?"),
+    **dict.fromkeys((FaultKind.DEAFNESS, FaultKind.RESTART, FaultKind.DISCONNECT, FaultKind.HEADERS), rb".*"),
+}
 
 
 @dataclass(frozen=True)
@@ -79,24 +87,7 @@ class Fault:
 
 def fits(kind: FaultKind, line: bytes) -> bool:
     """Whether a fault can strike this command."""
-    query = line in (b"a", b"cf") or line.endswith(b"?")
-    match kind:
-        case FaultKind.WRONG_INSTRUMENT:
-            return line in (b"a", b"*IDN?")
-        case FaultKind.WRONG_FREQUENCY:
-            return line == b"cf"
-        case FaultKind.IGNORED_FREQUENCY:
-            return line.startswith(b"bf")
-        case FaultKind.IGNORED_AMPLITUDE:
-            return line.startswith(b"ba")
-        case FaultKind.CLIPPED | FaultKind.NO_TRIGGER | FaultKind.IGNORED_RUN:
-            return line == b"ACQUIRE:STATE RUN"
-        case FaultKind.HIDDEN | FaultKind.TRUNCATED_CURVE | FaultKind.WRONG_COUNT:
-            return line == b"CURVE?"
-        case FaultKind.DEAFNESS | FaultKind.RESTART | FaultKind.DISCONNECT | FaultKind.HEADERS:
-            return True
-        case _:
-            return query
+    return re.fullmatch(_STRUCK.get(kind, _QUESTION), line, re.DOTALL) is not None
 
 
 class FaultyInstrument:
@@ -116,7 +107,7 @@ class FaultyInstrument:
         self.struck: list[tuple[int, Fault]] = []
 
     def inject(self, fault: Fault) -> None:
-        """Add a fault, which will happen at its time."""
+        """Add a fault."""
         self._pending.append(fault)
 
     def respond(self, line: bytes) -> bytes:
@@ -131,12 +122,12 @@ class FaultyInstrument:
                 self._pending.append(replace(fault, count=fault.count - 1))
             self.struck.append((number, fault))
             answer = self._strike(fault, line)
-        if not answer:
-            return b""
-        held, self._held = self._held, b""
-        return held + answer
+        if answer:
+            answer, self._held = self._held + answer, b""
+        return answer
 
     def _strike(self, fault: Fault, line: bytes) -> bytes:
+        """The reply as it arrives, after the instrument was disturbed or has executed the command."""
         match fault.kind:
             case FaultKind.DEAFNESS | FaultKind.IGNORED_FREQUENCY | FaultKind.IGNORED_AMPLITUDE | FaultKind.IGNORED_RUN:
                 return b""
@@ -145,30 +136,11 @@ class FaultyInstrument:
                 return b""
             case FaultKind.RESTART:
                 self._instrument.restart()
-                return self._instrument.respond(line)
-            case FaultKind.CLIPPED | FaultKind.NO_TRIGGER | FaultKind.HIDDEN | FaultKind.HEADERS:
-                self._disturb(fault.kind)
-                return self._instrument.respond(line)
-            case _:
-                return self._spoil(fault.kind, line, self._instrument.respond(line))
-
-    def _disturb(self, kind: FaultKind) -> None:
-        """Disturb the oscilloscope as a hand, or the signal, would."""
-        oscilloscope = self._instrument
-        if not isinstance(oscilloscope, SimulatedOscilloscope):
-            raise TypeError(f"fault {kind!r} at an instrument that is no oscilloscope")
-        match kind:
-            case FaultKind.CLIPPED:
-                oscilloscope.surge = 4.0
-            case FaultKind.NO_TRIGGER:
-                oscilloscope.blind = True
-            case FaultKind.HIDDEN:
-                oscilloscope.hide(oscilloscope.source())
-            case _:
-                oscilloscope.respond(b"HEADER ON")
+        if isinstance(self._instrument, SimulatedOscilloscope):
+            _disturb(self._instrument, fault.kind)
+        return self._spoil(fault.kind, line, self._instrument.respond(line))
 
     def _spoil(self, kind: FaultKind, line: bytes, answer: bytes) -> bytes:
-        """The reply as it arrives, after the instrument has executed the command."""
         match kind:
             case FaultKind.SILENCE:
                 return b""
@@ -190,4 +162,17 @@ class FaultyInstrument:
             case FaultKind.WRONG_COUNT:
                 return answer.replace(b"#42500", b"#42400", 1)
             case _:
-                raise ValueError(f"fault {kind!r} does nothing to an answer")
+                return answer
+
+
+def _disturb(oscilloscope: SimulatedOscilloscope, kind: FaultKind) -> None:
+    """Disturb the oscilloscope as a hand, or the signal, would."""
+    match kind:
+        case FaultKind.CLIPPED:
+            oscilloscope.surge = 4.0
+        case FaultKind.NO_TRIGGER:
+            oscilloscope.blind = True
+        case FaultKind.HIDDEN:
+            oscilloscope.hide(oscilloscope.source())
+        case FaultKind.HEADERS:
+            oscilloscope.respond(b"HEADER ON")

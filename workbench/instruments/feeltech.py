@@ -1,11 +1,9 @@
 """FeelTech FY3200S series: two-channel generators on a serial line, of which the main channel is used.
 
-9600 baud, lower-case ASCII, LF. Settings are not acknowledged and mistakes in them are not reported: the instrument
-stops at the first character it does not understand and takes what it has. So every setting is checked here before
-anything is written, and refused unless its text is exact. After every command the frequency is read back, the only
-setting of an output that this series reports. Only the commands that all public drivers agree on are used: sine,
-frequency in 0.01 Hz, amplitude in volts peak to peak of the open circuit, offset. There is no command that switches the
-output off; off is amplitude zero.
+9600 baud, lower-case ASCII, LF. Settings are not acknowledged and mistakes are not reported: the instrument stops at
+the first character it does not understand. So every setting is checked before anything is written. After every command
+the frequency is read back, the only setting of an output that this series reports. Only commands on which all public
+drivers agree are used. No command switches the output off; off is amplitude zero.
 """
 
 from __future__ import annotations
@@ -24,8 +22,7 @@ MODELS: Mapping[str, float] = {"FY3206S": 6e6, "FY3212S": 12e6, "FY3220S": 20e6,
 #: The instruments take nine digits of 0.01 Hz without exception; not every firmware takes a tenth.
 HIGHEST_FREQUENCY = 9_999_999.99
 
-#: Largest deviation, in units of the resolution, of a value that counts as a whole number of steps: the rounding of a
-#: decimal fraction. Doubled, nothing changes.
+#: Largest deviation, in steps, of a whole number of steps: the rounding of a decimal fraction.
 STEP_ROUNDING = 1e-4
 
 
@@ -47,11 +44,7 @@ class Setting:
     decimals: int
 
     def counts(self, value: float) -> int:
-        """`value` as a whole number of steps.
-
-        Raises:
-            ValueError: out of range, or not a whole number of steps.
-        """
+        """`value` as a whole number of steps. Raises ValueError if it is out of range or finer than a step."""
         if not self.lowest <= value <= self.highest:
             raise ValueError(f"{self.name} {value!r} {self.unit} is out of range; expected {self.lowest:.9g} to "
                              f"{self.highest:.9g} {self.unit}")
@@ -98,9 +91,8 @@ class FeelTech:
     def set_frequency(self, frequency: float) -> None:
         """Set the frequency (Hz) and read it back.
 
-        Raises:
-            ValueError: out of range or finer than 0.01 Hz; nothing was written.
-            InstrumentError: it reads back otherwise, or the generator has forgotten the one before.
+        Raises ValueError before writing if it is out of range or finer than 0.01 Hz, InstrumentError if it reads back
+        otherwise or the generator has forgotten the one before.
         """
         highest = min(HIGHEST_FREQUENCY, MODELS[self._model])
         if frequency > highest:
@@ -114,13 +106,9 @@ class FeelTech:
         self._confirm(f"after {text!r}")
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
-        """Set the open-circuit amplitude (V peak to peak).
+        """Set the open-circuit amplitude (V peak to peak); the frequency read back shows that the instrument listened.
 
-        The instrument cannot report it; reading the frequency shows that it listened.
-
-        Raises:
-            ValueError: out of range or finer than 0.01 V; nothing was written.
-            InstrumentError: the generator does not answer, or has lost its frequency.
+        Raises like :meth:`set_frequency`.
         """
         text = AMPLITUDE.text(volts_peak_to_peak)
         self._link.send(text)
@@ -130,10 +118,7 @@ class FeelTech:
         """Set the amplitude to zero, whatever else is wrong with the generator.
 
         The amplitude cannot be read back. It is set twice, and again if the frequency shows that the generator was
-        switched off and on in between, which gives it an amplitude of its own.
-
-        Raises:
-            InstrumentError: it does not answer, or does not come to rest, so that the drive may still be on.
+        switched off and on in between. Raises InstrumentError if the drive may still be on.
         """
         text = AMPLITUDE.text(0.0)
         try:
@@ -158,7 +143,6 @@ class FeelTech:
         self._counts = int(self._link.ask(READ_FREQUENCY)[1])
 
     def close(self) -> None:
-        """Give the port back; the output stays as it is."""
         self._link.close()
 
     def _confirm(self, when: str) -> None:
@@ -173,8 +157,7 @@ class FeelTech:
 def open_feeltech(settings: GeneratorSettings) -> FeelTech:
     """Open the generator: identified, amplitude zero, then sine without offset.
 
-    Raises:
-        InputError: a model that is not known. InstrumentError: no such port, another owner, silent, another instrument.
+    Raises InputError for an unknown model, InstrumentError for a port or an instrument that does not answer as it.
     """
     choose(settings.model, MODELS, source="generator", field="model")
     if settings.timeout <= 0.0 or settings.pause < 0.0:

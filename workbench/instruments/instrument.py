@@ -1,8 +1,4 @@
-"""Interfaces of a generator and of an oscilloscope of any make, as the bench uses them.
-
-The instruments themselves are in :mod:`workbench.instruments.feeltech` and :mod:`workbench.instruments.tektronix`;
-:func:`workbench.instruments.opening.open_bench` opens the pair.
-"""
+"""Interfaces of a generator and of an oscilloscope of any make, as the bench uses them."""
 
 from __future__ import annotations
 
@@ -15,8 +11,7 @@ from numpy.typing import NDArray
 
 
 class InstrumentError(RuntimeError):
-    """A failure of an instrument, or of the link to it. The message names the port and the sent, expected and received
-    text."""
+    """A failure of an instrument or its link; the message names the port, and the sent, expected and received text."""
 
 
 class Silence(InstrumentError):
@@ -64,9 +59,10 @@ class OscilloscopeSettings:
 class Waveform:
     """One channel of one capture.
 
-    ``volts`` (n,) V at the probe's tip; ``raw`` (n,) as the converter gave it, signed 8 bit; ``start`` (s) the time of
-    the first sample relative to the trigger; ``step`` (s) per sample; ``volts_per_count`` the quantisation step (V);
-    ``clipped`` whether any sample stands at the limit of the converter or of the screen.
+    ``volts`` (n,) V at the probe's tip, or A of a current probe; ``unit`` "V", "A" or "" if not stated; ``raw`` (n,)
+    as the converter gave it, signed 8 bit; ``start`` (s) the time of the first sample relative to the trigger; ``step``
+    (s) per sample; ``volts_per_count`` the quantisation step, in the unit; ``clipped`` whether any sample stands at the
+    limit of the converter or of the screen.
     """
 
     channel: int
@@ -76,25 +72,20 @@ class Waveform:
     step: float
     volts_per_count: float
     clipped: bool
+    unit: str = "V"
 
 
 class Generator(Protocol):
-    """A sine generator with one driven output."""
+    """A sine generator with one driven output. A value out of range raises ValueError before anything is written."""
 
     def identify(self) -> str:
         """The model as the instrument answers. Raises InstrumentError if it is another instrument."""
 
     def set_frequency(self, frequency: float) -> None:
-        """Set the frequency (Hz, a whole number of 0.01 Hz, within the model's range) and check it by reading it back.
-
-        Raises ValueError before anything is written if the value is out of range or finer than the resolution.
-        """
+        """Set the frequency (Hz, a whole number of 0.01 Hz) and check it by reading it back."""
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
-        """Set the open-circuit amplitude (V peak to peak, a whole number of 0.01 V, within the range).
-
-        Raises ValueError before anything is written.
-        """
+        """Set the open-circuit amplitude (V peak to peak, a whole number of 0.01 V)."""
 
     def off(self) -> None:
         """Set the safe state: amplitude zero."""

@@ -21,11 +21,8 @@ from workbench.instruments.transport import Link, open_port
 def open_bench(generator: GeneratorSettings, oscilloscope: OscilloscopeSettings) -> tuple[Generator, Oscilloscope]:
     """Open both instruments: identified, the generator's amplitude zero, the oscilloscope ready to capture.
 
-    The generator comes first: if anything else fails, a drive that was left on is already off.
-
-    Raises:
-        InputError: settings that no instrument of the kind has.
-        InstrumentError: a port is owned by another process or missing, an instrument is silent or another one.
+    The generator comes first: if anything else fails, a drive that was left on is already off. Raises like
+    :func:`open_feeltech` and :func:`open_tektronix`.
     """
     drive = open_feeltech(generator)
     try:
@@ -55,8 +52,7 @@ def found_ports() -> list[FoundPort]:
 def who_answers(port: str, *, timeout: float = 1.0) -> str | None:
     """The identification of the instrument at `port`, None if nothing answers; only questions are sent, at 9600 baud.
 
-    Raises:
-        InstrumentError: the port cannot be opened, or the reply is no identification.
+    Raises InstrumentError if the port cannot be opened or the reply is no identification.
     """
     opened = open_port(port, baud=9600, timeout=timeout)
     try:

@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -33,8 +32,7 @@ from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscill
 #: Simulated seconds that a command takes.
 COMMAND_TIME = 0.05
 
-#: Seconds between two checks of a line whether it should end, and seconds before it gives up on a peer that does not
-#: read.
+#: Seconds between two checks whether a line should end, and before it gives up on a peer that does not read.
 SLICE, PATIENCE = 0.05, 1.0
 
 USUAL_ERRORS = Errors()
@@ -42,8 +40,7 @@ USUAL_ERRORS = Errors()
 
 @dataclass(frozen=True)
 class Drift:
-    """Drift of a device: of all its frequencies by ``frequency`` and of its impedance by ``impedance`` (both relative,
-    per s). A warming transducer has about -1e-7 per second."""
+    """Relative change per second of a device's frequencies (about -1e-7 in a warming transducer) and impedance."""
 
     frequency: float = 0.0
     impedance: float = 0.0
@@ -81,11 +78,10 @@ class SimulatedBench:
         self._oscilloscope = SimulatedOscilloscope(
             oscilloscope_model, self._tones, probes={1: probes[0], 2: probes[1]}, errors=errors, random=of_noise,
             wait=self._pass_time)
-        self._instruments: dict[str, FaultyInstrument] = {}
+        self._instruments = {
+            name: FaultyInstrument(name, instrument, random=of_faults, disconnect=partial(self.disconnect, name))
+            for name, instrument in ((GENERATOR, self._generator), (OSCILLOSCOPE, self._oscilloscope))}
         self._lines: dict[str, _Line] = {}
-        for name, instrument in ((GENERATOR, self._generator), (OSCILLOSCOPE, self._oscilloscope)):
-            self._instruments[name] = FaultyInstrument(
-                name, instrument, random=of_faults, disconnect=partial(self.disconnect, name))
 
     def __enter__(self) -> SimulatedBench:
         folder = self._folder
@@ -97,9 +93,7 @@ class SimulatedBench:
             self._lines[name] = _Line(folder / name, partial(self._respond, name))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         for line in self._lines.values():
             line.close()
         self._lines.clear()
@@ -191,7 +185,6 @@ class _Line:
         self.path = path
         self._respond = respond
         self._ended = threading.Event()
-        self._away = 0.0
         self._thread = threading.Thread(target=self._serve, name=f"simulated {path.name}", daemon=True)
         self._plug_in()
         self._thread.start()
@@ -218,9 +211,7 @@ class _Line:
         if self.path.is_symlink() and os.readlink(self.path).startswith("/dev/"):
             self.path.unlink()
         self.path.symlink_to(os.ttyname(self._theirs))
-        self._received = b""
-        self._away = 0.0
-        self._plugged_in = True
+        self._received, self._away, self._plugged_in = b"", 0.0, True
 
     def _unplug(self) -> None:
         self._plugged_in = False
@@ -238,8 +229,7 @@ class _Line:
                 if not self._ended.wait(self._away):
                     self._plug_in()
                 continue
-            # We hold the terminal open, so a killed owner's exclusive lock would outlive it; on a real port it does
-            # not.
+            # We hold the terminal open, so a killed owner's exclusive lock would outlive it, unlike on a real port.
             fcntl.ioctl(self._theirs, termios.TIOCNXCL)
             if not select.select([self._ours], [], [], SLICE)[0]:
                 continue

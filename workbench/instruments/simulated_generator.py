@@ -8,8 +8,7 @@ from dataclasses import dataclass
 #: Length of the longest command without its LF.
 LONGEST = 14
 
-#: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) of the main and the deputy channel after switching on. The
-#: amplitude is not zero, so that a drive left on is noticed.
+#: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) after switching on: not zero, so a drive left on is noticed.
 SWITCHED_ON = (1_000_000, 500)
 
 _SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
@@ -54,20 +53,12 @@ class SimulatedGenerator:
     def respond(self, line: bytes) -> bytes:
         """The reply to one line, given without its LF; empty for a setting."""
         text = line[:LONGEST].decode("latin-1")
-        match text:
-            case "a":
-                return f"{self.model}\n".encode()
-            case "cf":
-                return f"cf{self.main.frequency:010d}\n".encode()
-            case "cd":
-                return b"cd500\n"
-            case "ct":
-                return b"ct10\n"
-            case "ce" | "cc":
-                return f"{text}0000000000\n".encode()
-            case _:
-                self._set(text)
-                return b""
+        answers = {"a": self.model, "cf": f"cf{self.main.frequency:010d}", "cd": "cd500", "ct": "ct10",
+                   "ce": "ce0000000000", "cc": "cc0000000000"}
+        if text in answers:
+            return f"{answers[text]}\n".encode()
+        self._set(text)
+        return b""
 
     def _set(self, text: str) -> None:
         read = _SETTING.match(text)

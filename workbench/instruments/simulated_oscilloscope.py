@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,16 +94,6 @@ class Record:
     coupling: str
 
 
-@dataclass
-class OscilloscopeState:
-    """State of the instrument."""
-
-    values: dict[str, str | float]
-    records: dict[int, Record] = field(default_factory=dict)
-    running: bool = False
-    events: list[tuple[int, str]] = field(default_factory=list)
-
-
 class SimulatedOscilloscope:
     """Four channels behind a line, two of which show `tones` (called at every acquisition: channel to tone).
 
@@ -128,14 +118,15 @@ class SimulatedOscilloscope:
 
     def restart(self) -> None:
         """Restore the state after switching off and on."""
-        self._state = OscilloscopeState({item.name: item.initial for item in ITEMS})
-        self._forced = False
-        self._blinded = False
+        self._values: dict[str, str | float] = {item.name: item.initial for item in ITEMS}
+        self._records: dict[int, Record] = {}
+        self._events: list[tuple[int, str]] = []
+        self._running = self._forced = self._blinded = False
 
     def hide(self, channel: int) -> None:
         """Hide a channel, as somebody would by pressing its button."""
-        self._state.values[f"SELect:CH{channel}"] = 0.0
-        self._state.records.pop(channel, None)
+        self._values[f"SELect:CH{channel}"] = 0.0
+        self._records.pop(channel, None)
 
     def source(self) -> int:
         """The channel whose data are requested."""
@@ -145,15 +136,11 @@ class SimulatedOscilloscope:
         """The reply to one line, given without its LF: the answers to the questions in it, or nothing."""
         answers: list[bytes] = []
         path = ""
-        for command in line.decode("latin-1").strip().split(";"):
-            text = command.strip()
-            if not text:
-                continue
+        for text in filter(None, (command.strip() for command in line.decode("latin-1").split(";"))):
             # After a semicolon the beginning of the last header is implied, unless a colon or a star says otherwise.
             absolute = text[0] in ":*" or not path or _item(text.split()[0].rstrip("?")) is not None
             whole = text.lstrip(":") if absolute else path + text
-            path = whole.split()[0].rpartition(":")[0]
-            path = f"{path}:" if path else ""
+            path = "".join(whole.split()[0].rpartition(":")[:2])
             answer = self._command(whole)
             if answer is not None:
                 answers.append(answer)
@@ -171,10 +158,9 @@ class SimulatedOscilloscope:
                 self._finish()
                 return b"1"
             case "*ESR", True:
-                status = 32 if self._state.events else 0
-                return str(status).encode()
+                return b"32" if self._events else b"0"
             case ("ALLEV" | "ALLE"), True:
-                events, self._state.events = self._state.events or [(0, "No events to report")], []
+                events, self._events = self._events or [(0, "No events to report")], []
                 return ",".join(f'{number},"{words}"' for number, words in events).encode()
         if _fits(name, "WFMPre") and query:
             return self._preamble()
@@ -183,7 +169,7 @@ class SimulatedOscilloscope:
         if _fits(name, "ACQuire:STATE"):
             if query:
                 self._finish()
-                return self._headed("ACQUIRE:STATE", "1" if self._state.running else "0")
+                return self._headed("ACQUIRE:STATE", "1" if self._running else "0")
             self._run(argument.strip().upper() in ("RUN", "ON", "1"))
             return None
         if _fits(name, "TRIGger") and argument.strip().upper() in ("FORCE", "FORC"):
@@ -191,7 +177,7 @@ class SimulatedOscilloscope:
             return None
         item = _item(name)
         if item is None:
-            self._state.events.append((113, f"Undefined header; {name}"))
+            self._events.append((113, f"Undefined header; {name}"))
             return None
         if query:
             return self._headed(item.name.upper(), self._printed(item))
@@ -199,32 +185,24 @@ class SimulatedOscilloscope:
         return None
 
     def _set(self, item: Item, argument: str) -> None:
-        wordy = bool(item.legal) and isinstance(item.legal[0], str)
-        if wordy:
-            for word in item.legal:
-                if _fits(argument.upper(), str(word)):
-                    self._state.values[item.name] = str(word).upper()
-                    return
-            self._state.events.append((102, f"Syntax error; {argument}"))
-            return
+        given = argument.upper()
+        words = [str(word) for word in item.legal if isinstance(word, str)]
         switches = {"ON": 1.0, "OFF": 0.0} if item.legal == (0.0, 1.0) else {}
-        read = re.match(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?$", argument.upper())
-        if argument.upper() in switches:
-            value = switches[argument.upper()]
-        elif read is not None:
-            value = float(read[0])
+        read = None if words else re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", given)
+        word = next((word.upper() for word in words if _fits(given, word)), None)
+        if word is not None:
+            self._values[item.name] = word
+        elif read is not None or given in switches:
+            value = switches[given] if read is None else float(read[0])
+            if re.fullmatch(r"CH\d:SCAle", item.name):
+                value /= self._number(f"{item.name[:3]}:PRObe")
+            steps = [float(step) for step in item.legal]
+            self._values[item.name] = _nearest(value, steps) if steps else value
         else:
-            self._state.events.append((102, f"Syntax error; {argument}"))
-            return
-        if re.fullmatch(r"CH\d:SCAle", item.name):
-            probe = self._number(f"{item.name[:3]}:PRObe")
-            value = _nearest(value / probe, VOLTS_STEPS)
-        elif item.legal:
-            value = _nearest(value, [float(step) for step in item.legal])
-        self._state.values[item.name] = value
+            self._events.append((102, f"Syntax error; {argument}"))
 
     def _printed(self, item: Item) -> str:
-        value = self._state.values[item.name]
+        value = self._values[item.name]
         if isinstance(value, str):
             if self._number("VERBose"):
                 return value
@@ -238,27 +216,23 @@ class SimulatedOscilloscope:
         return (f":{header} {value}" if self._number("HEADer") else value).encode()
 
     def _number(self, name: str) -> float:
-        return float(self._state.values[name])
+        return float(self._values[name])
 
     def _word(self, name: str) -> str:
-        return str(self._state.values[name])
+        return str(self._values[name])
 
     def _averages(self) -> int:
         return int(self._number("ACQuire:NUMAVg")) if self._word("ACQuire:MODe") == "AVERAGE" else 1
 
     def _run(self, on: bool) -> None:
-        self._state.running = on
-        self._forced = False
+        self._running, self._forced = on, False
         self._blinded, self.blind = self.blind, False
-        if on:
-            self._finish()
+        self._finish()
 
     def _finish(self) -> None:
         """Take the running acquisition, if there is a trigger; a single sequence then stops."""
-        if not self._state.running or not self._acquire():
-            return
-        if self._word("ACQuire:STOPAfter") == "SEQUENCE":
-            self._state.running = False
+        if self._running and self._acquire():
+            self._running = self._word("ACQuire:STOPAfter") != "SEQUENCE"
 
     def _acquire(self) -> bool:
         """Fill the records of the displayed channels; False without a trigger."""
@@ -271,13 +245,11 @@ class SimulatedOscilloscope:
         seconds = self._number("HORizontal:MAIn:SCAle")
         first = self._number("HORizontal:MAIn:POSition") - 5.0 * seconds
         times = first + np.arange(POINTS) * (10.0 * seconds / POINTS)
-        if start is None:
-            late = self._random.uniform(0.0, 1.0, (count, 1))  # at any moment of the signal
-        else:
-            late = start + self._errors.jitter * self._random.standard_normal((count, 1))
+        late = (self._random.uniform(0.0, 1.0, (count, 1)) if start is None  # at any moment of the signal
+                else start + self._errors.jitter * self._random.standard_normal((count, 1)))
         for channel in CHANNELS:
             if self._number(f"SELect:CH{channel}"):
-                self._state.records[channel] = self._record(channel, tones.get(channel), times + late, seconds, first)
+                self._records[channel] = self._record(channel, tones.get(channel), times + late, seconds, first)
         self.surge = 0.0
         self._wait(count * (10.0 * seconds + 0.02))
         return True
@@ -289,12 +261,9 @@ class SimulatedOscilloscope:
             # The generator's own pulse.
             return 0.0 if tones else None
         channel = int(source[2:])
-        tone = tones.get(channel)
-        level = self._number("TRIGger:MAIn:LEVel")
-        if tone is None:
-            return None
-        shown = abs(tone.amplitude) / self._tip_scale(channel)
-        if shown < TRIGGER_DIVISIONS or abs(level) >= abs(tone.amplitude):
+        tone, level = tones.get(channel), self._number("TRIGger:MAIn:LEVel")
+        if tone is None or abs(tone.amplitude) <= max(
+                abs(level), TRIGGER_DIVISIONS * self._tip_scale(channel)):
             return None
         # Re(a exp(j w t)) rises through the level where its argument is -arccos(level / |a|).
         turn = -np.arccos(level / abs(tone.amplitude))
@@ -309,8 +278,7 @@ class SimulatedOscilloscope:
     def _record(
         self, channel: int, tone: Tone | None, times: NDArray[np.float64], seconds: float, start: float
     ) -> Record:
-        """A record: sampled, converted to 8 bit capture by capture, averaged, and 8 bit again; `times` is (captures,
-        2500)."""
+        """Sample at `times` (captures, 2500), convert to 8 bit capture by capture, average, and round to 8 bit."""
         scale, position = self._tip_scale(channel), self._number(f"CH{channel}:POSition")
         coupling = self._word(f"CH{channel}:COUPling")
         volts = np.zeros_like(times)
@@ -329,13 +297,13 @@ class SimulatedOscilloscope:
 
     def _selected(self) -> Record | None:
         """The requested record. None, and two events, if its channel is not displayed."""
-        if self._state.running and self._word("ACQuire:STOPAfter") == "RUNSTOP":
+        if self._running and self._word("ACQuire:STOPAfter") == "RUNSTOP":
             self._acquire()
         channel = self.source()
-        if not self._number(f"SELect:CH{channel}") or channel not in self._state.records:
-            self._state.events += [(2244, "Source waveform is not active"), (420, "Query UNTERMINATED")]
+        if not self._number(f"SELect:CH{channel}") or channel not in self._records:
+            self._events += [(2244, "Source waveform is not active"), (420, "Query UNTERMINATED")]
             return None
-        return self._state.records[channel]
+        return self._records[channel]
 
     def _slice(self) -> slice:
         return slice(int(self._number("DATa:STARt")) - 1, int(self._number("DATa:STOP")))

@@ -18,12 +18,10 @@ from workbench.files.errors import InputError, choose
 from workbench.instruments.instrument import InstrumentError, OscilloscopeSettings, Waveform
 from workbench.instruments.transport import Link, Query, open_port
 
-#: Number of channels by model, the model as ``*IDN?`` has it (with the space).
-MODELS: Mapping[str, int] = {
-    "TDS 2002": 2, "TDS 2004": 4, "TDS 2012": 2, "TDS 2014": 4, "TDS 2022": 2, "TDS 2024": 4,
-    "TDS 2002B": 2, "TDS 2004B": 4, "TDS 2012B": 2, "TDS 2014B": 4, "TDS 2022B": 2, "TDS 2024B": 4,
-    "TDS 2001C": 2, "TDS 2002C": 2, "TDS 2004C": 4, "TDS 2012C": 2, "TDS 2014C": 4, "TDS 2022C": 2, "TDS 2024C": 4,
-}
+#: Number of channels by model as ``*IDN?`` has it (with the space).
+MODELS: Mapping[str, int] = {"TDS 2001C": 2, **{
+    f"TDS {number}{series}": 4 if number % 10 == 4 else 2
+    for series in ("", "B", "C") for number in (2002, 2004, 2012, 2014, 2022, 2024)}}
 
 #: Volts per division at the input connector, 1-2-5.
 SCALES = (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1, 1.0, 2.0, 5.0)
@@ -53,6 +51,13 @@ QUIET = 4
 
 #: Seconds between two questions whether the acquisition has ended.
 POLL = 0.02
+
+#: The settings that stay for the whole run, of the instrument and of each channel.
+RUN_SETTINGS = (
+    ("DATA:ENCDG", "RIBINARY"), ("DATA:WIDTH", "1"), ("DATA:START", "1"), ("DATA:STOP", str(POINTS)),
+    ("HORIZONTAL:MAIN:POSITION", "0.0E0"), ("ACQUIRE:STOPAFTER", "SEQUENCE"), ("TRIGGER:MAIN:EDGE:SLOPE", "RISE"),
+    ("TRIGGER:MAIN:LEVEL", "0.0E0"))
+CHANNEL_SETTINGS = (("COUPLING", "DC"), ("POSITION", "0.0E0"), ("BANDWIDTH", "OFF"), ("INVERT", "OFF"))
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?"
 ONE_WORD = re.compile(r"[A-Z0-9.+-]+", re.IGNORECASE)
@@ -93,9 +98,8 @@ class Tektronix:
     def set_scale(self, channel: int, volts_per_division: float) -> float:
         """Set the 1-2-5 step (V per division at the probe's tip) at or above `volts_per_division`, and return it.
 
-        Raises:
-            ValueError: above the coarsest step, not positive, or not one of the two channels; nothing was written.
-            InstrumentError: it reads back otherwise.
+        Raises ValueError before writing if there is no such step or channel, InstrumentError if it reads back
+        otherwise.
         """
         probe = self._probe(channel)
         step = _step_above(volts_per_division, [probe * scale for scale in SCALES], "V per division")
@@ -111,11 +115,9 @@ class Tektronix:
         return step
 
     def set_averages(self, count: int) -> None:
-        """Set a single capture (1), which is taken without a trigger too, or an average of 4, 16, 64 or 128, which is
-        not.
+        """Set a single capture (1), taken without a trigger too, or an average of 4, 16, 64 or 128, which needs one.
 
-        Raises:
-            ValueError: another number. InstrumentError: it reads back otherwise.
+        Raises like :meth:`set_scale`.
         """
         if count not in AVERAGES:
             raise ValueError(f"averages {count!r}; expected one of {', '.join(map(str, AVERAGES))}")
@@ -131,10 +133,8 @@ class Tektronix:
     def capture(self, channels: Sequence[int]) -> dict[int, Waveform]:
         """Make one acquisition, and return the waveform of every one of `channels` from it.
 
-        Raises:
-            ValueError: a channel that is not one of the two, or none.
-            InstrumentError: the acquisition does not end (no trigger), the records are those of the capture before, or
-                they belong to other settings than those made here. Silence: a channel gives no curve.
+        Raises ValueError for none or another channel, Silence if one gives no curve, InstrumentError if the acquisition
+        does not end, or its records are those of the capture before or belong to other settings.
         """
         if not channels:
             raise ValueError("capture of no channel; expected at least one")
@@ -158,16 +158,10 @@ class Tektronix:
         link.send("HEADER OFF")
         link.synchronise()
         self._set("ACQUIRE:STATE", "0")
-        for command, value in (
-            ("DATA:ENCDG", "RIBINARY"), ("DATA:WIDTH", "1"), ("DATA:START", "1"), ("DATA:STOP", str(POINTS)),
-            ("HORIZONTAL:MAIN:POSITION", _number(0.0)), ("ACQUIRE:STOPAFTER", "SEQUENCE"),
-            ("TRIGGER:MAIN:EDGE:SOURCE", settings.trigger), ("TRIGGER:MAIN:EDGE:SLOPE", "RISE"),
-            ("TRIGGER:MAIN:LEVEL", _number(0.0)),
-        ):
+        for command, value in (*RUN_SETTINGS, ("TRIGGER:MAIN:EDGE:SOURCE", settings.trigger)):
             self._set(command, value)
         for channel, probe in self._probes.items():
-            for item, value in (("PROBE", _number(probe)), ("COUPLING", "DC"), ("POSITION", _number(0.0)),
-                                ("BANDWIDTH", "OFF"), ("INVERT", "OFF")):
+            for item, value in (("PROBE", _number(probe)), *CHANNEL_SETTINGS):
                 self._set(f"CH{channel}:{item}", value)
         self.set_averages(1)
         # A first capture shows that it works, and removes a previous owner's record from the screen.
@@ -232,9 +226,8 @@ class Tektronix:
 def open_tektronix(settings: OscilloscopeSettings) -> Tektronix:
     """Open the oscilloscope: identified, set up for single captures, and with one made.
 
-    Raises:
-        InputError: settings that no oscilloscope of the series has. InstrumentError: no such port, another owner,
-            silent, another instrument, or a setting that reads back otherwise.
+    Raises InputError for settings that the series does not have, InstrumentError for a port or an instrument that does
+    not answer as it.
     """
     _check(settings)
     port = open_port(settings.port, baud=settings.baud, timeout=settings.timeout)

@@ -1,10 +1,8 @@
 """Bytes to and from an instrument: ports with one owner and a time-out, and a dialogue that resynchronises after
 errors.
 
-A :class:`Port` moves bytes. A :class:`Link` on top of it speaks in commands and replies: it knows the question that the
-instrument answers with its identification, and uses it to find the beginning of the next reply after anything went
-wrong. Replies come in order, so once the identification has been read, every late reply to an earlier question has been
-read too.
+A :class:`Link` on a :class:`Port` speaks in commands and replies. After anything went wrong it asks for the
+identification: replies come in order, so once that is read, every late reply to an earlier question has been read too.
 """
 
 from __future__ import annotations
@@ -14,7 +12,8 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -31,24 +30,23 @@ ATTEMPTS = 3
 #: Largest number of bytes of a reply.
 LONGEST_LINE = 4096
 
-#: Largest number of lines that may still be under way when a link resynchronises: replies to earlier questions, or the
-#: pieces of a block of samples, one byte in 128 of which looks like an end of a line.
+#: Largest number of lines under way when a link resynchronises: earlier replies, or the pieces of a block of samples,
+#: one byte in 128 of which looks like an end of a line.
 LONGEST_BACKLOG = 40
 
 Reply = TypeVar("Reply")
 
 
 class Port(Protocol):
-    """Bytes in and out. ``name`` is the user's name of the port."""
+    """Bytes in and out; ``name`` is the user's name of the port. InstrumentError is raised if the port is gone."""
 
     name: str
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`. Raises InstrumentError if the port is gone or takes nothing."""
+        """Send all of `data`."""
 
     def read(self, timeout: float) -> bytes:
-        """The received bytes, at least one, or none after `timeout` seconds. Raises InstrumentError if the port is
-        gone."""
+        """The received bytes, at least one, or none after `timeout` seconds."""
 
     def discard(self) -> None:
         """Drop received bytes that were not read."""
@@ -58,13 +56,10 @@ class Port(Protocol):
 
 
 def open_port(name: str, *, baud: int, timeout: float) -> Port:
-    """Open the port called `name`: a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no
-    handshake).
+    """Open a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no handshake).
 
-    Nobody else can open it until it is closed or this process ends, however it ends.
-
-    Raises:
-        InstrumentError: the port does not exist, may not be opened, or has another owner.
+    Nobody else can open it until it is closed or this process ends, however it ends. Raises InstrumentError if the port
+    does not exist, may not be opened, or has another owner.
     """
     if re.fullmatch(r"/dev/usbtmc\d+", name):
         return UsbtmcPort(name, timeout=timeout)
@@ -79,19 +74,25 @@ def _refused(name: str, error: OSError) -> InstrumentError:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
             folder = Path(name).parent
             near = nearest_names(name, (str(p) for p in folder.iterdir())) if folder.is_dir() else ()
-            hint = f"; did you mean {' or '.join(near)}?" if near else ""
-            return InstrumentError(f"{name}: there is no such port (unplugged or switched off?){hint}")
+            reason = "there is no such port (unplugged or switched off?)"
+            reason += f"; did you mean {' or '.join(near)}?" if near else ""
         case errno.EACCES | errno.EPERM:
-            return InstrumentError(
-                f"{name}: this user may not open the port; on Linux be a member of the group that owns it")
+            reason = "this user may not open the port; on Linux be a member of the group that owns it"
         case errno.EBUSY | errno.EAGAIN:
-            return InstrumentError(f"{name}: the port is in use by another process; end it, or wait for it")
+            reason = "the port is in use by another process; end it, or wait for it"
         case _:
-            return InstrumentError(f"{name}: the port cannot be opened ({error})")
+            reason = f"the port cannot be opened ({error})"
+    return InstrumentError(f"{name}: {reason}")
 
 
-def _gone(name: str, doing: str, error: Exception) -> InstrumentError:
-    return InstrumentError(f"{name}: {doing}: the port is gone, or the instrument takes nothing ({error})")
+@contextmanager
+def _present(name: str, doing: str, *errors: type[Exception]) -> Iterator[None]:
+    """Report `errors` of the port as an InstrumentError."""
+    try:
+        yield
+    except errors as error:
+        raise InstrumentError(
+            f"{name}: {doing}: the port is gone, or the instrument takes nothing ({error})") from None
 
 
 class SerialPort:
@@ -104,6 +105,7 @@ class SerialPort:
         import serial
 
         self.name = name
+        self._errors: tuple[type[Exception], ...] = (OSError,)
         try:
             # The lock is on the device itself and goes with the process: a killed one leaves nothing to clean up.
             self._port: serial.Serial = serial.Serial(
@@ -114,44 +116,29 @@ class SerialPort:
             import fcntl
             import termios
 
+            self._errors = OSError, termios.error
             # For programs that do not ask for the lock.
             fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
 
     def write(self, data: bytes) -> None:
-        try:
+        with _present(self.name, f"sending {data!r}", OSError):
             self._port.write(data)
-        except OSError as error:
-            raise _gone(self.name, f"sending {data!r}", error) from None
 
     def read(self, timeout: float) -> bytes:
         deadline = time.monotonic() + timeout
-        try:
-            while True:
-                first = self._port.read(1)
-                if first:
-                    return bytes(first + self._port.read(self._port.in_waiting))
+        with _present(self.name, "reading", OSError):
+            while not (first := self._port.read(1)):
                 if time.monotonic() >= deadline:
                     return b""
-        except OSError as error:
-            raise _gone(self.name, "reading", error) from None
+            return bytes(first + self._port.read(self._port.in_waiting))
+        raise AssertionError("either branch returns")
 
     def discard(self) -> None:
-        try:
+        with _present(self.name, "clearing", *self._errors):
             self._port.reset_input_buffer()
-        except (OSError, _termios_error()) as error:
-            raise _gone(self.name, "clearing", error) from None
 
     def close(self) -> None:
         self._port.close()
-
-
-def _termios_error() -> type[Exception]:
-    """The exception of the terminal calls, which is no OSError."""
-    if sys.platform == "win32":
-        return OSError
-    import termios
-
-    return termios.error
 
 
 class UsbtmcPort:
@@ -176,28 +163,24 @@ class UsbtmcPort:
             raise _refused(name, error) from None
 
     def write(self, data: bytes) -> None:
-        try:
+        with _present(self.name, f"sending {data!r}", OSError):
             os.write(self._handle, data)
-        except OSError as error:
-            raise _gone(self.name, f"sending {data!r}", error) from None
 
     def read(self, timeout: float) -> bytes:
-        # The driver waits for its own time-out, which was set to the link's.
-        del timeout
-        try:
-            return os.read(self._handle, LONGEST_LINE)
-        except OSError as error:
-            if error.errno in (errno.ETIMEDOUT, errno.EAGAIN):
-                return b""
-            raise _gone(self.name, "reading", error) from None
+        del timeout  # The driver waits for its own, which was set to the link's.
+        with _present(self.name, "reading", OSError):
+            try:
+                return os.read(self._handle, LONGEST_LINE)
+            except OSError as error:
+                if error.errno not in (errno.ETIMEDOUT, errno.EAGAIN):
+                    raise
+        return b""
 
     def discard(self) -> None:
         import fcntl
 
-        try:
+        with _present(self.name, "clearing", OSError):
             fcntl.ioctl(self._handle, self.CLEAR)
-        except OSError as error:
-            raise _gone(self.name, "clearing", error) from None
 
     def close(self) -> None:
         os.close(self._handle)
@@ -224,25 +207,22 @@ class VisaPort:
         self._resource.timeout = 1e3 * timeout
 
     def write(self, data: bytes) -> None:
-        try:
+        with _present(self.name, f"sending {data!r}", self._error):
             self._resource.write_raw(data)
-        except self._error as error:
-            raise _gone(self.name, f"sending {data!r}", error) from None
 
     def read(self, timeout: float) -> bytes:
         del timeout  # set at opening
-        try:
-            return bytes(self._resource.read_raw())
-        except self._error as error:
-            if getattr(error, "error_code", None) == self._timed_out:
-                return b""
-            raise _gone(self.name, "reading", error) from None
+        with _present(self.name, "reading", self._error):
+            try:
+                return bytes(self._resource.read_raw())
+            except self._error as error:
+                if getattr(error, "error_code", None) != self._timed_out:
+                    raise
+        return b""
 
     def discard(self) -> None:
-        try:
+        with _present(self.name, "clearing", self._error):
             self._resource.clear()
-        except self._error as error:
-            raise _gone(self.name, "clearing", error) from None
 
     def close(self) -> None:
         self._resource.close()
@@ -263,8 +243,7 @@ class Link:
     A reply without an end counts as whole if it matches the pattern and comes alike when asked for again: some firmware
     leaves the end out, and a reply that was cut short is not cut twice at one place.
 
-    ``hello`` is the question an instrument answers with its identification; ``timeout`` (s) is the longest silence
-    while a reply is awaited; ``pause`` (s) follows every command.
+    ``hello`` asks for the identification; ``timeout`` (s) is the longest silence; ``pause`` (s) follows every command.
     """
 
     def __init__(self, port: Port, *, hello: Query, timeout: float, pause: float) -> None:
@@ -293,16 +272,14 @@ class Link:
     def ask(self, query: Query) -> re.Match[str]:
         """The reply to `query`, which is asked again after resynchronising if another text comes.
 
-        Raises:
-            Silence: nothing, or no end of the line, came at the last attempt. InstrumentError: something else came.
+        Raises Silence if nothing, or no end of the line, came at the last attempt, InstrumentError for another text.
         """
         return self._attempt(query.command, lambda: self._matching(query))
 
     def ask_block(self, command: str, count: int) -> bytes:
         """The `count` bytes of a definite-length block (IEEE 488.2: ``#``, digits, bytes, LF), asked like :meth:`ask`.
 
-        Raises:
-            Silence: too few bytes. InstrumentError: another count announced, or no end after the last byte.
+        Raises Silence for too few bytes, InstrumentError for another count or no end after the last byte.
         """
         length = str(count)
         header = f"#{len(length)}{length}".encode("ascii")
@@ -327,10 +304,8 @@ class Link:
         """Find the beginning of the next reply: ask for the identification and drop all that comes before it.
 
         This also ends a command of which a previous owner of the port had sent only a part: the instrument tries to
-        execute that part together with the question after it, stays silent, and is asked again.
-
-        Raises:
-            Silence: nothing came. InstrumentError: no reply is an identification.
+        execute that part together with the question after it, stays silent, and is asked again. Raises Silence if
+        nothing came, InstrumentError if no reply is an identification.
         """
         came: list[bytes] = []
         for _ in range(ATTEMPTS):

@@ -1,18 +1,17 @@
-"""Waveforms that oscilloscopes save as one CSV table: a column of time, or its start and step, and a column per
-channel.
+"""Waveforms that oscilloscopes save as one CSV table: time, or its start and step, and a column per channel.
 
 It reads the files of Rigol (DS1000E, DS1000Z, MSO5000), Siglent (SDS1000, SDS2000), Tektronix (DPO, MSO, MDO, TBS2000),
-Keysight InfiniiVision, and any table whose headings are a time and channels, each with its unit. Layouts are those of
-public readers and captures of these instruments. If a step is stated and the printed time agrees with it, the stated
-step is used, since some makers print the time in too few digits.
+Keysight InfiniiVision, LeCroy (one channel a file, named by the file), and any table whose headings are a time and
+channels, each with its unit. If a step is stated and the printed time agrees with it, the stated step is used, since
+some makers print the time in too few digits.
 """
 
 from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +38,18 @@ OFF_SCREEN = 1e30
 SAME_VALUE = 5e-6
 
 #: The readable files, for messages.
-READ = ("a waveform in CSV of Tektronix (TDS, TBS, DPO, MSO, MDO), Rigol, Siglent or Keysight InfiniiVision, an ISF "
-        "file, or a table headed time, CH1, CH2 with their units: Time (s),CH1 (V),CH2 (V)")
+READ = ("a waveform in CSV of Tektronix (TDS, TBS, DPO, MSO, MDO), Rigol, Siglent, LeCroy or Keysight InfiniiVision, "
+        "an ISF file, or a table headed time, CH1, CH2 with their units: Time (s),CH1 (V),CH2 (V)")
 
 _TIMES = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6,
           "ns": 1e-9, "ps": 1e-12}
 _VOLTS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "µv": 1e-6, "μv": 1e-6, "kv": 1e3}
+_AMPERES = {"a": 1.0, "amp": 1.0, "amps": 1.0, "ampere": 1.0, "amperes": 1.0, "ma": 1e-3, "ua": 1e-6, "µa": 1e-6,
+            "μa": 1e-6, "ka": 1e3}
+
+#: The number of a channel that only the name of its file states, and the unit of its samples, which nothing states.
+UNNAMED = 0
+UNSTATED = "unstated"
 
 _UNIT = re.compile(r"(?P<name>.*?)\s*(?:[(\[]\s*(?P<bracket>[^()\[\]]+?)\s*[)\]]|\s+in\s+(?P<words>\S+)"
                    r"|\s*/\s*(?P<slash>[^\s/]+))?$")
@@ -52,8 +57,8 @@ _CHANNEL = re.compile(r"(?:CH(?:AN(?:NEL)?)?[\s_-]*(?P<number>[1-8A-H])|C(?P<sho
                       re.IGNORECASE)
 _TIME = re.compile(r"time|t|x|x-axis|in s|second", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?(?P<decimals>\d*)|\.(?P<after>\d+))(?:[eE](?P<exponent>[+-]?\d+))?")
-_START = re.compile(r"\bt0\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(\w+)", re.IGNORECASE)
-_STEP = re.compile(r"\btInc\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(\w+)", re.IGNORECASE)
+_START, _STEP = (re.compile(rf"\b{word}\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(\w+)", re.IGNORECASE)
+                 for word in ("t0", "tInc"))
 
 
 @dataclass(frozen=True)
@@ -98,13 +103,12 @@ def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
     """
     for index, line in enumerate(lines[:HEAD_LINES]):
         for delimiter in (",", ";", "\t"):
-            cells = _cells(line, delimiter)
-            if len(cells) < 2:
+            if len(_cells(line, delimiter)) < 2:
                 continue
-            found = _by_step(lines, index, delimiter) or _by_headings(lines, index, delimiter) or _by_source(
-                lines, index, delimiter)
-            if found is not None:
-                return found
+            for layout in (_by_step, _by_headings, _by_source, _by_file):
+                table = layout(lines, index, delimiter)
+                if table is not None:
+                    return table
     return None
 
 
@@ -113,15 +117,28 @@ def recognised(lines: Sequence[str]) -> str:
     found = waveform_table(lines)
     if found is None:
         return ""
-    return f"{found.maker}, {', '.join(f'CH{number}' for number in found.channels)} against time"
+    names = ", ".join(f"CH{number}" if number != UNNAMED else "one channel" for number in found.channels)
+    return f"{found.maker}, {names} against time"
 
 
-def read_table(path: str, lines: Sequence[str], table: WaveformTable) -> dict[int, Waveform]:
-    """The waveforms by channel.
+def signal_unit(path: str, field: str, unit: str) -> tuple[str, float]:
+    """The unit of samples, "V", "A" or "" if not stated, and the factor to it. Raises InputError for any other."""
+    if unit == UNSTATED:
+        return "", 1.0
+    name = "A" if unit.lower() in _AMPERES else "V"
+    return name, _factor(path, field, unit, {**_VOLTS, **_AMPERES}, "V or mV, A or mA, in the headings or below them")
 
-    Raises:
-        InputError: cut short, an envelope, not in volts, without a unit of time, or not on even time steps.
+
+def read_table(
+    path: str, lines: Sequence[str], table: WaveformTable, *, wanted: Collection[int] | None = None
+) -> dict[int, Waveform]:
+    """The waveforms by channel; of the `wanted` channels alone if given, and of no others anything is demanded.
+
+    Raises InputError: cut short, an envelope, in another unit, without a unit of time, or not on even time steps.
     """
+    if wanted is not None:
+        table = replace(table, channels={number: each for number, each in table.channels.items()
+                                         if number in (UNNAMED, *wanted)})
     for form in table.settings.get("point format", ()):
         if form and form.upper() != "Y":
             raise InputError(path, "Point Format", form, "Y: samples, not an envelope of peak detection")
@@ -130,20 +147,16 @@ def read_table(path: str, lines: Sequence[str], table: WaveformTable) -> dict[in
     start, step = _time_axis(path, table, time)
     found = {}
     for number, values in columns.items():
-        column = table.channels[number][0]
-        volts = _factor(path, f"unit of CH{number}", column.unit, _VOLTS, "V or mV, in the headings or below them")
-        signal = volts * values
+        unit, factor = signal_unit(path, f"unit of CH{number}", table.channels[number][0].unit)
+        signal = factor * values
         if np.any(np.abs(signal) > OFF_SCREEN):
             raise InputError(path, f"CH{number}", float(signal[np.argmax(np.abs(signal))]),
                              "voltages; this is how the instrument writes what left the screen")
         quantum = _quantum(signal)
         raw = np.round((signal - 0.5 * (signal.max() + signal.min())) / quantum)
-        found[number] = Waveform(number, signal, raw.astype(np.int16), start, step, quantum, clipped=False)
+        found[number] = Waveform(number, signal, raw.astype(np.int16), start, step, quantum, clipped=False,
+                                 unit=unit)
     return found
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The head
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -172,24 +185,32 @@ def _channel(heading: str) -> tuple[int, str, bool] | None:
 
 
 def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """A table with columns of channels alone, and start and step of the time in the heading line: CH1(V),CH2(V),t0 =
-    ..., tInc."""
+    """Columns of channels alone, and start and step of the time in the heading line: CH1(V),CH2(V),t0 = ..., tInc."""
     start, step = _START.search(lines[index]), _STEP.search(lines[index])
     if start is None or step is None or start[2].lower() not in _TIMES or step[2].lower() not in _TIMES:
         return None
-    channels: dict[int, tuple[WaveformColumn, ...]] = {}
-    for place, cell in enumerate(_cells(lines[index], delimiter)):
-        named = _channel(cell)
-        if named:
-            channels[named[0]] = (*channels.get(named[0], ()), WaveformColumn(place, named[1], named[2]))
+    channels = _channels(enumerate(_cells(lines[index], delimiter)), [])
     if not channels:
         return None
     return WaveformTable("an oscilloscope's CSV (Rigol)", channels, None, float(start[1]) * _TIMES[start[2].lower()],
                          float(step[1]) * _TIMES[step[2].lower()], index + 1, delimiter, {})
 
 
+def _channels(
+    headings: Iterable[tuple[int, str]], units: Sequence[str], *, bare: bool = False
+) -> dict[int, tuple[WaveformColumn, ...]]:
+    """The columns by channel, from places and headings and a line of units below; a `bare` number names a channel."""
+    channels: dict[int, tuple[WaveformColumn, ...]] = {}
+    for place, cell in headings:
+        named = (int(cell), "", False) if bare and re.fullmatch("[1-8]", cell) else _channel(cell)
+        if named:
+            unit = named[1] or (units[place] if place < len(units) else "")
+            channels[named[0]] = (*channels.get(named[0], ()), WaveformColumn(place, unit, named[2]))
+    return channels
+
+
 def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """A table with headings of a time and channels, in one line with their units or above a line of units."""
+    """Headings of a time and channels, in one line with their units or above a line of units."""
     cells = _cells(lines[index], delimiter)
     parts = _UNIT.match(cells[0])
     assert parts is not None
@@ -197,47 +218,37 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
         return None
     keysight = cells[0].lower() == "x-axis"
     units, first = _units_below(lines, index, delimiter)
-    channels: dict[int, tuple[WaveformColumn, ...]] = {}
-    stated = {}
-    for place, cell in enumerate(cells[1:], start=1):
-        if _TIME.fullmatch(cell):
-            break  # a second table beside the first, of digital lines
-        if cell.lower() in ("start", "increment"):
-            stated[cell.lower()] = units[place] if place < len(units) else ""
-            continue
-        named = (int(cell), "", False) if keysight and re.fullmatch("[1-8]", cell) else _channel(cell)
-        if named:
-            below = units[place] if place < len(units) else ""
-            channels[named[0]] = (*channels.get(named[0], ()), WaveformColumn(place, named[1] or below, named[2]))
+    # A second time begins a second table beside the first, of digital lines.
+    end = next((place for place, cell in enumerate(cells) if place and _TIME.fullmatch(cell)), len(cells))
+    headings = list(enumerate(cells))[1:end]
+    channels = _channels(headings, units, bare=keysight)
     if not channels:
         return None
     settings = _settings(lines[:index], delimiter)
     unit = "s" if cells[0].lower() == "in s" else (
         parts["bracket"] or parts["words"] or parts["slash"] or (units[0] if units else ""))
     if unit.lower() == "sequence":
+        stated = {cell.lower(): units[place] for place, cell in headings if place < len(units)}
         numbers = [stated.get(name, "") for name in ("start", "increment")]
         if not all(_NUMBER.fullmatch(text) for text in numbers):
             return None
         return WaveformTable("an oscilloscope's CSV (Rigol)", channels, None, float(numbers[0]), float(numbers[1]),
                              first, delimiter, settings)
-    horizontal = settings.get("horizontal units", ())
-    unit = unit or (horizontal[0] if horizontal else "")
+    unit = unit or settings.get("horizontal units", ("",))[0]
     vertical = settings.get("vertical units", ())
     if vertical:
         # One for every column of samples, in their order.
-        channels = {number: tuple(
-            WaveformColumn(each.place, each.unit or vertical[min(each.place, len(vertical)) - 1], each.envelope)
-            for each in columns) for number, columns in channels.items()}
-    maker = ("an oscilloscope's CSV (Tektronix)" if "point format" in settings or "firmware version" in settings
-             else "an oscilloscope's CSV (Keysight)" if keysight
-             else "an oscilloscope's CSV (Rigol)" if cells[0].lower() == "x" or "X(" in lines[index].upper()
-             else "an oscilloscope's CSV")
-    return WaveformTable(maker, channels, WaveformColumn(0, unit), None, None, first, delimiter, settings)
+        channels = {number: tuple(replace(each, unit=each.unit or vertical[min(each.place, len(vertical)) - 1])
+                                  for each in columns) for number, columns in channels.items()}
+    maker = next((f" ({name})" for name, recognised in (
+        ("Tektronix", "point format" in settings or "firmware version" in settings), ("Keysight", keysight),
+        ("Rigol", cells[0].lower() == "x" or "X(" in lines[index].upper())) if recognised), "")
+    return WaveformTable(f"an oscilloscope's CSV{maker}", channels, WaveformColumn(0, unit), None, None, first,
+                         delimiter, settings)
 
 
 def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """A table whose headings are units, with the channels named above: Source,CH1,CH2 over Second,Volt,Volt (Siglent).
-    """
+    """Headings that are units, with the channels named above: Source,CH1,CH2 over Second,Volt,Volt (Siglent)."""
     cells = _cells(lines[index], delimiter)
     if cells[0].lower() not in _TIMES or not all(cell.lower() in {*_VOLTS, "value"} for cell in cells[1:]):
         return None
@@ -251,13 +262,19 @@ def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTabl
         return None
     vertical = dict(re.findall(r"CH([1-8])\s*:\s*([^\s,]+)", ",".join(settings.get("vertical units", ())),
                                re.IGNORECASE))
-    channels = {}
-    for place, number in enumerate(found, start=1):
-        unit = cells[place] if cells[place].lower() != "value" else vertical.get(str(number), "V")
-        channels[number] = (WaveformColumn(place, unit),)
+    channels = {number: (WaveformColumn(place, vertical.get(str(number), "V") if cell.lower() == "value" else cell),)
+                for place, (number, cell) in enumerate(zip(found, cells[1:], strict=True), start=1)}
     return WaveformTable("an oscilloscope's CSV (Siglent)", channels, WaveformColumn(0, cells[0]), None, None,
-                         index + 1,
-                         delimiter, settings)
+                         index + 1, delimiter, settings)
+
+
+def _by_file(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
+    """The one channel that the name of its file states: LECROY..., then Time,Ampl (LeCroy)."""
+    if [cell.lower() for cell in _cells(lines[index], delimiter)] != ["time", "ampl"] or not lines[0].lstrip(
+            '"').upper().startswith("LECROY"):
+        return None
+    return WaveformTable("an oscilloscope's CSV (LeCroy)", {UNNAMED: (WaveformColumn(1, UNSTATED),)},
+                         WaveformColumn(0, "s"), None, None, index + 1, delimiter, _settings(lines[:index], delimiter))
 
 
 def _units_below(lines: Sequence[str], index: int, delimiter: str) -> tuple[list[str], int]:
@@ -280,54 +297,56 @@ def _settings(lines: Sequence[str], delimiter: str) -> dict[str, tuple[str, ...]
     return found
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# The samples
-
-
 def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[list[str], dict[int, NDArray[np.float64]]]:
     """The cells of the time column as printed ("" if there is none), and the samples of every channel."""
     places = {number: columns[0].place for number, columns in table.channels.items()}
-    extremes = {number: columns[1].place if len(columns) > 1 else None for number, columns in table.channels.items()}
+    extremes = {number: columns[1].place for number, columns in table.channels.items() if len(columns) > 1}
     for number, columns in table.channels.items():
         if columns[0].envelope:
             raise InputError(path, f"CH{number}", "a column of extremes alone", "samples, not an envelope of peak "
                              "detection, from which no phase can be had")
-    needed = max(places.values()) + 1
+
+    def refused(index: int, expected: str) -> InputError:
+        return InputError(path, f"line {index + 1}", lines[index][:60], expected)
+
+    needed = 1 + max(*places.values(), *extremes.values(), 0)
     times: list[str] = []
-    values: dict[int, list[float]] = {number: [] for number in places}
-    ended = 0
+    rows: list[list[float]] = []
+    ended: int | None = None
     for index in range(table.first, len(lines)):
         if not lines[index].strip(f" {table.delimiter}"):
             continue
         cells = _cells(lines[index], table.delimiter)
         cells += [""] * (needed - len(cells))
-        if not any(cells[place] for place in places.values()):
-            ended = index + 1 if times else 0  # rows of time alone, before and after the record
+        if table.delimiter != ",":
+            cells = [cell.replace(",", ".") for cell in cells]
+        row = [cells[place] for place in places.values()]
+        if not any(row):
+            ended = index if times else None  # rows of time alone, before and after the record
             continue
-        row = [cells[place] if table.delimiter == "," else cells[place].replace(",", ".") for place in places.values()]
-        if ended or not all(_NUMBER.fullmatch(cell) for cell in row):
-            raise InputError(path, f"line {ended or index + 1}", lines[(ended or index + 1) - 1][:60],
-                             "a number for every channel: " + ", ".join(f"CH{number}" for number in places))
+        if ended is not None or not all(_NUMBER.fullmatch(cell) for cell in row):
+            raise refused(index if ended is None else ended,
+                          "a number for every channel: " + ", ".join(f"CH{number}" for number in places))
         for number, place in extremes.items():
-            if place is not None and place < len(cells) and cells[place]:
-                raise InputError(path, f"line {index + 1}", lines[index][:60], f"samples of CH{number}; an envelope of "
-                                 "peak detection holds extremes, from which no phase can be had")
-        for number, cell in zip(places, row, strict=True):
-            values[number].append(float(cell))
-        if table.time is None:
-            times.append("")
-            continue
-        cell = cells[table.time.place] if table.delimiter == "," else cells[table.time.place].replace(",", ".")
-        if not _NUMBER.fullmatch(cell):
-            raise InputError(path, f"line {index + 1}", lines[index][:60], "a number for the time")
-        times.append(cell)
+            if cells[place]:
+                raise refused(index, f"samples of CH{number}; an envelope of peak detection holds extremes, from which "
+                              "no phase can be had")
+        times.append("" if table.time is None else cells[table.time.place])
+        if table.time is not None and not _NUMBER.fullmatch(times[-1]):
+            raise refused(index, "a number for the time")
+        rows.append([float(cell) for cell in row])
     if len(times) < 4:
         raise InputError(path, "rows", f"{len(times)} samples", "a record of samples; the file is cut short")
-    return times, {number: np.array(each) for number, each in values.items()}
+    return times, dict(zip(places, np.array(rows).T, strict=True))
 
 
 def _check_length(path: str, table: WaveformTable, count: int) -> None:
     """Check that the file has as many rows as it announces, unless a part of the record was saved."""
+    segments = dict(enumerate(table.settings.get("segments", ())))
+    if segments.get(0, "1") != "1":
+        raise InputError(path, "Segments", segments[0], "1: one record, not a sequence")
+    if segments.get(2, "0").isdecimal() and int(segments.get(2, "0")) > count:
+        raise InputError(path, "rows", f"{count} samples", f"the {segments[2]} of 'SegmentSize'; the file is cut short")
     stated = re.search(r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?", ",".join(table.settings.get("record length", ())))
     gating = table.settings.get("gating", ("0.0% to 100.0%",))[0].replace(" ", "")
     if stated is None or gating != "0.0%to100.0%":
@@ -357,22 +376,16 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
         index = int(np.argmax(apart))
         raise InputError(path, f"time of sample {index + 1}", f"{time[index]:.9g} s",
                          f"even steps: {even[index]:.9g} s, at {step:.6g} s a sample")
-    stated = _stated_step(table)
-    if stated is not None and abs(stated - step) <= digit / (len(time) - 1) + 1e-6 * step:
-        return float(even[0]), stated
+    interval = re.search(r"(?:^|:)\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)", ",".join(
+        table.settings.get("sample interval", ())[:1]))
+    if interval and abs(float(interval[1]) - step) <= digit / (len(time) - 1) + 1e-6 * step:
+        return float(even[0]), float(interval[1])
     # For a line through times that are each rounded to a digit, two standard deviations or more.
     uncertain = digit / len(time) ** 1.5
     if uncertain > COARSE_STEP * step:
         raise InputError(path, "time", f"{printed[0]} to {printed[-1]}", f"a time of more digits: of {len(time)} "
                          f"samples the step is known to {100.0 * uncertain / step:.2g} % only, and so is the frequency")
     return float(even[0]), step
-
-
-def _stated_step(table: WaveformTable) -> float | None:
-    """The step (s) that the head states, or None."""
-    stated = re.search(r"(?:^|:)\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)", ",".join(
-        table.settings.get("sample interval", ())[:1]))
-    return float(stated[1]) if stated else None
 
 
 def _last_digit(cell: str) -> float:
@@ -383,9 +396,9 @@ def _last_digit(cell: str) -> float:
     return float(10.0 ** (int(found["exponent"] or 0) - len(decimals or "")))
 
 
-def _factor(path: str, what: str, unit: str, known: Mapping[str, float], expected: str) -> float:
+def _factor(path: str, field: str, unit: str, known: Mapping[str, float], expected: str) -> float:
     if unit.lower() not in known:
-        raise InputError(path, what, unit or None, expected)
+        raise InputError(path, field, unit or None, expected)
     return known[unit.lower()]
 
 

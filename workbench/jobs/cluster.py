@@ -48,9 +48,7 @@ class DaskExecutor(Executor):
 def dask_cluster(address: str) -> Iterator[tuple[Executor, int]]:
     """The executor of the Dask cluster whose scheduler is at `address`, and how many tasks it works on at a time.
 
-    Raises:
-        RuntimeError: Dask is not installed, or the cluster has no workers.
-        InputError: nobody answers at the address.
+    Raises InputError if nobody answers there, RuntimeError if Dask is not installed or the cluster has no workers.
     """
     try:
         from distributed import Client

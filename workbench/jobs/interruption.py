@@ -1,9 +1,8 @@
-"""Ctrl-C: a command ends promptly, without a traceback, and says what is on disk.
+"""Ctrl-C: a command ends promptly, without a traceback, and reports the files on disk.
 
 A request to terminate (SIGTERM: `kill`, a batch system, a container that is stopped) and the end of the terminal
-(SIGHUP) are heeded the same way.
-
-Nothing but the interpreter's own modules is needed here, so that a command can be interrupted from its first moment on.
+(SIGHUP) are heeded the same way. Only the interpreter's own modules are needed here, so that a command can be
+interrupted from its first moment on.
 """
 
 from __future__ import annotations
@@ -34,9 +33,12 @@ SAME = 1.0
 #: Ctrl-C during a long factorisation takes so much longer.
 GRACE = 1.0
 
+#: Seconds after which a signal that the command has not heard of is sent again. Doubled, a command that sleeps wakes so
+#: much later.
+HEARD = 0.1
+
 #: Files that are named one by one when it is said what is on disk; of more there is a number.
 NAMED = 12
-
 
 #: End of the note on an error that names an entry that was saved before it; the command repeats such a note.
 SAVED = " is saved"
@@ -56,7 +58,7 @@ class Interruption:
 
     def __init__(self) -> None:
         self.stage, self.since, self.output, self.number = "loading", time.time(), "", int(signal.SIGINT)
-        self._presses, self._last = 0, 0.0
+        self._presses, self._last, self._heard = 0, 0.0, 0.0
 
     @property
     def requested(self) -> bool:
@@ -69,12 +71,8 @@ class Interruption:
         return 128 + self.number
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Handle one signal; a handler of :func:`signal.signal`.
-
-        Raises:
-            KeyboardInterrupt: while the command is at work, at the first press and the second.
-        """
-        now = time.monotonic()
+        """Handle one signal; while the command works, the first press and the second raise KeyboardInterrupt."""
+        now = self._heard = time.monotonic()
         if self.requested and now - self._last < SAME:
             return
         if not self.requested:
@@ -92,11 +90,30 @@ class Interruption:
     def again(self) -> None:
         """Interrupt the command once more: the first exception got lost."""
         self._presses, self._last = 0, 0.0
-        ident = threading.main_thread().ident
-        if hasattr(signal, "pthread_kill") and ident is not None:
-            signal.pthread_kill(ident, self.number)  # wakes it, should it wait for the system
-        else:
-            _thread.interrupt_main(signal.Signals(self.number))
+        _send_to_main(self.number)
+
+    def repeat_unheard(self, arrivals: int) -> None:
+        """Send signals again until the command hears of them; `arrivals` is a pipe of their numbers.
+
+        A signal that arrives just before the main thread falls asleep does not wake it.
+        """
+        try:
+            while number := os.read(arrivals, 1):
+                arrived = time.monotonic()
+                time.sleep(HEARD)
+                if self._heard < arrived and signal.getsignal(number[0]) == self.handle:
+                    _send_to_main(number[0])  # which comes by the pipe again
+        finally:
+            os.close(arrivals)
+
+
+def _send_to_main(number: int) -> None:
+    """Send a signal to the main thread, and wake it, should it wait for the system."""
+    ident = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and ident is not None:
+        signal.pthread_kill(ident, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 @contextmanager
@@ -125,6 +142,10 @@ def heeded(*, stays: bool) -> Iterator[Interruption]:
     for end in taken:
         signal.signal(end, found.handle)
     sys.unraisablehook = hook
+    arrivals, writing = os.pipe()
+    os.set_blocking(writing, False)
+    woken = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=found.repeat_unheard, args=(arrivals,), daemon=True).start()
     try:
         yield found
     finally:
@@ -133,13 +154,14 @@ def heeded(*, stays: bool) -> Iterator[Interruption]:
             for end in taken:
                 signal.signal(end, before[end])
             sys.unraisablehook = swallowed
+            signal.set_wakeup_fd(woken)
+            os.close(writing)
 
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Processes that are begun in this block never see Ctrl-C, not even while they load libraries: the one that begins
-    them does, at the end of the block if it was pressed within, and ends them. They see the other :data:`ENDS` once
-    they call :func:`unshielded`."""
+    """Processes that are begun in this block never see Ctrl-C, not even while they load libraries: this one does, at
+    the end of the block, and ends them. They see the other :data:`ENDS` once they call :func:`unshielded`."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -200,13 +222,10 @@ def on_disk(output: Path | None, since: float) -> str:
     from workbench.files.output import MARK
 
     folder = output if output.is_dir() or not output.suffix else output.parent
-    if folder == output:
-        found = sorted(path for path in output.rglob("*") if path.is_file()) if output.is_dir() else []
-    else:
-        found = sorted(path for path in folder.glob(f"{output.stem}*") if path.is_file())
+    candidates = sorted(output.rglob("*") if folder == output else folder.glob(f"{output.stem}*"))
     # Files whose names begin with a dot are locks and the like.
-    found = [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
-    found = [path for path in found if path.name != MARK]
+    found = [path for path in candidates if path.is_file() and path.name != MARK
+             and not any(part.startswith(".") for part in path.relative_to(folder).parts)]
     if not found:
         return f"interrupted: {output} holds nothing; nothing was finished"
     # A file system may keep times to a second or two.

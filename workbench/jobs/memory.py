@@ -46,7 +46,6 @@ GROUP_FILES = (
 FAILED = re.compile(r"malloc|bad_alloc|bad allocation|out of ?memory|not enough memory|cannot allocate memory"
                     r"|can't start new thread|failed to map segment", re.IGNORECASE)
 
-
 #: Bytes of address space below which it is nearly used up. Doubled, a defect of the program is more often taken for a
 #: lack of memory under a limit.
 EXHAUSTED = 100e6
@@ -83,32 +82,27 @@ def address_limit() -> float | None:
 def free_memory(*, proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> Room | None:
     """The memory that is free for this process, by its tightest limit; None if the system states none.
 
-    Parameters:
-        proc, groups: where the system shows its processes and its control groups.
+    `proc` and `groups` are where the system shows its processes and its control groups.
     """
     rooms = []
     limit = address_limit()
     if limit is not None:
         rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
                           "that ulimit -v allows a process"))
-    stated = os.environ.get(PROCESS_VARIABLE)
-    if stated is not None:
-        rooms.append(Room(float(stated), "a process' share of the memory that is free here, less with more --jobs"))
-    else:
-        rooms += _shared(proc, groups)
-    return min(rooms, key=lambda room: room.size, default=None)
+    return min((*rooms, *_shared(proc, groups)), key=lambda room: room.size, default=None)
 
 
 def shared_memory() -> float | None:
     """Bytes that are free for all processes together; None if the system states none."""
-    stated = os.environ.get(PROCESS_VARIABLE)
-    if stated is not None:
-        return float(stated)
     return min((room.size for room in _shared(Path("/proc"), Path("/sys/fs/cgroup"))), default=None)
 
 
 def _shared(proc: Path, groups: Path) -> Iterator[Room]:
-    """Free memory of the machine, and of every control group around this process that has a limit."""
+    """The share of a worker, or free memory of the machine and of every control group with a limit around it."""
+    stated = os.environ.get(PROCESS_VARIABLE)
+    if stated is not None:
+        yield Room(float(stated), "a process' share of the memory that is free here, less with more --jobs")
+        return
     try:
         with (proc / "meminfo").open(encoding="ascii") as lines:
             free = [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
@@ -122,11 +116,12 @@ def _shared(proc: Path, groups: Path) -> Iterator[Room]:
     for folder in _groups(proc, groups):
         for limits, used, reclaimed in GROUP_FILES:
             taken = _number_in(folder / used)
-            found = [size for name in limits if (size := _number_in(folder / name)) is not None]
-            if found and taken is not None:
-                back = _reclaimable(folder / "memory.stat", reclaimed)
-                yield Room(max(min(found) - max(taken - back, 0.0), 0.0), "the memory that is free in this control "
-                           f"group (cgroup), which may take {shown_memory(min(found))}")
+            most = min((size for name in limits if (size := _number_in(folder / name)) is not None), default=None)
+            if most is not None and taken is not None:
+                # The system takes back files that it keeps in memory for as long as nobody needs it.
+                back = _number_in(folder / "memory.stat", reclaimed) or 0.0
+                yield Room(max(most - max(taken - back, 0.0), 0.0), "the memory that is free in this control "
+                           f"group (cgroup), which may take {shown_memory(most)}")
 
 
 def _groups(proc: Path, groups: Path) -> Iterator[Path]:
@@ -145,39 +140,27 @@ def _groups(proc: Path, groups: Path) -> Iterator[Path]:
     yield from (folder for folder in seen if folder.is_dir())
 
 
-def _number_in(path: Path) -> float | None:
-    try:
-        return float(path.read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return None  # no such file, or no limit: "max"
-
-
-def _reclaimable(path: Path, key: str) -> float:
-    """Bytes of files that the system keeps in memory for as long as nobody needs it."""
-    with suppress(OSError):
-        for line in path.read_text(encoding="ascii").splitlines():
-            name, _, number = line.partition(" ")
-            if name == key:
-                return float(number)
-    return 0.0
+def _number_in(path: Path, key: str = "") -> float | None:
+    """The number in a file, or after a `key` in it; None if there is no such file, or no limit ("max")."""
+    with suppress(OSError, ValueError, KeyError):
+        text = path.read_text(encoding="ascii")
+        return float(dict(line.split(maxsplit=1) for line in text.splitlines())[key] if key else text)
+    return None
 
 
 def _mapped(proc: Path) -> float:
     """Bytes of address space that this process takes."""
-    try:
+    with suppress(OSError):
         return float((proc / "self" / "statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
-    except OSError:
-        return 0.0
+    return 0.0
 
 
 @cache
 def reserve_buffers() -> None:
     """Let the linear algebra libraries have their buffers now, if the address space is limited, and one thread each.
 
-    A library that is called for the first time while no memory is left would try forever (OpenBLAS 0.3.30).
-
-    Raises:
-        MemoryError: there is no room for them.
+    A library that is called for the first time while no memory is left would try forever (OpenBLAS 0.3.30). Raises
+    MemoryError if there is no room for them.
     """
     if address_limit() is None:
         return
@@ -204,11 +187,7 @@ def reserve_buffers() -> None:
 
 
 def require(size: float, user: str) -> None:
-    """Check that so many bytes of address space are there for a `user`, if it is limited.
-
-    Raises:
-        MemoryError: they are not.
-    """
+    """Raise MemoryError unless so many bytes of address space are there for a `user`, if it is limited."""
     if address_limit() is None:
         return
     try:
@@ -248,16 +227,11 @@ def is_exhausted() -> bool:
 
 def _behind(error: BaseException) -> BaseException | None:
     """The error among an error and its causes that an allocation failed by."""
-    match error:
-        case MemoryError():
-            return error
-        case OSError() if error.errno == errno.ENOMEM:
-            return error
-        # gmsh raises nothing more special than Exception.
-        case RuntimeError() | ImportError() | OSError() if FAILED.search(str(error)):
-            return error
-        case Exception() if type(error) is Exception and FAILED.search(str(error)):
-            return error
+    # gmsh raises nothing more special than Exception.
+    worded = isinstance(error, RuntimeError | ImportError | OSError) or type(error) is Exception
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM) or (
+            worded and FAILED.search(str(error))):
+        return error
     return None if error.__cause__ is None else _behind(error.__cause__)
 
 

@@ -48,12 +48,9 @@ class WorkerEnded(RuntimeError):
 class WorkerProcess:
     """A process that does one task after the other. It ends with :meth:`end`, or with this process however that ends.
 
-    It warns of nothing: what is to be said of a chip, this process says. It stands back for others by `nice`, and what
-    it prints goes to the file `words`, or to the standard error of this process. `memory` (bytes) is its share of what
-    is free, if others work beside it.
-
-    Raises:
-        MemoryError: the system begins no further process or thread.
+    It emits no warnings. Its priority is lower by `nice`. Its output goes to the file `words`, or to the standard error
+    of this process. `memory` (bytes) is its share of the free memory, if others work beside it. Raises MemoryError if
+    the system begins no further process or thread.
     """
 
     def __init__(self, *, nice: int = 0, words: Path | None = None, memory: float | None = None) -> None:
@@ -85,9 +82,8 @@ class WorkerProcess:
     def call(self, task: Callable[..., Any], seconds: float | None = None) -> Any:
         """The result of a task, which may take so many `seconds`.
 
-        Raises:
-            WorkerEnded: the process ended, or was ended as the task took too long.
-            Exception: what the task raised, or the maker of the state.
+        Raises WorkerEnded if the process ended, or was ended as the task took too long, or the error of the task or of
+        the maker of the state.
         """
         self._send(TASK, task)
         try:
@@ -125,16 +121,12 @@ class WorkerProcess:
 
     def _send(self, kind: str, task: Callable[..., Any] | None) -> None:
         message = pickle.dumps((kind, task), protocol=pickle.HIGHEST_PROTOCOL)
-        # Of a process that has ended who waits for its answer learns.
+        # If the process has ended, the caller that waits for its answer gets WorkerEnded.
         with suppress(OSError, ValueError), self._writing:
             write_message(self._input, message)
 
     def _answer(self, seconds: float | None) -> tuple[str, Any]:
-        """The next message of the process.
-
-        Raises:
-            Empty: there is none within so many `seconds`.
-        """
+        """The next message of the process. Raises Empty if there is none within so many `seconds`."""
         message = self._answers.get(timeout=seconds)
         if message is None:
             self._answers.put(None)
@@ -168,11 +160,8 @@ def stream(
 ) -> Generator[Any, None, None]:
     """Results that ``task(send)`` sends from a process of its own, as they are sent.
 
-    The process stands back for this one, and ends with this iterator, which ends once it is `stopped`.
-
-    Raises:
-        WorkerEnded: the process ended by itself.
-        Exception: what the task raised.
+    The process stands back for this one, and ends with this iterator, which ends once it is `stopped`. Raises
+    WorkerEnded if the process ended by itself, or the error of the task.
     """
     worker = WorkerProcess(nice=STAND_BACK, words=words)
     try:

@@ -82,11 +82,7 @@ class Workers:
                 future.cancel()
 
     def map(self, tasks: Iterable[Task[T]]) -> list[T]:
-        """Results of tasks in their order.
-
-        Raises:
-            Exception: what a task raised.
-        """
+        """Results of tasks in their order. Raises the error of a task."""
         found = {index: done.result() for index, done in self.completed(enumerate(tasks))}
         return [found[index] for index in range(len(found))]
 
@@ -188,11 +184,7 @@ class ExecutorWorkers(Workers):
 
 
 def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
-    """Check that a number of tasks at a time is a whole one of at least one.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Raise InputError unless a number of tasks at a time is a whole one of at least one."""
     if isinstance(jobs, bool) or not isinstance(jobs, Integral) or jobs < 1:
         raise InputError(source, field, jobs, "a whole number, one or more")
 
@@ -216,7 +208,7 @@ def begin_workers(
 
 
 def itself(value: T) -> T:
-    """The value: what makes it from itself."""
+    """Return the argument (identity)."""
     return value
 
 

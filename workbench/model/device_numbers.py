@@ -60,7 +60,15 @@ def length_number(chip: Chip, name: str) -> Number:
                          "one tolerance of radii that coincide, which are one length")
     stated = next((Stated(each, "uniform", chip.file) for each in tolerances.values()), None)
     value = known[mine].value
-    return Number(mine, value, *limits(mine, value), stated, ParameterName.parse(mine).unit, others)
+    return Number(mine, value, *limits(mine, value), stated, ParameterName.parse(mine).unit, others,
+                  material=_material_of(chip, mine))
+
+
+def _material_of(chip: Chip, name: str) -> str:
+    """The material of the layer that a dimension is of, of a cavity that of the first layer around it."""
+    region = ParameterName.parse(name).owner
+    around = [layer.material for layer in (*chip.layers, *chip.holes) if layer.region == region]
+    return next(iter((*around, *(hole.material for hole in chip.holes))), "")
 
 
 def coefficient_number(material: Material, name: str) -> Number:
@@ -79,7 +87,7 @@ def bench_number(element: str) -> Number:
                   known.unit)
 
 
-def assumed_by_role(name: str, value: float) -> Stated:
-    """The uncertainty that the role of its layer lets assume of a dimension of that `value` (m or rad)."""
-    found = assumed_uncertainty(name, value)
+def assumed_by_role(name: str, value: float, material: str = "") -> Stated:
+    """The uncertainty that role and `material` of its layer let assume of a dimension of that `value` (m or rad)."""
+    found = assumed_uncertainty(name, value, material)
     return Stated(found.deviation, origin=f"assumed: {found.assumed}", assumed=found.assumed)

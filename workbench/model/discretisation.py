@@ -10,7 +10,7 @@ from geometry.free_section import FreeSection
 from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER, role_of
 from geometry.section import Rectangle, Section
-from materials.kinds import Fluid, IsotropicSolid
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid
 from materials.registry import Material
 from workbench.files.errors import InputError, expect_number
 
@@ -53,9 +53,9 @@ class Discretisation:
 
     def mesh_size(
         self, section: Section | FreeSection, materials: Mapping[str, Material], frequency: float, *,
-        skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
+        skins: Mapping[str, float] | None = None, radii: Sequence[float] = (), levels: Sequence[float] = (),
     ) -> MeshSize:
-        """The size of the elements of a section at `frequency` (Hz); `skins` and `radii` as in
+        """The size of the elements of a section at `frequency` (Hz); `skins`, `radii` and `levels` as in
         `geometry.mesh_size.MeshSize`."""
         speeds, films = self.mesh_speeds(section.regions, materials), film_speeds(section, materials, frequency)
         for region, speed in films.items():
@@ -66,7 +66,7 @@ class Discretisation:
                         minimum_through_quarter_wave=self.through_quarter_wave,
                         corner_refinement=self.corner_refinement, cavity_corner=self.cavity_corner,
                         growth=self.growth, skins=skins or {},
-                        levels=film_levels(section, materials, films, frequency), radii=tuple(radii))
+                        levels=(*film_levels(section, materials, films, frequency), *levels), radii=tuple(radii))
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
         """The speed (m/s) whose wavelength decides the mesh size in every region; infinite for an empty one."""
@@ -85,7 +85,7 @@ def film_speeds(
     """Speed (m/s) at `frequency` (Hz) of the wave along every film of fluid on an elastic solid, by region.
 
     The fluid that moves along the film presses the solids apart, and the wave is slower the thinner the film: h k^3 =
-    w^2 rho sum (1 - nu) / G over the solids beside it, isotropic ones (ceramics are far stiffer).
+    w^2 rho sum (1 - nu) / G over the solids beside it but ceramics, which are far stiffer.
     """
     omega, found = 2.0 * math.pi * frequency, dict[str, float]()
     for film in section.rectangles:
@@ -94,7 +94,7 @@ def film_speeds(
             continue
         beside = {r.region for r in _beside(section, film)}
         softness = sum(_softness(solid) for solid in (materials.get(region) for region in beside)
-                       if isinstance(solid, IsotropicSolid))
+                       if isinstance(solid, IsotropicSolid | CubicSolid))
         if softness > 0.0:
             speed = (omega * (film.z_top - film.z_bottom) / (fluid.density * softness)) ** (1.0 / 3.0)
             found[film.region] = min(speed, found.get(film.region, math.inf))
@@ -114,7 +114,8 @@ def film_levels(
             continue  # Thicker than a film: sound in it is slower.
         depth = FILM_ROW * speeds[film.region] / (2.0 * math.pi * frequency)
         for solid in _beside(section, film):
-            if isinstance(materials.get(solid.region), IsotropicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
+            held = materials.get(solid.region)
+            if isinstance(held, IsotropicSolid | CubicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
                 above = solid.z_bottom >= film.z_top
                 found.add(solid.z_bottom + depth if above else solid.z_top - depth)
     return tuple(sorted(found))
@@ -126,8 +127,8 @@ def _beside(section: Section | FreeSection, film: Rectangle) -> list[Rectangle]:
             if r.r_inner < film.r_outer and r.r_outer > film.r_inner]
 
 
-def _softness(solid: IsotropicSolid) -> float:
-    """Compliance (1 - nu) / G of a solid, 1/Pa."""
+def _softness(solid: IsotropicSolid | CubicSolid) -> float:
+    """Compliance (1 - nu) / G of a solid, 1/Pa; of a crystal that of its average over directions."""
     bulk, shear = complex(solid.bulk_modulus).real, complex(solid.shear_modulus).real
     return (3.0 * bulk + 4.0 * shear) / (2.0 * shear * (3.0 * bulk + shear))
 

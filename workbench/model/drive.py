@@ -7,14 +7,18 @@ constant generator voltage unsuitable for comparing frequencies and recommend co
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.chip import Chip
+from geometry.parts import TWO_AMPLIFIERS
+from geometry.straight import check_stated_length
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
@@ -45,16 +49,22 @@ class VoltageDrive:
 
 @dataclass(frozen=True)
 class GeneratorDrive:
-    """A generator of constant open-circuit voltage (V peak-to-peak) behind a source resistance (ohm)."""
+    """A generator of constant open-circuit voltage (V peak-to-peak) behind a source resistance (ohm).
+
+    Each of several ``amplifiers`` is such a generator, and they share the current of the device equally.
+    """
 
     open_circuit_peak_to_peak: float
     source_resistance: float = 50.0
+    amplifiers: int = 1
 
     def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        return 0.5 * self.open_circuit_peak_to_peak * impedance / (impedance + self.source_resistance)
+        resistance = self.source_resistance / self.amplifiers
+        return 0.5 * self.open_circuit_peak_to_peak * impedance / (impedance + resistance)
 
     def __str__(self) -> str:
-        return f"{self.open_circuit_peak_to_peak:g} Vpp open circuit behind {self.source_resistance:g} ohm"
+        each = "" if self.amplifiers == 1 else f", each of {self.amplifiers} amplifiers"
+        return f"{self.open_circuit_peak_to_peak:g} Vpp open circuit behind {self.source_resistance:g} ohm{each}"
 
 
 @dataclass(frozen=True)
@@ -71,17 +81,41 @@ class PowerDrive:
         return f"{self.power:g} W of electrical input power"
 
 
+def drive_up_to(drive: Drive, factor: float) -> Drive | None:
+    """The drive of `factor` times the voltage amplitude, its number rounded down to two digits.
+
+    None for a drive of another kind than those above.
+    """
+    match drive:
+        case VoltageDrive():
+            return VoltageDrive(_down(factor * drive.peak_to_peak))
+        case GeneratorDrive():
+            return replace(drive, open_circuit_peak_to_peak=_down(factor * drive.open_circuit_peak_to_peak))
+        case PowerDrive():
+            return PowerDrive(_down(factor**2 * drive.power))
+    return None
+
+
+def _down(value: float) -> float:
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / digit) * digit:.2g}")
+
+
 #: Least and largest drive that amplifiers for such devices give: V peak-to-peak, W, and ohm of a source. Doubled, a
 #: slip of the unit is still outside.
 PLAUSIBLE: Mapping[str, tuple[float, float, str]] = {
     "peak-to-peak voltage": (1e-3, 2e3, "1 mVpp to 2000 Vpp"), "power": (1e-9, 500.0, "1e-9 W to 500 W"),
     "resistance": (1e-3, 1e5, "1 mohm to 100 kohm")}
 
+_LEVEL = re.compile(r"\s*(?P<dbm>[-+]?\d+(\.\d*)?)\s*dBm\s*(@\s*(?P<resistance>[^@]+?)\s*)?$")
 _GENERATOR = re.compile(r"\s*(?P<voltage>[^@]*?)\s*@\s*(?P<resistance>[^@]*?)\s*$")
 
 
 def parse_drive(text: str, *, source: str = "command line", field: str = "--drive") -> Drive:
     """A drive from ``"10 Vpp"`` (at the electrodes), ``"10 Vpp @ 50 ohm"`` (generator) or ``"0.1 W"`` (power).
+
+    A voltage of a sine may be stated as ``Vrms`` too. ``"20 dBm"`` is a generator that gives this power to a load of
+    its own source resistance, 50 ohm unless stated (``"20 dBm @ 75 ohm"``).
 
     Raises:
         InputError: none of these, or a value that is not positive or that no amplifier gives.
@@ -95,6 +129,12 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
             raise InputError(source, field, text, f"a {dimension} that an amplifier for such a device has, {shown}")
         return value
 
+    level = _LEVEL.match(text)
+    if level is not None:
+        resistance = positive(level["resistance"] or "50 ohm", "resistance")
+        power = positive(f"{1e-3 * 10.0 ** (0.1 * float(level['dbm'])):.15g} W", "power")
+        # The open-circuit voltage is twice that at the matched load.
+        return GeneratorDrive(math.sqrt(32.0 * power * resistance), resistance)
     generator = _GENERATOR.match(text)
     if generator is not None:
         return GeneratorDrive(
@@ -102,9 +142,22 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
         )
     if text.rstrip().endswith("W"):
         return PowerDrive(positive(text, "power"))
-    if text.rstrip().endswith("Vpp"):
+    if text.rstrip().endswith(("Vpp", "Vrms")):
         return VoltageDrive(positive(text, "peak-to-peak voltage"))
-    raise InputError(source, field, text, '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"')
+    raise InputError(source, field, text, '"10 Vpp", "3.5 Vrms", "10 Vpp @ 50 ohm", "20 dBm" or "0.1 W"')
+
+
+def wired(drive: Drive | None, chip: Chip) -> Drive:
+    """The `drive` of a chip, 10 Vpp if None, as the chip states its wiring.
+
+    Raises:
+        InputError: a generator or a power for a straight chip without a length.
+    """
+    if isinstance(drive, GeneratorDrive | PowerDrive):
+        check_stated_length(chip.measure, chip.file, f"the voltage that {drive} gives at its electrodes")
+    if isinstance(drive, GeneratorDrive) and chip.electrodes.wiring == TWO_AMPLIFIERS:
+        return replace(drive, amplifiers=2)
+    return VoltageDrive() if drive is None else drive
 
 
 def check_drive(drive: object, *, source: str) -> None:

@@ -95,10 +95,10 @@ class JobSize:
 
 def job_size(
     section: Section | FreeSection, materials: Mapping[str, Material], made: Discretisation, band: tuple[float, float],
-    *, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
+    *, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (), levels: Sequence[float] = (),
 ) -> JobSize:
     """The size of the model of a `section` filled with `materials`, meshed for a `band` (Hz)."""
-    size = made.mesh_size(section, materials, band[1], skins=skins, radii=radii)
+    size = made.mesh_size(section, materials, band[1], skins=skins, radii=radii, levels=levels)
     cells = _cells(section, size)
     unknowns = sum(_components(materials[region]) * (made.order**2 * inside + made.order * beside)
                    for region, (inside, beside) in cells.items() if region in materials)
@@ -125,7 +125,7 @@ def resonances(
 
 def check_size(
     section: Section | FreeSection, materials: Mapping[str, Material], made: Discretisation, band: tuple[float, float],
-    *, source: str, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
+    *, source: str, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (), levels: Sequence[float] = (),
 ) -> JobSize:
     """The size of a job, checked against the memory of this machine.
 
@@ -133,7 +133,7 @@ def check_size(
         InputError: the memory is too small; the error states the largest job that fits.
     """
     def sized(how: Discretisation, ends: tuple[float, float]) -> JobSize:
-        return job_size(section, materials, how, ends, skins=skins, radii=radii)
+        return job_size(section, materials, how, ends, skins=skins, radii=radii, levels=levels)
 
     found, room = sized(made, band), memory_to_use()
     if room is None or found.memory <= room.size:

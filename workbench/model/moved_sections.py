@@ -98,13 +98,13 @@ def _coordinates(mesh: SectionMesh, chip: Chip, sizes: Mapping[str, float]) -> R
 
 
 def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMesh:
-    """The mesh that also names those parts of boundaries at :data:`geometry.names.LEVEL` that are `used`: facets that
-    are nearer to lying than to standing."""
+    """The mesh that also names those parts of outer boundaries that are `used`: facets nearer to lying than to standing
+    at :data:`geometry.names.LEVEL`, and the others in the layer."""
     boundaries = dict(mesh.mesh.boundaries)
-    for place in {place for pair in used for place in pair if place.endswith(f"{PART}{LEVEL}")}:
+    for place in {place for pair in used for place in pair if PART in place}:
         facets = np.asarray(boundaries[parent_place(place)])
         across, along = np.abs(np.ptp(mesh.mesh.p[:, mesh.mesh.facets[:, facets]], axis=1))
-        boundaries[place] = facets[along < across]
+        boundaries[place] = facets[(along < across) == place.endswith(f"{PART}{LEVEL}")]
     return replace(mesh, mesh=mesh.mesh.with_boundaries(boundaries))
 
 

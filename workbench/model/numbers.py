@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cache, cached_property
 from typing import Literal
@@ -255,6 +255,7 @@ class Number:
 
     ``value`` lies in its admissible range, ``low`` to ``high``; all in the SI ``unit``. ``stated`` is its uncertainty,
     None if nobody states it. ``tied`` are the other names of the same number: radii that coincide.
+    ``material`` is that of the layer that a length is of.
     """
 
     name: str
@@ -264,6 +265,7 @@ class Number:
     stated: Stated | None = None
     unit: str = ""
     tied: tuple[str, ...] = ()
+    material: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         if not self.low <= self.value <= self.high:
@@ -333,7 +335,7 @@ class Number:
     @property
     def known(self) -> LengthUncertainty:
         """The uncertainty of a length: stated, or assumed by its role (`geometry.assumed`)."""
-        return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
+        return length_uncertainty(self.name, Dimension(self.value, self.tolerance), self.material)
 
 
 def limits(name: str, value: float) -> tuple[float, float]:
@@ -353,6 +355,11 @@ def limits(name: str, value: float) -> tuple[float, float]:
 def plain_words(text: str) -> str:
     """A `text` with names in plain words: without the sources of materials, and without joined words."""
     return _SOURCE.sub(r"\1", text).replace("_", " ")
+
+
+def word_list(words: Sequence[str]) -> str:
+    """Words as in "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def real_part(values: Mapping[str, complex], name: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,11 +11,23 @@ from functools import cached_property
 from geometry.chip import Chip, State
 from geometry.chip_section import chip_section
 from geometry.free_section import FreeSection
+from geometry.measure import Straight
 from geometry.mesh import SectionMesh
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM, role_of
+from geometry.names import (
+    CAVITY,
+    ELECTRODE_GROUND,
+    ELECTRODE_IDLE,
+    ELECTRODE_LIVE,
+    ELECTRODE_REVERSED,
+    OUTSIDE,
+    TRANSDUCER,
+    VACUUM,
+    role_of,
+)
 from geometry.section import Section
+from geometry.straight import straight_findings
 from materials.assumed import with_assumed_loss
-from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
+from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
 from workbench.files.errors import InputError
@@ -22,7 +35,8 @@ from workbench.model.discretisation import ACCURACY, Discretisation, discretisat
 from workbench.model.job_size import check_size
 from workbench.model.particles import STIFF, Particle, breathing_frequency, particle_from
 from workbench.model.shaped_mesh import meshed, shaped
-from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
+from workbench.model.validity import check_validity
+from workbench.physics import absorption, boundary_layer, cubic, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 from workbench.results.brief import Brief
 
@@ -59,6 +73,10 @@ class Problem(Brief):
             raise KeyError(f"unknown parameters {', '.join(unknown)}; known: {', '.join(sorted(self.values))}")
         return replace(self, values={**self.values, **values})
 
+    def following(self, like: Problem) -> Problem:
+        """The problem on the mesh and with the terms of one `like` it, which has lengths among its values."""
+        return replace(self, mesh=like.mesh, terms=like.terms, values={**like.values, **self.values})
+
     def with_terms(self, terms: tuple[Term, ...], values: Mapping[str, complex]) -> Problem:
         """A copy with more terms, and the values of the parameters they bring in.
 
@@ -92,12 +110,35 @@ def with_boundary_layers(problem: Problem) -> Problem:
             continue
         there = problem.materials[contact.fluid]
         assert isinstance(there, Fluid)
-        where = (contact.boundary, contact.solid, contact.fluid, there.name)
-        if there.shear_viscosity is not None:
-            terms.append(boundary_layer.ViscousBoundaryLayer(*where))
-            if None not in (there.heat_capacity_ratio, there.thermal_conductivity, there.heat_capacity):
-                terms.append(boundary_layer.ThermalBoundaryLayer(*where))
+        terms += boundary_layers(contact.boundary, contact.solid, contact.fluid, there)
     return problem.with_terms(tuple(terms), {})
+
+
+def boundary_layers(boundary: str, solid: str, region: str, held: Fluid) -> tuple[Term, ...]:
+    """The boundary layers of the fluid in a region on one solid wall, as far as its constants are known."""
+    where = (boundary, solid, region, held.name)
+    if held.shear_viscosity is None:
+        return ()
+    viscous = boundary_layer.ViscousBoundaryLayer(*where)
+    if None in (held.heat_capacity_ratio, held.thermal_conductivity, held.heat_capacity):
+        return (viscous,)
+    return viscous, boundary_layer.ThermalBoundaryLayer(*where)
+
+
+def terms_of(region: str, material: Material, *, poled_down: bool = False) -> tuple[Term, ...]:
+    """The terms of the base model of a material in a region."""
+    match material:
+        case Piezoelectric():
+            return (piezoelectric.PiezoelectricSolid(region, material.name, poled_down),)
+        case IsotropicSolid():
+            return (solid.ElasticSolid(region, material.name),)
+        case CubicSolid():
+            return (cubic.CubicCrystal(region, material.name, material.channel == "<110>"),)
+        case Fluid():
+            whole = fluid.AcousticFluid(region, material.name)
+            absorbs = material.diffusivity_of_sound is not None
+            return (whole, absorption.BulkAbsorption(region, material.name)) if absorbs else (whole,)
+    return ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,26 +167,44 @@ class FilledChip(Brief):
         fluid = self.materials.get(CAVITY)
         return isinstance(fluid, Fluid) and not fluid.is_gas
 
+    def check_validity(self, band: tuple[float, float]) -> tuple[str, ...]:
+        """Sentences on limits of the formulas that the state comes near to in a `band` (Hz): see
+        `workbench.model.validity.check_validity`.
+
+        Raises:
+            InputError: it is beyond them in all of the band.
+        """
+        liquid = self.materials.get(CAVITY)
+        return () if not isinstance(liquid, Fluid) else check_validity(
+            self.chip, self.state.name, liquid, self.particle, band, layers=not self.inviscid)
+
     @cached_property
     def section(self) -> Section | FreeSection:
         """The half section of the chip."""
         return chip_section(self.chip)
 
 
+def registry_of(chip: Chip, registry: Registry | None = None) -> Registry:
+    """The `registry`, by default that of the package, with the folders of materials that a chip was read with."""
+    found = Registry() if registry is None else registry
+    return found.with_folders(chip.material_folders)
+
+
 def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
-    """The chip in a state, by default the last one of its file, with materials, by default those of the package.
+    """The chip in a state, by default the last one of its file, with materials, by default those of the package and of
+    the folders that it was read with.
 
     A density written in the chip file replaces the material's own. The state's temperature is that of the material in
     the cavity. A lossless ceramic has an assumed loss if the registry has ``assumed_losses``.
 
     Raises:
         InputError: unknown state or material, a transducer that is not piezoelectric, one material given two densities,
-            a solid layer without a shear modulus, or a particle that is no sphere of a small compressible solid or
-            fluid.
+            a solid layer without a shear modulus, a particle that is no sphere of a small compressible solid or
+            fluid, or a state beyond the limits of the formulas in its band (`workbench.model.validity`).
     """
-    chosen, registry = chip.state(state), Registry() if registry is None else registry
+    chosen, registry = chip.state(state), registry_of(chip, registry)
     found: dict[str, Material] = {}
-    findings: list[str] = []
+    findings = list(straight_findings(chip.measure, chip.electrodes))
     for region, name in chip.materials(chosen.name).items():
         if name == VACUUM:
             continue
@@ -166,21 +225,38 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
                                  f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
         found[region] = material
     particle = _particle(chip, chosen, found.get(CAVITY), registry, findings)
-    findings += [_without_layers(region, held, registry) for region, held in found.items()]
-    device = FilledChip(chip, chosen, found, particle, tuple(dict.fromkeys(filter(None, findings))), registry.inviscid)
+    for region, held in found.items():
+        if role_of(region) == CAVITY and isinstance(held, Fluid):
+            findings += [_without_layers(region, held, registry), absorption_known(region, held, chip.band)]
+    device = FilledChip(chip, chosen, found, particle, inviscid=registry.inviscid)
+    findings += device.check_validity(chip.band)
     _check_passive_layers(device)
-    return device
+    return replace(device, findings=tuple(dict.fromkeys(filter(None, findings))))
 
 
-def _without_layers(region: str, held: Material, registry: Registry) -> str:
+def _without_layers(region: str, held: Fluid, registry: Registry) -> str:
     """The finding that a fluid in a cavity has no boundary layers, if it has none."""
-    if role_of(region) != CAVITY or not isinstance(held, Fluid):
-        return ""
     if registry.inviscid:
         return f"the boundary layers of {held.name} in the {region} are left out, as was asked for"
     if held.shear_viscosity is None:
         return f"the boundary layers of {held.name} in the {region} are left out: its shear_viscosity is not stated"
     return ""
+
+
+def absorption_known(region: str, held: Fluid, band: tuple[float, float]) -> str:
+    """The finding that a fluid in a cavity absorbs more than the model, or not at all; the quality factor of its loss
+    is that in the middle of the `band` (Hz)."""
+    diffusivity, frequency = held.diffusivity_of_sound, 0.5 * sum(band)
+    if diffusivity is None:
+        return (f"{held.name} in the {region} does not absorb sound in its bulk: neither its viscosities nor its "
+                "absorption are stated")
+    if not held.absorbs_more:
+        return ""
+    quality = held.sound_speed**2 / (2.0 * math.pi * frequency * diffusivity)
+    heat = " and conduction of heat" if held.heat_capacity_ratio is not None else ""
+    return (f"the absorption of sound in {held.name} in the {region} is a lower bound: its bulk_viscosity is not "
+            f"stated. Its shear viscosity{heat} alone give {diffusivity:.2g} m^2/s, a quality factor of "
+            f"{float(f'{quality:.2g}'):.0f} at {frequency / 1e6:.3g} MHz")
 
 
 def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
@@ -192,6 +268,9 @@ def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
         raise InputError(chip.file, f"material of {region}", name, f"a solid or a fluid; this is {_kind(material)}")
     if role_of(region) == CAVITY and region != CAVITY and not isinstance(material, Fluid):
         raise InputError(chip.file, f"filling of {region}", name, f"a liquid or a gas; this is {_kind(material)}")
+    if isinstance(material, CubicSolid) and not isinstance(chip.measure, Straight):
+        raise InputError(chip.file, f"material of {region}", name, "no single crystal in a round chip, whose section "
+                         "turns about an axis: an isotropic average, such as silicon/hill_average")
     if isinstance(material, IsotropicSolid) and not complex(material.shear_modulus).real > 0.0:
         raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus, or for what has none "
                          'an entry of kind = "fluid"')
@@ -203,6 +282,8 @@ def _kind(material: Material) -> str:
             return "a piezoelectric one"
         case IsotropicSolid():
             return "an isotropic solid"
+        case CubicSolid():
+            return "a single crystal"
         case Fluid():
             return "a fluid"
     return f"a {type(material).__name__}"
@@ -279,27 +360,20 @@ def _load(
 
 
 def base_model(
-    mesh: SectionMesh, materials: Mapping[str, Material], poled_down: Collection[str] = ()
+    mesh: SectionMesh, materials: Mapping[str, Material], poled_down: Collection[str] = (), share: float = 1.0
 ) -> tuple[Term, ...]:
     """The terms of the base model: solids, fluids, their contacts, pressure-release rims, electrodes.
 
-    A fluid whose viscosities are known absorbs sound in its bulk accordingly; one without is lossless. A piezoelectric
-    layer that is no transducer is short-circuited (`electrodes.ShortCircuit`). Regions `poled_down` are poled against
-    z.
+    A fluid whose viscosities are known absorbs sound in its bulk accordingly, one without the bulk viscosity by that of
+    shear; one without any is lossless. A piezoelectric layer that is no transducer is short-circuited
+    (`electrodes.ShortCircuit`). Regions `poled_down` are poled against z. A live electrode has the `share` of the
+    drive's voltage against ground.
 
     Regions absent from `materials` hold nothing; the walls around them are traction-free.
     """
     terms: list[Term] = []
     for region, material in materials.items():
-        match material:
-            case Piezoelectric():
-                terms.append(piezoelectric.PiezoelectricSolid(region, material.name, region in poled_down))
-            case IsotropicSolid():
-                terms.append(solid.ElasticSolid(region, material.name))
-            case Fluid():
-                terms.append(fluid.AcousticFluid(region, material.name))
-                if material.diffusivity_of_sound is not None:
-                    terms.append(absorption.BulkAbsorption(region, material.name))
+        terms += terms_of(region, material, poled_down=region in poled_down)
     for boundary in mesh.section.boundary_names():
         sides = boundary.split("|")
         if len(sides) == 2:
@@ -314,7 +388,10 @@ def base_model(
                if role_of(region) != TRANSDUCER and isinstance(material, Piezoelectric)]
     terms += [electrodes.ShortCircuit(boundary) for boundary in mesh.section.boundary_names()
               if set(boundary.split("|")) & set(passive)]
-    terms.append(electrodes.ElectrodePotential(ELECTRODE_LIVE, ELECTRODE_GROUND))
+    parts = set(mesh.section.boundary_names())
+    turned, idle = (name if name in parts else None for name in (ELECTRODE_REVERSED, ELECTRODE_IDLE))
+    terms.append(electrodes.ElectrodePotential(ELECTRODE_LIVE, ELECTRODE_GROUND) if (share, turned, idle) == (
+        1.0, None, None) else electrodes.SplitElectrode(ELECTRODE_LIVE, ELECTRODE_GROUND, turned, idle, share))
     return tuple(terms)
 
 
@@ -325,12 +402,13 @@ def build(
     accuracy: float | Discretisation = ACCURACY,
     skins: Mapping[str, float] | None = None,
     radii: Sequence[float] = (),
+    levels: Sequence[float] = (),
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
     Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. The mesh is made for that
-    relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` and `radii` as in
-    `geometry.mesh_size.MeshSize`.
+    relative `accuracy` of Z, or with a discretisation of the caller's own; `skins`, `radii` and
+    `levels` as in `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see `workbench.model.discretisation.discretisation`; or a model this machine has no memory for
@@ -341,24 +419,30 @@ def build(
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
     check_size(device.section, device.materials, fineness, (low, high), source=device.chip.file, skins=skins,
-               radii=radii)
-    size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
+               radii=radii, levels=levels)
+    size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii,
+                              levels=levels)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)
     turned = [layer.region for layer in device.chip.layers if layer.poled == "down"]
-    made = replace(problem(mesh, device.materials, (low, high), name=device.name, poled_down=turned),
-                   discretisation=fineness)
+    made = replace(problem(mesh, device.materials, (low, high), name=device.name, poled_down=turned,
+                           share=device.chip.electrodes.share), discretisation=fineness)
     return made if device.inviscid else with_boundary_layers(made)
 
 
 def problem(
     mesh: SectionMesh, materials: Mapping[str, Material], band: tuple[float, float], *, name: str = "",
-    poled_down: Collection[str] = (),
+    poled_down: Collection[str] = (), share: float = 1.0,
 ) -> Problem:
-    """The base model on a given mesh."""
-    values = {f"{m.name}.{key}": value for m in materials.values() for key, value in m.parameters().items()}
-    for material in materials.values():
-        if isinstance(material, Fluid) and material.diffusivity_of_sound is not None:
-            values[f"{material.name}.diffusivity_of_sound"] = complex(material.diffusivity_of_sound)
-    return Problem(mesh, base_model(mesh, materials, poled_down), values, band, dict(materials), name)
+    """The base model on a given mesh, as :func:`base_model` makes it."""
+    values = {name: value for material in materials.values() for name, value in material_values(material).items()}
+    return Problem(mesh, base_model(mesh, materials, poled_down, share), values, band, dict(materials), name)
+
+
+def material_values(material: Material) -> dict[str, complex]:
+    """The parameters of a material by their names in a problem, ``<material>.<property>``."""
+    values = {f"{material.name}.{key}": value for key, value in material.parameters().items()}
+    if isinstance(material, Fluid) and material.diffusivity_of_sound is not None:
+        values[f"{material.name}.diffusivity_of_sound"] = complex(material.diffusivity_of_sound)
+    return values

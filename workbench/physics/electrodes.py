@@ -1,4 +1,4 @@
-"""The two electrodes of the transducer: one grounded, one live at a common voltage."""
+"""The electrodes of the transducer: one grounded, one live at a common voltage or with parts at their own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,29 @@ class ElectrodePotential(Term):
     ground: str
 
     def conditions(self) -> tuple[Condition, ...]:
-        return (Condition("phi", self.ground), Condition("phi", self.live, live=True))
+        return (Condition("phi", self.ground), Condition("phi", self.live, 1.0))
+
+
+@dataclass(frozen=True)
+class SplitElectrode(Term):
+    """Potentials of a live electrode in parts: phi = a V on it, -a V on its part ``reversed``, 0 on its part ``idle``.
+
+    V is one unknown, the voltage of the drive, and a the ``share`` of it that a part has against ground. The work
+    conjugate of V is the sum of the charges of the parts times their shares: V over the sum of the currents for a = 1
+    (a centre-tapped transformer), and for a = 1/2 the current that an amplifier between two halves gives. Names of
+    boundaries; None for a part that there is not.
+    """
+
+    live: str
+    ground: str
+    reversed: str | None
+    idle: str | None
+    share: float = 1.0
+
+    def conditions(self) -> tuple[Condition, ...]:
+        # The first condition on a node counts.
+        parts = ((self.ground, 0.0), (self.idle, 0.0), (self.reversed, -self.share), (self.live, self.share))
+        return tuple(Condition("phi", boundary, share) for boundary, share in parts if boundary is not None)
 
 
 @dataclass(frozen=True)

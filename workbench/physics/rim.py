@@ -31,6 +31,12 @@ LARGEST_WIDTH = 0.38
 #: The symbol of a law for the affected share of a ring.
 SHARE = "share"
 
+#: The symbol of a law for the width of a ring, in shares of the radius, height or area.
+RING = "ring"
+
+#: Measures that the sizes of a rim are shares of, with the name of its number.
+MEASURES: Mapping[str, str] = {"radius": "width", "height": "depth", "area": "area"}
+
 
 @dataclass(frozen=True)
 class Rim:
@@ -39,8 +45,11 @@ class Rim:
     They begin at the share ``begin`` of the layer's outer radius and go inwards, or ``outwards``, by the width. All
     widths are relative to that radius, at most ``limit``; ``widths`` are those of the edges of the rings.
 
+    With another ``measure`` all of these are shares of the layer's height, counted from its lower face, or of the area
+    of its outline, counted from its axis: slabs ``<name>.depth`` deep, or a disc of the area ``<name>.area``.
+
     Raises:
-        ValueError: it extends beyond the layer.
+        ValueError: it extends beyond the layer, or has no such measure.
     """
 
     name: str
@@ -48,8 +57,11 @@ class Rim:
     limit: float = LARGEST_WIDTH
     outwards: bool = False
     widths: tuple[float, ...] = WIDTHS
+    measure: str = "radius"
 
     def __post_init__(self) -> None:
+        if self.measure not in MEASURES:
+            raise ValueError(f"rim {self.name!r} in shares of the {self.measure}: expected {', '.join(MEASURES)}")
         end = self.begin + (self.limit if self.outwards else -self.limit)
         if not (self.limit > 0.0 and min(self.begin, end) >= 0.0 and max(self.begin, end) <= 1.0):
             raise ValueError(f"rim {self.name!r} from {self.begin:g} to {end:g} of a radius: expected two shares of 0 "
@@ -57,14 +69,14 @@ class Rim:
 
     @property
     def number(self) -> str:
-        """The full name of the width."""
-        return f"{self.name}.width"
+        """The full name of the width, depth or area."""
+        return f"{self.name}.{MEASURES[self.measure]}"
 
     def free(self) -> tuple[FreeParameter, ...]:
         """The width as a free parameter; it is zero if nothing is affected."""
         return (FreeParameter(self.number, 0.0,
-                              Admissible(0.0, self.limit, "1", "of the radius: from nowhere to what would be "
-                                                           "seen at once")),)
+                              Admissible(0.0, self.limit, "1", f"of the {self.measure}: from nowhere to what would "
+                                         "be seen at once")),)
 
     @cached_property
     def edges(self) -> tuple[float, ...]:
@@ -83,14 +95,16 @@ class Rim:
         return replace(self, widths=tuple(each for each in near if 0.0 < each < self.limit))
 
     def affected(self, ring: int, width: float) -> tuple[float, float]:
-        """The share of a ring's area that lies within the `width`, and its derivative by the width."""
+        """The share of a ring's area, or of a slab's height, that lies within the `width`, and its derivative by the
+        width."""
         inner, outer = self.edges[ring], self.edges[ring + 1]
         edge = self.begin + (width if self.outwards else -width)
-        area = outer**2 - inner**2
-        share = ((edge**2 - inner**2) if self.outwards else (outer**2 - edge**2)) / area
+        power = 2 if self.measure == "radius" else 1
+        area = outer**power - inner**power
+        share = ((edge**power - inner**power) if self.outwards else (outer**power - edge**power)) / area
         # At the edge between two rings, the derivative is that in the ring into which a larger width grows.
         moves = inner <= edge < outer if self.outwards else inner < edge <= outer
-        return min(max(share, 0.0), 1.0), 2.0 * edge / area if moves else 0.0
+        return min(max(share, 0.0), 1.0), power * edge ** (power - 1) / area if moves else 0.0
 
     def coefficients(
         self, law: ConstantLaw, symbols: tuple[tuple[str, str], ...], omega_power: int = 0
@@ -98,7 +112,8 @@ class Rim:
         """Pairs (radius fraction, coefficient): integrals to add from each fraction outwards, for a `law` of the
         affected share.
 
-        The law is zero at a share of zero; `symbols` are those of `Formula`, without the share.
+        The law is zero at a share of zero; `symbols` are those of `Formula`, without the share. It is also told how
+        wide each ring is, as :data:`RING`.
         """
         for at, edge in enumerate(self.edges):
             if edge < 1.0:
@@ -112,7 +127,8 @@ class OfRim(Term):
 
     @property
     def needs_axis(self) -> bool:
-        return True  # The shares of its rings are those of rings about an axis.
+        # The shares of its rings are those of rings about an axis; slabs have none.
+        return self.rim.measure != "height"
 
     def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
@@ -147,7 +163,8 @@ class Step:
             if not 0 <= ring < len(self.rim.edges) - 1:
                 continue
             share, by_width = self.rim.affected(ring, width)
-            found, by = self.law({**v, SHARE: complex(share)})
+            wide = self.rim.edges[ring + 1] - self.rim.edges[ring]
+            found, by = self.law({**v, SHARE: complex(share), RING: complex(wide)})
             value += sign * found
             for name in v:
                 slopes[name] += sign * (by[SHARE] * by_width if name == _WIDTH else by[name])

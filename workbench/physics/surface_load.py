@@ -1,12 +1,11 @@
-"""The load of the surroundings on the outside of a solid (a backing, a holder, the air) as an impedance of its surface.
-"""
+"""The load of the surroundings on the outside of a solid: a backing or the air is an impedance, a holder a spring."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 #: Admissible real part of a passive load, along the normal and along the surface. From dry air at 25 degC, 1.184 kg/m^3
 #: times 346.1 m/s, to a heavily loaded backing; an imaginary part may be anything of that size.
@@ -18,6 +17,10 @@ ADMISSIBLE: Mapping[str, Admissible] = {
     ),
     "tangential_impedance": Admissible(
         0.0, 10e6, "Pa s/m", "from air, which slips, to shear waves in the same backings, slower by a third or more"),
+    "stiffness": Admissible(
+        0.0, 1e15, "Pa/m", "from none, over 1 mm of rubber (K = 1.5 GPa, 1.5e12 Pa/m), to a clamp: ten times as stiff "
+        "as 1 mm of glass, 7e13 Pa/m"),
+    "loss_factor": Admissible(0.0, 0.3, "1", "from none to a rubber"),
 }
 
 
@@ -51,3 +54,28 @@ class SurfaceLoad(Term):
                      (Product(motion, motion),), self.solid)
             for kind, motion in (("normal", "u_n"), ("tangential", "u_t"))
         )
+
+
+@dataclass(frozen=True)
+class SurfaceSpring(Term):
+    """A holder that gives way: springs of stiffness k per area on an outer boundary, sigma n = - k (1 - i eta) u.
+
+        + k (1 - i eta) (u_n v_n + u_t v_t)        over the boundary
+
+    e^{-i w t}. The holder itself does not move. A k far above the stiffness of what it holds is a clamp
+    (Leissa, Vibration of Plates, 1969, section 1.1). `name` tells holders apart: parameters ``<name>.stiffness`` (Pa/m)
+    and ``.loss_factor`` eta (see :data:`ADMISSIBLE`).
+    """
+
+    boundary: str
+    solid: str
+    name: str
+
+    def free(self) -> tuple[FreeParameter, ...]:
+        return free_of(self.name, ADMISSIBLE, {"stiffness": 0.0, "loss_factor": 0.1})
+
+    def integrals(self) -> tuple[Integral, ...]:
+        stiffness, loss = (f"{self.name}.stiffness", 1.0), (f"{self.name}.loss_factor", 1.0)
+        form = (Product("u_n", "u_n"), Product("u_t", "u_t"))
+        return tuple(Integral(Monomial(scale, 0, factors), self.boundary, form, self.solid)
+                     for scale, factors in ((1.0, (stiffness,)), (-1.0j, (stiffness, loss))))

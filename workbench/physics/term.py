@@ -362,11 +362,12 @@ class Integral:
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
     ``opposite`` names the opposite boundary of a thin layer and ``opposite_solid`` the solid there, for the operators
     that are taken on it; the two boundaries are horizontal and have the same radii. ``radius_fraction`` restricts a
-    region to radii above that fraction of its outer radius, also within an element. ``skin`` restricts it to the row of
-    elements that takes this share of its thickness, at its upper face or, if negative, at its lower one; the mesh must
-    have that row (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
-    ``variant`` names the moved coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`),
-    "" for its own.
+    region to radii above that fraction of its outer radius, also within an element, and a boundary across the axis to
+    the facets there. ``skin`` restricts it to the rows
+    of elements that take this share of its thickness, at its upper face or, if negative, at its lower one; the mesh
+    must have a line of nodes there (`geometry.mesh_size.MeshSize.skins`, or of a cavity ``levels``). ``radial`` is a
+    further factor of the measure 2 pi r dr dz. ``variant`` names the moved coordinates of the mesh that are integrated
+    over (`geometry.mesh.SectionMesh.variants`), "" for its own.
     """
 
     coefficient: Coefficient
@@ -396,12 +397,11 @@ class Integral:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on an unknown: `component` is zero on `boundary`, or equal there to the voltage of the live
-    electrode."""
+    """A condition on an unknown: `component` on `boundary` is `share` times the voltage of the live electrode."""
 
     component: str
     boundary: str
-    live: bool = False
+    share: float = 0.0
 
 
 class Term:

@@ -23,6 +23,7 @@ from workbench.readers import columns as _columns
 from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
 from workbench.readers.findings import Finding, Rows, examine
+from workbench.readers.proposals import OPTION
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded
 from workbench.readers.text import RecordingText, load_text, refuse_waveform
@@ -52,7 +53,7 @@ FORMATS: Mapping[str, Format] = {
     "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises_hp4294a, hp4294a.parse_hp4294a),
     "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises_touchstone, touchstone.parse_touchstone),
     "labone": Format("Zurich Instruments LabOne sweep", labone.recognises_labone, labone.parse_labone),
-    **{name: Format(f"{instrument.name} table", instruments.recogniser(name), instruments.instrument_parser(name))
+    **{name: Format(f"{instrument.name} table", instrument.recognises, instrument.parse)
        for name, instrument in instruments.INSTRUMENTS.items()},
     "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
     # The last one, since it takes any file with three columns of numbers.
@@ -60,8 +61,8 @@ FORMATS: Mapping[str, Format] = {
 }
 
 #: Findings on the spectrum itself, which are found anew after a correction.
-_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency",
-                       "outlier", "spacing"})
+_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "unsigned", "stretch", "magnitude",
+                       "frequency", "outlier", "spacing"})
 #: The setting of an origin that lists the points left out on request.
 LEFT_OUT = "left out"
 
@@ -91,7 +92,10 @@ class Reading(Shown):
         return self.spectrum.to_xarray()
 
     def corrected(self, correction: str) -> Reading:
-        """The reading with its spectrum corrected by "negate" or "conjugate", noted in the origin, and re-examined."""
+        """The reading with its spectrum corrected, noted in the origin, and re-examined.
+
+        `correction` is "negate", "conjugate" or "signs", see :func:`workbench.results.spectrum.corrected`.
+        """
         spectrum = corrected(self.spectrum, correction)
         kept = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
         return Reading(spectrum, (*kept, *examine(spectrum, rows=self.rows)), self.rows)
@@ -137,8 +141,8 @@ def read_recording(
     """Read a recording of impedance.
 
     `format` (a key of :data:`FORMATS`) skips the detection; `columns`, a map or its file, reads any other table;
-    `correction` ("negate" or "conjugate") is applied by :meth:`Reading.corrected`; `without_outliers` leaves out points
-    as :meth:`Reading.without_outliers` does. :attr:`Reading.read_as` states the meaning of a table's columns.
+    `correction` ("negate", "conjugate" or "signs") is applied by :meth:`Reading.corrected`; `without_outliers` leaves
+    out points as :meth:`Reading.without_outliers` does. :attr:`Reading.read_as` states the meaning of every column.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.
@@ -170,4 +174,4 @@ def _detect(text: RecordingText) -> str:
     descriptions = ", ".join(f"{name} ({known.description})" for name, known in FORMATS.items())
     first = [line[:80] for line in text.lines if line.strip()][:3]
     raise InputError(text.path, "format", first, f"one of {descriptions}; any other table of numbers needs "
-                     f"{headed.OPTION}")
+                     f"{OPTION}")

@@ -7,7 +7,7 @@ resistor and which way up the ratio is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -20,8 +20,9 @@ from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 from workbench.files.toml import toml_lines
 from workbench.readers.findings import Finding
-from workbench.readers.headings import SYMBOLS, understand
+from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, hint, understand, units_of
 from workbench.readers.quantities import RecordedQuantity
+from workbench.readers.states import select_of, selected, telling_columns, values_in_words
 from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
 from workbench.readers.text import (
     COMMENTS,
@@ -40,8 +41,17 @@ from workbench.results.spectrum import Origin
 #: The setting of an origin that states the meaning of the columns of a table.
 READ_AS = "read as"
 
+#: The beginning of a comment in a proposed column map that asks for a decision.
+UNCLEAR = "UNCLEAR:"
+
 #: Symbol or name of every quantity, for messages.
 QUANTITY_WORDS: Mapping[str, str] = {**SYMBOLS, "gain": "the gain"}
+
+#: Every part of a quantity, for messages.
+PART_WORDS: Mapping[str, str] = {
+    "frequency": "the frequency", "magnitude": "the magnitude", "phase": "the phase", "real": "the real part",
+    "imaginary": "the imaginary part", "whole": "a complex number",
+}
 
 #: A column map as an example for messages: its own keys, and its table `quantity`.
 EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
@@ -58,7 +68,8 @@ class ColumnMap:
     of ``first`` and ``second`` (magnitude and phase, real and imaginary part, or a pair such as Cp and D). A complex
     number in one cell has no ``second``. ``decimal`` is "." or ",". If the second column is in a file of its own,
     ``second_file`` names it, relative to the folder of the recording; both files have the frequency in the column
-    ``frequency``, or the second one in its ``second_frequency``.
+    ``frequency``, or the second one in its ``second_frequency``. ``select`` holds values by column: only rows with all
+    of them are read, such as those of one device.
 
     Raises:
         ValueError: an unknown frequency unit, a separator that is the decimal mark, or a column twice.
@@ -73,6 +84,7 @@ class ColumnMap:
     decimal: str = "."
     second_file: str = ""
     second_frequency: str | int | None = None
+    select: Mapping[str, str | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.frequency_unit not in UNITS["frequency"]:
@@ -86,6 +98,9 @@ class ColumnMap:
             object.__setattr__(self, "second", None)
         elif self.second is None:
             raise ValueError(f"second must be given in form {self.quantity.form!r}")
+        if not isinstance(self.select, Mapping) or not all(
+                isinstance(value, str | int | float) for value in self.select.values()):
+            raise ValueError(f'select {self.select!r} must be a table of values by column, such as {{ DUT = "1" }}')
         if self.second_frequency is not None and not self.second_file:
             raise ValueError("second_frequency is the frequency of a second_file, which is not given")
         for pair in ((self.frequency, self.first), (self.frequency_of_second, self.second)):
@@ -129,6 +144,8 @@ def read_column_map(path: Path | str) -> ColumnMap:
         { kind = "gain", form = "polar", unit = "dB", phase_unit = "deg", reference_resistance = 100 }
         { kind = "impedance", form = "complex", unit = "ohm" }    # both parts in the column first; no second
 
+    ``select = { DUT = "1" }`` reads the rows of one device alone.
+
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
     """
@@ -139,7 +156,7 @@ def read_column_map(path: Path | str) -> ColumnMap:
         each.only([f.name for f in fields(kind)])
         for required in (f.name for f in fields(kind) if f.default is MISSING):
             # The form decides whether there is a second column.
-            if required not in each and required != "second":
+            if required not in each and required not in ("second", "select"):
                 raise each.error(required, "to be given")
     try:
         return ColumnMap(**{"second": None, **table.content, "quantity": RecordedQuantity(**quantity.content)})
@@ -158,26 +175,31 @@ def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
     The origin's setting :data:`READ_AS` states the meaning of each column.
 
     Raises:
-        InputError: headings not found, a faulty row; a second file that is missing or has other frequencies.
+        InputError: headings not found, a faulty row; sweeps of several states; a second file that is missing or has
+            other frequencies.
     """
     against = contradiction(columns)
     if against is not None:
-        raise InputError(text.path, "column map", against[0], f"a column that is what the map says, {against[1]}; the "
-                         f"heading says {against[2]}: mend the map (kind, form), or count the columns (first = 2) to "
-                         "overrule the heading")
-    table = _Table.find(text, columns, columns.frequency, [
-        columns.first, *([] if columns.second is None or columns.second_file else [columns.second])])
-    values = [table.column(place) for place in table.places[:1]]
-    if columns.quantity.form == "complex":
-        values += table.rows.complex_column(text, table.places[1], width=table.width, decimal=columns.decimal)
-    else:
-        values += [table.column(place) for place in table.places[1:]]
+        raise InputError(text.path, "column map", against.heading, f"a column that is what the map says, "
+                         f"{against.mapped}; the heading says {against.said}: mend the map (kind, form, unit), or "
+                         "count the columns (first = 2) to overrule the heading")
+    whole = columns.quantity.form == "complex"
+    rows, places, headings = _find(text, columns, columns.named[:2] if columns.second_file else columns.named)
+    values = rows.numbers(places, last_is_complex=whole)
     notes: dict[str, str] = {}
     if columns.second_file:
         values.append(_second(text, columns, values[0]))
         other = Path(text.path).parent / columns.second_file
         notes["second file"] = f"{columns.second_file}, sha256 {load_text(other).sha256}"
-    return recorded(text, table.rows, columns, values=values, column=table.places[0] + 1,
+    else:
+        hertz = values[0] * UNITS["frequency"][columns.frequency_unit]
+        impedance = columns.quantity.impedance(values[1], values[2], hertz)
+        telling = telling_columns(rows, headings, places, values[0], impedance)
+        if telling:
+            line = toml_lines({"select": {**columns.select, **select_of(telling, headings)}})[0]
+            raise InputError(text.path, "rows", values_in_words(telling, headings), "the sweep of one device or "
+                             f"state: choose one by a line such as {line} in the column map")
+    return recorded(rows, columns, values=values, column=places[0] + 1,
                     read_as=f"by a column map, {column_map_text(columns)}", settings=notes)
 
 
@@ -187,16 +209,16 @@ def uncommented(line: str) -> str:
 
 
 def recorded(
-    text: RecordingText, rows: RowCells, columns: ColumnMap, *, values: Sequence[NDArray[np.float64]], column: int,
-    read_as: str, settings: Mapping[str, str] = MappingProxyType({}), instrument: str = "",
+    rows: RowCells, columns: ColumnMap, *, values: Sequence[NDArray[np.float64]], column: int, read_as: str,
+    settings: Mapping[str, str] = MappingProxyType({}), instrument: str = "",
 ) -> Recorded:
     """The spectrum of a table's `values`: frequency (its column counted from one), first and second.
 
     Raises:
         InputError: fewer than two frequencies, an impedance that is zero or infinite.
     """
+    text, quantity = rows.text, columns.quantity
     frequency = values[0] * UNITS["frequency"][columns.frequency_unit]
-    quantity = columns.quantity
     impedance = quantity.impedance(values[1], values[2], frequency)
     found = []
     if rows.skipped:
@@ -220,30 +242,22 @@ def recorded(
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
     """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
     quantity = columns.quantity
-    symbol = QUANTITY_WORDS.get(quantity.kind, "")
-    if quantity.kind == "circuit":
-        one, _, two = quantity.form.partition("-")
-        meanings = ("the frequency", one, two)
-        units = (columns.frequency_unit, quantity.unit, quantity.second_unit)
-    else:
-        parts = ("magnitude", "phase") if quantity.form == "polar" else ("real part", "imaginary part")
-        unit = {"dB": "dB" + {"impedance": " of one ohm", "admittance": " of one siemens"}.get(quantity.kind, "")}.get(
-            quantity.unit, quantity.unit)
-        units = (columns.frequency_unit, unit, quantity.phase_unit if quantity.form == "polar" else unit)
-        meanings = ("the frequency", f"the {parts[0]} of {symbol}",
-                    f"{'minus ' if quantity.negated else ''}the {parts[1]} of {symbol}")
-        if quantity.form == "complex":
-            meanings = ("the frequency", f"{symbol} as complex numbers"
-                        + (" whose imaginary part is negated" if quantity.negated else ""), "")
     found = []
-    for name, meaning, its in zip((columns.frequency, columns.first, columns.second), meanings, units, strict=True):
-        if name is None:
-            continue
+    for name, (part, kind, unit) in zip(columns.named, (
+            ("frequency", "", columns.frequency_unit), *quantity.columns), strict=True):
+        meaning = kind if part == "element" else PART_WORDS[part] + (
+            f" of {QUANTITY_WORDS[kind]}" if part not in ("frequency", "whole") else "")
+        if part == "whole":
+            meaning = f"{QUANTITY_WORDS[kind]} as complex numbers" + (
+                " whose imaginary part is negated" if quantity.negated else "")
+        elif quantity.negated and name is columns.second:
+            meaning = f"minus {meaning}"
         called = f'"{name}"' if isinstance(name, str) else f"column {name}"
         if name is columns.second and columns.second_file:
             called += f" of {columns.second_file}"
-        its = {"1": "no unit"}.get(its, its)
-        found.append(f"{called} is {meaning} in {its}" + (f" ({notes[name]})" if name in notes else ""))
+        unit = {"1": "no unit", "dB": "dB" + {"impedance": " of one ohm", "admittance": " of one siemens"}.get(
+            kind, "")}.get(unit, unit)
+        found.append(f"{called} is {meaning} in {unit}" + (f" ({notes[name]})" if name in notes else ""))
     resistance = f"{quantity.reference_resistance or 0.0:g} ohm"
     match quantity.kind:
         case "gain":
@@ -257,6 +271,7 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
         case "impedance" | "admittance":
             sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
             found.append(f"of a capacitor the {'imaginary part' if columns.second is None else 'last'} is {sign}")
+    found += [f"rows with {name} {value} alone" for name, value in columns.select.items()]
     delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}.get(
         columns.delimiter, repr(columns.delimiter))
     found.append(f"columns divided by {delimiter}, decimal {'comma' if columns.decimal == ',' else 'point'}")
@@ -264,79 +279,86 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
 
 
 def map_text(fields_: Mapping[str, Any], quantity: Mapping[str, Any], doubts: Mapping[str, str]) -> str:
-    """The text of a column map for :func:`read_column_map`; `doubts` by key become comments beside it."""
+    """The text of a column map for :func:`read_column_map`; `doubts`, choices by key, become
+    comments beside it that begin with :data:`UNCLEAR`."""
     lines = []
     for content, head in ((fields_, ""), (quantity, "[quantity]")):
         lines += [head] if head else []
         for key, line in zip(content, toml_lines(content), strict=True):
-            lines.append(f"{line:<35} # {doubts[key]}" if key in doubts else line)
+            lines.append(f"{line:<35} # {UNCLEAR} {doubts[key]}" if key in doubts else line)
     return "\n".join(lines)
 
 
-def contradiction(columns: ColumnMap) -> tuple[str, str, str] | None:
-    """A heading that contradicts the map that names it: the heading, the meaning in the map, and its own meaning.
-
-    None if there is none. A counted column cannot contradict, so counting overrules a heading. Signs and units of a
-    phase are not compared, since headings are often wrong about them.
+@dataclass(frozen=True)
+class Contradiction:
+    """A ``heading`` against the map that names it: their meanings in words; ``unit`` if they differ in the unit alone.
     """
-    quantity = columns.quantity
-    if quantity.kind == "circuit":
-        parts = [("element", symbol) for symbol in quantity.form.split("-")]
-    else:
-        parts = [(part, quantity.kind) for part in {"polar": ("magnitude", "phase"), "complex": ("whole",)}.get(
-            quantity.form, ("real", "imaginary"))]
-    for name, (part, kind) in zip((columns.first, columns.second), parts, strict=False):
+
+    heading: str
+    mapped: str
+    said: str
+    unit: bool
+
+
+def contradiction(columns: ColumnMap) -> Contradiction | None:
+    """The first heading that contradicts the map that names it; None if there is none.
+
+    A counted column cannot contradict, so counting overrules a heading. Signs are not compared, since headings are
+    often wrong about them.
+    """
+    wanted = (("frequency", "", columns.frequency_unit), *columns.quantity.columns)
+    for name, (part, kind, unit) in zip(columns.named, wanted, strict=True):
         # One small letter may be anybody's name for anything.
-        heading = understand(name) if isinstance(name, str) and not (len(name) == 1 and name.islower()) else None
+        if isinstance(name, int) or (len(name) == 1 and name.islower()):
+            continue
+        heading = understand(name)
+        if heading is None and (heading := hint(name)) is not None and heading.part == "whole" and part in (
+                "real", "imaginary"):
+            # A unit among foreign words leaves the part open.
+            heading = replace(heading, part=part)
         if heading is None or heading.part == "scalar":
             continue
-        if part == "element":
-            said = {("real", "impedance"): "R", ("imaginary", "impedance"): "X", ("real", "admittance"): "G",
-                    ("imaginary", "admittance"): "B"}.get((heading.part, heading.kind), "")
-            said = heading.kind if heading.part == "element" else said
-            # "C" may be Cp or Cs, and R either resistance.
-            fits = kind.startswith(said) if said else heading.part not in ("frequency", "phase") and not heading.kind
-        else:
-            fits = heading.part in (part, "whole") or (part == "whole" and heading.part != "frequency")
-            fits = fits and heading.kind in ("", kind) and (heading.part != "whole" or part != "imaginary")
-        if not fits:
-            what = f"{heading.kind} {heading.part}".strip() if heading.part != "element" else heading.kind
-            return str(name), f"{part} of {kind}" if part != "element" else kind, what
+        if not _fits(heading, part, kind):
+            what = f"{heading.kind} {heading.part if heading.part not in ('element', 'whole') else ''}".strip()
+            what += f" in {heading.unit}" if heading.unit else ""
+            return Contradiction(str(name), f"{part} of {kind}" if part not in ("element", "frequency") else
+                                 kind or part, what, unit=False)
+        stated = {heading.unit} if heading.unit else units_of(heading.strange_unit)
+        if stated and unit not in stated:
+            return Contradiction(str(name), f"in {unit}", heading.unit or heading.strange_unit, unit=True)
     return None
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """The rows of a table with the columns at `places` (from 0), the frequency first."""
+def _fits(heading: Heading, part: str, kind: str) -> bool:
+    """Whether a heading may be that part of that kind of quantity."""
+    if part == "frequency" or heading.part == "frequency":
+        return part == heading.part
+    if part != "element":
+        fits = heading.part in (part, "whole") or part == "whole"
+        return fits and heading.kind in ("", kind) and (heading.part != "whole" or part != "imaginary")
+    said = heading.kind if heading.part == "element" else RECTANGULAR.get((heading.part, heading.kind), "")
+    # "C" may be Cp or Cs, and R either resistance.
+    return kind.startswith(said[:1] if said == "Rs" and kind == "Rp" else said) if said else (
+        heading.part != "phase" and not heading.kind)
 
-    text: RecordingText
-    rows: RowCells
-    places: tuple[int, ...]
-    width: int
-    decimal: str
 
-    @classmethod
-    def find(
-        cls, text: RecordingText, columns: ColumnMap, frequency: str | int, others: Sequence[str | int]
-    ) -> _Table:
-        """The first table that has the column `frequency` and the `others`."""
-        split = [cells(uncommented(line), columns.delimiter) for line in text.lines]
-        places, width, start, headings = _locate(text, columns, (frequency, *others), split)
-        rows = row_cells(text, start, width=width, delimiter=columns.delimiter, decimal=columns.decimal,
-                         frequency=places[0], headings=headings)
-        return cls(text, rows, tuple(places), width, columns.decimal)
-
-    def column(self, place: int) -> NDArray[np.float64]:
-        """The numbers (n,) of the column `place` (from 0)."""
-        return self.rows.column(self.text, place, width=self.width, decimal=self.decimal)
+def _find(
+    text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]
+) -> tuple[RowCells, tuple[int, ...], Sequence[str]]:
+    """The rows of the first table with the columns `wanted`, the frequency first; their places, and the headings."""
+    split = [cells(uncommented(line), columns.delimiter) for line in text.lines]
+    places, width, start, headings = _locate(text, columns, wanted, split)
+    rows = row_cells(text, start, width=width, delimiter=columns.delimiter, decimal=columns.decimal,
+                     frequency=places[0], headings=headings)
+    return selected(text.path, rows, headings, columns.select), tuple(places), headings
 
 
 def _second(text: RecordingText, columns: ColumnMap, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
     """The second column (n,), from its own file, at the `frequency` (n,) of the first."""
     other = load_text(Path(text.path).parent / columns.second_file)
     assert columns.second is not None  # held by ColumnMap
-    table = _Table.find(other, columns, columns.frequency_of_second, [columns.second])
-    own, values = table.column(table.places[0]), table.column(table.places[1])
+    rows, places, _ = _find(other, columns, (columns.frequency_of_second, columns.second))
+    own, values = rows.numbers(places)
     if len(own) != len(frequency) or np.any(np.abs(own - frequency) > ONE_FREQUENCY * np.abs(frequency)):
         raise InputError(other.path, "frequency", f"{len(own)} frequencies", f"the {len(frequency)} frequencies of "
                          f"{text.path}, in the same order")

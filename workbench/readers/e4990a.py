@@ -70,10 +70,9 @@ def parse_e4990a(text: RecordingText) -> Recorded:
 
 def _compared(one: Recorded, two: Recorded) -> str:
     """The difference of another channel's impedance from the one that is read, in words."""
-    if not np.array_equal(one.spectrum.frequency, two.spectrum.frequency):
+    share = one.share_apart(two)
+    if not np.isfinite(share):
         return "has other frequencies"
-    apart = np.abs(two.spectrum.impedance - one.spectrum.impedance)
-    share = float(np.sqrt(np.mean(apart**2) / np.mean(one.spectrum.magnitude**2)))
     return f"differs from it by {100.0 * share:.2g} % (rms)" + (
         "; to read that channel, take the block of the other out of a copy of the file" if share > 0.01 else "")
 

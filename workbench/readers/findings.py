@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.readers.outliers import off_the_grid, outliers
+from workbench.results.signs import lost_signs, with_signs
 from workbench.results.spectrum import Spectrum, scatter, turns_anticlockwise
 
 #: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet: 20 Hz;
@@ -93,11 +94,22 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
       a resonator, so a genuine inductor is not accused.
     - ``stretch``: some points do not join their neighbours, as if their sign were turned. Then no correction is
       advised, since each applies to every point.
+    - ``unsigned``: the reactance is never of the other sign and touches zero with a kink: it was written without its
+      sign. The findings below are on the spectrum with its signs.
     - ``magnitude``, ``frequency``: values no analyser of this kind reaches.
     """
     frequency = spectrum.frequency
     points = len(frequency)
     rows = Rows(tuple(range(1, points + 1)), "point") if rows is None else rows
+    kinks = lost_signs(spectrum.impedance)
+    if len(kinks):
+        said = f"{rows_in_words(rows.of(kinks), rows.word)} ({', '.join(f'{frequency[k]:.9g} Hz' for k in kinks[:3])})"
+        word = "negative" if spectrum.impedance.imag[kinks[0]] >= 0.0 else "positive"
+        lost = Finding("unsigned", f"the phase (or reactance) is never {word} and touches zero with a kink behind "
+                       f"{said}: it was written without its sign; read with correction='signs', which puts the signs "
+                       "back from the kinks")
+        signed = replace(spectrum, impedance=with_signs(spectrum.impedance))
+        return lost, *examine(signed, rows=rows, shunt_gain=shunt_gain)
     odd_points = outliers(frequency, spectrum.impedance)
     # A single wrong point breaks a curve as the end of a turned stretch does, so the rest is looked at without it.
     smooth = ~np.isin(np.arange(points), list(odd_points))

@@ -7,24 +7,24 @@ to be checked and handed back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
+from workbench.readers.agreement import FAULTY, disagreement, impedance_of
 from workbench.readers.columns import ColumnMap, column_map_text, recorded
-from workbench.readers.findings import PLAUSIBLE_HZ, examine
+from workbench.readers.findings import PLAUSIBLE_HZ, Finding, examine
 from workbench.readers.headings import Heading, understand
-from workbench.readers.layouts import Body, TableLayout, body_of, column_name, find_layout, handle
-from workbench.readers.pairs import Pair, agree, find_pairs, reference_of
-from workbench.readers.proposals import proposal
+from workbench.readers.layouts import body_of, find_layout, handle
+from workbench.readers.pairs import HeadedTable, Pair, find_pairs, reference_of
+from workbench.readers.proposals import OPTION, headings_in_doubt
+from workbench.readers.states import select_of, telling_columns, values_in_words
 from workbench.readers.sweep import Recorded
 from workbench.readers.text import RecordingText
-
-OPTION = "--columns MAP.toml"
 
 #: Highest frequency (Hz) of bench analysers of this kind (E4990A data sheet: 120 MHz): a unit that takes a sweep beyond
 #: is wrong.
@@ -49,51 +49,54 @@ def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
     known = [understand(heading) for heading in layout.headings] or [None] * layout.width
     frequencies = [place for place, heading in enumerate(known) if heading and heading.part == "frequency"]
     body = body_of(text, layout, frequencies[0] if frequencies else 0)
+    table = HeadedTable(layout, body, known, reference_of(text, layout))
 
-    def refused(why: str, pair: Pair | None = None, doubts: Mapping[str, str] | None = None) -> InputError:
-        text_of_map = proposal(layout, body, known, pair, {**(doubts or {}), **(pair.doubts if pair else {})})
-        line = (layout.line if layout.headings else layout.start) + 1
-        remedy = (f"Look through this map, save it as MAP.toml and give {OPTION} (in a file that names the recording: "
-                  f'columns = "MAP.toml"):\n\n{text_of_map}\n') if text_of_map else (
-                      "No column map helps: save magnitude and phase, or real and imaginary part, from the instrument")
-        return text.error(line, None, text.lines[line - 1].strip()[:200],
-                          f"headings that say what every column is; {why}. {remedy}")
-
+    refused = partial(headings_in_doubt, text, table)
     if not layout.headings:
         raise refused("there are none above the numbers")
     if len(frequencies) != 1:
         raise refused(f"{len(frequencies) or 'none'} of them {'are frequencies' if frequencies else 'is a frequency'}")
     place = frequencies[0]
     unit, note = _frequency_unit(known[place], body.values[:, place])
-    pairs = find_pairs(layout, known, body, reference_of(text, layout))
+    pairs = find_pairs(table)
     if not unit:
-        raise refused(f"{column_name(layout, place)}: {note}", next(iter(pairs), None),
-                      {"frequency_unit": "UNCLEAR: Hz, kHz, MHz or GHz"})
+        raise refused(f"{table.name(place)}: {note}", next(iter(pairs), None),
+                      {"frequency_unit": "Hz, kHz, MHz or GHz"})
     clear = [pair for pair in pairs if not pair.doubts]
     hertz = body.values[:, place] * UNITS["frequency"][unit]
     if not clear:
         # The pair that is nearest to being clear is proposed.
         best = min(pairs, key=lambda pair: len(pair.doubts), default=None)
-        why = "; ".join(best.notes[place] for place in best.notes) if best else _lacking(layout, known)
+        why = "; ".join(best.notes[place] for place in best.notes) if best else _lacking(table)
         raise refused(why, best)
     pair = clear[0]
-    if not agree(clear, body.values, hertz):
-        raise refused("two pairs of columns hold different impedances", pair, {"first": "UNCLEAR: of which pair?"})
-    found = _read(text, layout, body, pair, frequency=(place, unit, note), instrument=instrument)
+    against = disagreement(table, pair, hertz)
+    if against is not None and against.share > FAULTY:
+        other = clear[1] if against.unsigned and len(clear) > 1 else pair
+        raise refused(f"its columns hold different impedances: {against.words}", other, {
+            "first": "of which pair?"})
+    telling = telling_columns(body.rows, layout.headings, (place, pair.first, pair.second), hertz,
+                              impedance_of(body, pair, hertz))
+    if telling:
+        raise refused("it holds sweeps of several devices or states, told apart by "
+                      f"{values_in_words(telling, layout.headings)}", pair, {
+                          "select": "which of them?"}, select_of(telling, layout.headings))
+    found = _read(table, pair, frequency=(place, unit, note), instrument=instrument)
+    if against is not None:
+        rows = tuple(body.rows.lines[int(row)] for row in against.rows)
+        found = replace(found, findings=(*found.findings, Finding("columns", against.words, rows)))
     if pair.primed and any(finding.code == "conjugated" for finding in examine(found.spectrum)):
         # Foster's theorem contradicts the sign, and the sign of Z'' varies between authors.
         other = replace(pair, quantity=replace(pair.quantity, negated=not pair.quantity.negated),
-                        doubts={"negated": "UNCLEAR: true if the column is minus the imaginary part"})
-        raise refused(f"{column_name(layout, pair.second)} as it is written would be the reactance of nothing passive: "
+                        doubts={"negated": "true if the column is minus the imaginary part"})
+        raise refused(f"{table.name(pair.second)} as it is written would be the reactance of nothing passive: "
                       "is it of the other sign?", other)
     return found
 
 
-def _read(
-    text: RecordingText, layout: TableLayout, body: Body, pair: Pair, *, frequency: tuple[int, str, str],
-    instrument: str
-) -> Recorded:
+def _read(table: HeadedTable, pair: Pair, *, frequency: tuple[int, str, str], instrument: str) -> Recorded:
     """The spectrum in a pair of columns; `frequency` is its column (from 0), its unit and the reason for the unit."""
+    layout, body = table.layout, table.body
     place, unit, note = frequency
     whole = pair.quantity.form == "complex"
     places = (place, pair.first) if whole else (place, pair.first, pair.second)
@@ -107,13 +110,8 @@ def _read(
                                         for name in {**called, **notes}})
     rest = [f'"{heading}"' for other, heading in enumerate(layout.headings) if other not in places and heading]
     read_as += f"; not used: {', '.join(rest)}" if rest else ""
-    values = [body.rows.column(text, place, width=layout.width, decimal=body.decimal)]
-    if whole:
-        values += body.rows.complex_column(text, pair.first, width=layout.width, decimal=body.decimal)
-    else:
-        values += [body.rows.column(text, one, width=layout.width, decimal=body.decimal) for one in places[1:]]
-    return recorded(text, body.rows, columns, values=values, column=place + 1, instrument=instrument,
-                     read_as=f"by its headings, {read_as}")
+    return recorded(body.rows, columns, values=body.rows.numbers(places, last_is_complex=whole), column=place + 1,
+                    instrument=instrument, read_as=f"by its headings, {read_as}")
 
 
 def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tuple[str, str]:
@@ -131,19 +129,19 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
     return "", f"a frequency without a unit, and up to {highest:g} it may be in {' or '.join(possible) or 'none'}"
 
 
-def _lacking(layout: TableLayout, known: Sequence[Heading | None]) -> str:
+def _lacking(table: HeadedTable) -> str:
     """The halves of a pair that are present, and a note that the others are missing."""
     names = {"magnitude": "a magnitude", "whole": "a magnitude", "phase": "a phase", "real": "a real part",
              "imaginary": "an imaginary part"}
-    there = [f"{column_name(layout, place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"
-             else " of nothing that is named") for place, heading in enumerate(known)
+    there = [f"{table.name(place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"
+             else " of nothing that is named") for place, heading in enumerate(table.known)
              if heading and heading.part in names]
-    there += [f"{column_name(layout, place)} is {heading.kind} of an equivalent circuit" for place, heading
-              in enumerate(known) if heading and heading.part == "element"]
-    there += [f"{column_name(layout, place)} is a ratio or loss without a phase, from which no impedance follows: save "
-              "S11 as real and imaginary part" for place, heading in enumerate(known)
+    there += [f"{table.name(place)} is {heading.kind} of an equivalent circuit" for place, heading
+              in enumerate(table.known) if heading and heading.part == "element"]
+    there += [f"{table.name(place)} is a ratio or loss without a phase, from which no impedance follows: save "
+              "S11 as real and imaginary part" for place, heading in enumerate(table.known)
               if heading and heading.part == "scalar"]
-    strangers = [column_name(layout, place) for place, heading in enumerate(known) if heading is None]
+    strangers = [table.name(place) for place, heading in enumerate(table.known) if heading is None]
     return "; ".join([*there, *([f"not understood: {', '.join(strangers)}"] if strangers else []),
                       "no two columns together are one magnitude and phase, one real and imaginary part, or one "
                       "circuit, of an impedance or admittance"])

@@ -4,104 +4,39 @@ A heading is a label, words and a unit. The unit stands in brackets, after a sla
 an underscore; the label of a trace or channel ("Tr1:", "Trc1_") stands first. The words must name one part (magnitude,
 phase, real or imaginary part) of one quantity (impedance, admittance, reflection, transmission), in any order, with
 filling words between them, or one element of an equivalent circuit. A heading with one unknown word is not understood.
-``tests/test_workbench_readers_headings.py`` lists headings that are understood and headings that are not.
+``headings.toml`` holds the vocabulary. ``tests/test_workbench_readers_headings.py`` lists headings that are understood
+and headings that are not.
 """
 
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 
 from workbench.readers.quantities import ELEMENT_UNITS
 
-#: Words by the part they name.
-PARTS: Mapping[str, frozenset[str]] = {
-    "frequency": frozenset({"f", "freq", "frequency", "frequencies", "frequenz", "fréquence", "frecuencia",
-                            "frequenza"}),
-    "magnitude": frozenset({"abs", "absolute", "absolut", "mag", "magnitude", "mod", "modulus", "module", "modul",
-                            "betrag", "scheinwiderstand", "módulo"}),
-    "phase": frozenset({"phase", "phz", "theta", "θ", "ϑ", "phi", "φ", "ϕ", "angle", "arg", "argument", "∠", "ang",
-                        "phas", "winkel", "phasenwinkel", "fase"}),
-    "real": frozenset({"re", "real", "r", "rs", "esr", "resistance", "g", "gp", "conductance", "realteil",
-                       "wirkwiderstand", "réelle", "reell"}),
-    "imaginary": frozenset({"im", "imag", "img", "imaginary", "x", "xs", "reactance", "b", "bp", "susceptance",
-                            "imaginärteil", "blindwiderstand", "imaginaire", "imaginär"}),
-}
-#: Words by the quantity they name.
-KINDS: Mapping[str, frozenset[str]] = {
-    "impedance": frozenset({"z", "zs", "impedance", "impedanz", "impédance", "impedancia", "impedenza", "r", "rs",
-                            "esr", "resistance", "x", "xs", "reactance", "scheinwiderstand", "wirkwiderstand",
-                            "blindwiderstand"}),
-    "admittance": frozenset({"y", "admittance", "admittanz", "g", "gp", "conductance", "b", "bp", "susceptance"}),
-    "reflection": frozenset({"gamma", "γ", "reflection", "reflexion"}),
-    "transmission": frozenset({"transmission"}),
-}
-#: Elements of an equivalent circuit by their words. If the first letter alone ("C", "capacitance") leaves series or
-#: parallel open, a word of :data:`_CONNECTIONS` tells.
-ELEMENTS: Mapping[str, frozenset[str]] = {
-    "Cp": frozenset({"cp"}), "Cs": frozenset({"cs"}), "Lp": frozenset({"lp"}), "Ls": frozenset({"ls"}),
-    "Rp": frozenset({"rp", "epr"}), "D": frozenset({"d", "df", "dissipation", "tanδ", "tand"}),
-    "Q": frozenset({"q", "quality"}), "C": frozenset({"c", "capacitance", "kapazität"}),
-    "L": frozenset({"l", "inductance", "induktivität"}),
-}
 SYMBOLS: Mapping[str, str] = {"impedance": "Z", "admittance": "Y", "reflection": "S11", "transmission": "S21"}
-#: Words that name a number without a phase.
-_SCALARS = frozenset({"vswr", "swr"})
-_CONNECTIONS: Mapping[str, str] = {"series": "s", "parallel": "p", "serial": "s"}
-_FILLING = frozenset({"of", "the", "part", "partie", "component", "value", "data", "trace", "measured", "factor",
-                      "complex", "der", "de", "parameter"})
-_SCALES = frozenset({"log", "lin", "linear", "logarithmic"})
-_MINUS = frozenset({"-", "minus", "neg", "negative"})
-_SEPARATING = frozenset("()[]{}<>,.:;_+")
-_LETTERS = ("z", "y")
+#: Symbols of the elements that are a part of an impedance or of an admittance.
+RECTANGULAR: Mapping[tuple[str, str], str] = {("real", "impedance"): "Rs", ("imaginary", "impedance"): "X",
+                                              ("real", "admittance"): "G", ("imaginary", "admittance"): "B"}
+_OF_ELEMENT: Mapping[str, str] = {"C": "capacitance", "L": "inductance", "R": "impedance", "D": "ratio", "Q": "ratio"}
+#: Letters that may be joined to the word of a part ("zreal", "argz"), by the quantity they name.
+_LETTERS: Mapping[str, str] = {"z": "impedance", "y": "admittance"}
 
 _TOKEN = re.compile(r"[^\W\d_]+|\d+|\S|_")
+#: A word of one script, or a sign: "Cp" and not "电容Cp".
+_WORD = re.compile(r"[a-z\u00c0-\u024f]+|[\u0370-\u03ff]|∠")
 _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _IN = re.compile(r"(.*\S)\s+in\s+(\S+)", re.IGNORECASE)
 _LAST = re.compile(r"(.*[^\s_,-])[\s_,-]+([^\s_,-]+)")
-#: The label of a trace, channel or memory, before or in the midst of a heading.
-_LABEL = re.compile(r"(?i)\b(?:traces?|trc|tr|ch(?:an(?:nel)?)?|meas(?:urement)?|cal)\s?\d+(?:\s*[:;_]\s*|\s+-?\s*|$)")
 _EMPTY = re.compile(r"\s*[(\[]\s*[)\]]\s*$")
-#: Z11, Z(1,1), S11, S(1,1), S[1,1], S_11 ...; one port's own parameters stand for its impedance and admittance.
-_PORTS = re.compile(r"(?i)(?<![a-z])([szy])\s?[_(\[<]?\s?([1-9])\s?,?\s?([1-9])\s?[)\]>]?(?!\d)")
-#: ZPlot and ZView mark their columns so: Z'(a), Z''(b).
-_ZPLOT = re.compile("(?i)(z'|z\")\\s*\\([ab]\\)\\s*$")
-_LOSS = re.compile(r"(?i)\b(?:return\s?loss|rückflussdämpfung)\b|^rl\b")
-
-#: Replacements of unusual spellings: the degree sign as an apostrophe in brackets, the loss tangent, HFSS's angle.
-_SPELLINGS: Mapping[re.Pattern[str], str] = {
-    re.compile(r"(?i)\bdegrees?\s*[(][°'][)]"): "(deg)",
-    re.compile(r"(?i)\bang_(deg|rad)(?=[(])"): "ang",
-    re.compile(r"(?i)\b(?:tan\s*[(]?(?:δ|delta)[)]?|loss tangent|loss factor|dissipation factor)"): "tand",
-    # C_p, R_s.
-    re.compile(r"\b([CLRZ])_([ps])(?![A-Za-z])"): r"\1\2",
-}
-
-_OHM = "(?:[oO][hH][mM][sS]?|Ω)"
-#: Spellings of units, by part and unit. Case counts only between milli and mega: "mHz" (a millihertz, in which nothing
-#: here is measured) and "MOHM" are not understood, "mhz" is.
-_UNITS: Mapping[str, Mapping[str, re.Pattern[str]]] = {
-    "frequency": {"Hz": re.compile("(?i:hz|hertz)"), "kHz": re.compile("(?i:k(hz|hertz)|kilohertz)"),
-                  "MHz": re.compile("(?!mHz)(?i:m(hz|hertz)|megahertz)"), "GHz": re.compile("(?i:g(hz|hertz))")},
-    "impedance": {"ohm": re.compile("(?i:ohms?)|Ω"), "kohm": re.compile("[kK]((?i:ohms?)|Ω)|(?i:kiloohms?)"),
-                  "mohm": re.compile("m([oO]hms?|Ω)|(?i:milliohms?)"),
-                  "Mohm": re.compile("M([oO]hms?|Ω)|(?i:mega?ohms?)"),
-                  "dB": re.compile("(?i:db ?(ohms?|ω))")},
-    "admittance": {"S": re.compile(f"[sS]|(?i:siemens|mhos?)|1/{_OHM}|{_OHM}\\^?-1|{_OHM}⁻¹"),
-                   "mS": re.compile("m[sS]|(?i:millisiemens)"),
-                   "uS": re.compile("[uμ][sS]|(?i:microsiemens)"), "nS": re.compile("n[sS]"),
-                   "dB": re.compile("(?i:db ?s)")},
-    "phase": {"deg": re.compile("(?i:deg|deg[.]|degs?|degrees?|grad)|[°']|(?i:degrees?) ?[(][°'][)]"),
-              "rad": re.compile("(?i:rads?|radians?)")},
-    "ratio": {"dB": re.compile("(?i:db)"), "1": re.compile("(?i:1|u|lin|linear|-)"), "%": re.compile("%")},
-    "capacitance": {"F": re.compile("[fF]|(?i:farads?)"), "mF": re.compile("m[fF]"), "uF": re.compile("[uμ][fF]"),
-                    "nF": re.compile("[nN][fF]"), "pF": re.compile("[pP][fF]")},
-    "inductance": {"H": re.compile("[hH]|(?i:henry|henries)"), "mH": re.compile("m[hH]"), "uH": re.compile("[uμ][hH]"),
-                   "nH": re.compile("n[hH]")},
-}
-_OF_ELEMENT: Mapping[str, str] = {"C": "capacitance", "L": "inductance", "R": "impedance", "D": "ratio", "Q": "ratio"}
+#: One spelling of signs: primes as apostrophe and quotation mark, ASCII minus.
+_SIGNS = str.maketrans({"″": '"', "“": '"', "”": '"', "º": "°", "′": "'", "’": "'", "`": "'"})
 
 
 @dataclass(frozen=True)
@@ -125,12 +60,46 @@ class Heading:
     port: int = 1
 
 
+@dataclass(frozen=True)
+class _Word:
+    """A word of the vocabulary: the ``part`` and ``kind`` that it names, and its ``role`` beside that."""
+
+    part: str = ""
+    kind: str = ""
+    role: str = ""
+
+
+@dataclass(frozen=True)
+class _Vocabulary:
+    """The content of ``headings.toml``; ``units`` are (quantity, unit, pattern)."""
+
+    words: Mapping[str, _Word]
+    units: Sequence[tuple[str, str, re.Pattern[str]]]
+    lost_ohm: re.Pattern[str]
+    spellings: Sequence[tuple[re.Pattern[str], str]]
+    patterns: Mapping[str, re.Pattern[str]]
+
+
+@cache
+def _vocabulary() -> _Vocabulary:
+    content = tomllib.loads(resources.files("workbench.readers").joinpath("headings.toml").read_text("utf-8"))
+    words = {word: _Word(entry.get("part", ""), entry.get("kind", ""), entry.get("role", ""))
+             for entry in content["words"] for word in entry["words"]}
+    words |= {word: _Word("element", symbol) for symbol, names in content["elements"].items() for word in names}
+    lost, known = content["ohm"]["lost"], content["ohm"]["known"]
+    units = [(quantity, unit, re.compile(pattern.replace("OHM", f"(?:{known}|{lost})")))
+             for quantity, patterns in content["units"].items() for unit, pattern in patterns.items()]
+    return _Vocabulary(words, units, re.compile(f"(?:{lost})$"),
+                       [(re.compile(pattern), spelling) for pattern, spelling in content["spellings"].values()],
+                       {name: re.compile(pattern) for name, pattern in content["patterns"].items()})
+
+
 def understand(heading: str) -> Heading | None:
     """Meaning of a heading; None unless it names one part of a quantity, one element, or a frequency."""
     text = _plain(heading)
     found = _understood(text)
     if found is None or found.strange_unit:
-        bare = _LABEL.sub(" ", _EMPTY.sub("", text)).strip(" :_")
+        bare = _vocabulary().patterns["label"].sub(" ", _EMPTY.sub("", text)).strip(" :_")
         other = _understood(bare) if bare != text else None
         if other is not None and (found is None or not other.strange_unit):
             found = other
@@ -138,113 +107,137 @@ def understand(heading: str) -> Heading | None:
 
 
 def hint(heading: str) -> Heading | None:
-    """Apparent meaning of a heading that is not understood: the one part that its words name, and its quantity if it
-    names one; None if it names no part or several."""
+    """Apparent meaning of a heading that is not understood; None if it names nothing.
+
+    It is the meaning of its known words and of its unit, if they name one part of one quantity.
+    """
     text = _plain(heading)
-    parts, kinds = set[str](), set[str]()
-    for token in _TOKEN.findall(text.casefold()):
-        # One letter may be anything.
-        named = _token(token) if len(token) > 1 or not token.isascii() else None
-        if named is not None and "element" not in named[0]:
-            parts |= named[0]
-            kinds |= named[1]
-    if text.count("|") == 2:
-        parts.add("magnitude")
-    if len(parts) != 1:
+    last = _LAST.fullmatch(text)
+    # An s is a second, and a letter without a mark is no unit.
+    units = [unit for _, unit in _split(text) if unit != "s"]
+    units += [unit for unit in (last[2] if last else "", text) if len(unit) > 1 or not unit.isalpha()]
+    # One letter may be anything, unless a unit or another script sets it apart.
+    letters = any(map(is_unit, units)) or any(letter.isalpha() and not unicodedata.name(letter, "").startswith(
+        ("LATIN", "GREEK")) for letter in text)
+    named = [word for token in _WORD.findall(text.casefold())
+             if (len(token) > 1 or letters or not token.isascii()) and (word := _word(token)) is not None
+             and not (len(token) == 1 and any(unit.casefold() == token for unit in units))]
+    named = [word for word in named if not word.role and word.part != "scalar"]
+    parts = {word.part for word in named if word.part} | ({"magnitude"} if text.count("|") == 2 else set())
+    kinds = {word.kind for word in named if word.kind}
+    if "element" in parts:
+        element = _element(parts, kinds, "")
+        bare = [] if element is None else [Heading("element", element)]
+    elif len(parts) > 1 or len(kinds) > 1:
         return None
-    return Heading(parts.pop(), kinds.pop() if len(kinds) == 1 else "")
+    elif parts or kinds:
+        bare = [Heading(next(iter(parts), "whole"), next(iter(kinds), ""))]
+    else:
+        bare = [Heading("whole"), Heading("frequency"), Heading("element", "C"), Heading("element", "L")]
+    known = next((known for each in bare for unit in units if (known := find_unit(unit, each))), None)
+    if known is None and any(("ratio", "dB") in _spelled(unit) for unit in units):
+        known = Heading("magnitude", min(kinds, default=""), "dB")
+    return known or (bare[0] if parts or kinds else None)
+
+
+def is_series(heading: str) -> bool:
+    """Whether a heading of a resistance states that it is in series."""
+    return _vocabulary().patterns["series"].search(heading) is not None
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is the unit of any quantity that a column may hold."""
+    return bool(units_of(text))
+
+
+def units_of(text: str) -> set[str]:
+    """The units of any quantity that a text may be."""
+    return {unit for _, unit in _spelled(_plain(text).strip("()[]{}<> "))}
+
+
+def find_unit(text: str, bare: Heading) -> Heading | None:
+    """The heading with its unit, which may settle an open question of its words; None if the unit does not suit them.
+    """
+    lost = _vocabulary().lost_ohm.search(text) is not None
+    if lost and bare.part == "phase":
+        return bare
+    if lost and bare.kind not in ("impedance", "Rp"):
+        return None
+    return next((suited for quantity, unit in _spelled(text) if (suited := _suited(bare, quantity, unit))), None)
+
+
+def _suited(bare: Heading, quantity: str, unit: str) -> Heading | None:
+    """The heading with the `unit` of a `quantity`; None if it does not suit the words."""
+    part, kind = bare.part, bare.kind
+    sized = part not in ("frequency", "phase")
+    if part == "scalar":
+        suits = True
+    elif part == "element":
+        allowed = ELEMENT_UNITS.get(kind, {**ELEMENT_UNITS["Cp"], **ELEMENT_UNITS["Lp"]})
+        suits = _OF_ELEMENT[kind[0]] == quantity and unit in allowed
+    elif quantity in ("frequency", "phase"):
+        # "Z (deg)" can only be the phase of Z.
+        part = "phase" if (part, quantity) == ("whole", "phase") else part
+        suits = part == quantity
+    else:
+        # The unit dB is that of a magnitude, whatever the words leave open.
+        suits = sized and (unit != "dB" or part in ("magnitude", "whole"))
+        if quantity == "ratio":
+            suits = suits and kind in ("reflection", "transmission")
+            part = "magnitude" if unit == "dB" else part
+        else:
+            suits = suits and quantity in SYMBOLS and kind in ("", quantity)
+            kind = quantity
+    return replace(bare, part=part, kind=kind, unit=unit, strange_unit="") if suits else None
+
+
+def _spelled(text: str) -> list[tuple[str, str]]:
+    """The units that a text spells, each with its quantity."""
+    return [(quantity, unit) for quantity, unit, pattern in _vocabulary().units if pattern.fullmatch(text)]
 
 
 def _understood(text: str) -> Heading | None:
-    text = _ZPLOT.sub(r"\1", text)
-    loss = _LOSS.search(text)
-    if loss is not None:
+    patterns = _vocabulary().patterns
+    text = patterns["zplot"].sub(r"\1", text)
+    if patterns["return_loss"].search(text):
         return Heading("scalar", "reflection")
-    ports = _PORTS.search(text)
+    ports = patterns["ports"].search(text)
     if ports is not None:
         return _scattering(text, ports)
     strange = None
     for words, unit in _split(text):
-        found = _words(words)
-        if found is None:
-            continue
-        known = find_unit(unit, found)
-        if known is not None:
-            return known
-        strange = strange or replace(found, unit="", strange_unit=unit)
-    whole = _words(text)
+        found = _meaning(words)
+        if found is not None:
+            known = find_unit(unit, found)
+            if known is not None:
+                return known
+            strange = strange or replace(found, unit="", strange_unit=unit)
+    whole = _meaning(text)
     if whole is not None:
         return whole
     # The last word of a heading is a unit only if it is known as one.
     last = _LAST.fullmatch(text)
-    found = None if last is None else _words(last[1])
+    found = None if last is None else _meaning(last[1])
     known = None if last is None or found is None else find_unit(last[2], found)
     return known or strange
 
 
 def _scattering(text: str, ports: re.Match[str]) -> Heading | None:
     """Meaning of a heading with S11, S21, Z11 ..."""
-    letter, to, of = ports[1].casefold(), ports[2], ports[3]
-    if letter in _LETTERS:
+    before, after, to, of = text[:ports.start()], text[ports.end():], ports[2], ports[3]
+    if ports[1].casefold() in _LETTERS:
         # With a single port, the parameter of the port is that of the device.
-        return None if to != of or to != "1" else _understood(text[:ports.start()] + ports[1] + text[ports.end():])
+        return _understood(before + ports[1] + after) if to == of == "1" else None
     if to != of and {to, of} != {"1", "2"}:
         return None
-    word = "reflection" if to == of else "transmission"
-    found = _understood(f"{text[:ports.start()]} {word} {text[ports.end():]}".strip())
+    found = _understood(f"{before} {'reflection' if to == of else 'transmission'} {after}".strip())
     return None if found is None else replace(found, port=int(to))
 
 
-def is_series(heading: str) -> bool:
-    """Whether a heading of a resistance states that it is in series."""
-    return re.search(r"(?i)(?<![a-z])(?:r_?s|esr|series|serial)(?![a-z])", heading) is not None
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is the unit of any quantity that a column may hold."""
-    plain = _plain(text).strip("()[]{}<> ")
-    return any(pattern.fullmatch(plain) for spellings in _UNITS.values() for pattern in spellings.values())
-
-
-def find_unit(text: str, bare: Heading) -> Heading | None:
-    """The heading with its unit, which may settle an open question of its words; None if the unit does not suit them.
-    """
-    for of, spellings in _UNITS.items():
-        for unit, pattern in spellings.items():
-            if not pattern.fullmatch(text):
-                continue
-            part, kind = bare.part, bare.kind
-            if part == "scalar":
-                return replace(bare, unit=unit)
-            if part == "element":
-                suits = _OF_ELEMENT[kind[0]] == of and unit in ELEMENT_UNITS.get(kind, {**ELEMENT_UNITS["Cp"],
-                                                                                        **ELEMENT_UNITS["Lp"]})
-            elif of in ("frequency", "phase"):
-                # "Z (deg)" can only be the phase of Z.
-                part = "phase" if (part, of) == ("whole", "phase") else part
-                suits = part == of
-            elif of == "ratio":
-                suits = kind in ("reflection", "transmission") and part not in ("frequency", "phase")
-                suits = suits and (unit != "dB" or part in ("magnitude", "whole"))
-                part = "magnitude" if suits and unit == "dB" else part
-            elif of in ("capacitance", "inductance"):
-                suits = False
-            else:
-                suits = part not in ("frequency", "phase") and kind in ("", of)
-                # The unit dB is that of a magnitude, whatever the words leave open.
-                suits = suits and (unit != "dB" or part in ("magnitude", "whole"))
-                kind = of
-            if suits:
-                return replace(bare, part=part, kind=kind, unit=unit, strange_unit="")
-    return None
-
-
 def _plain(text: str) -> str:
-    """One spelling of signs: Ohm and micro as Greek letters, primes as apostrophe and quotation mark, ASCII minus."""
-    text = text.replace("″", '"').replace("“", '"').replace("”", '"').replace("º", "°")
-    text = unicodedata.normalize("NFKC", text.replace("′", "'").replace("’", "'").replace("`", "'"))
-    text = re.sub("[−–]", "-", text).replace("''", '"').strip()
-    for pattern, spelling in _SPELLINGS.items():
+    """One spelling of signs and words: Ohm and micro as Greek letters, and those of the table ``spellings``."""
+    text = re.sub("[−–]", "-", unicodedata.normalize("NFKC", text.translate(_SIGNS))).replace("''", '"').strip()
+    for pattern, spelling in _vocabulary().spellings:
         text = pattern.sub(spelling, text)
     return text
 
@@ -257,8 +250,7 @@ def _split(text: str) -> Iterator[tuple[str, str]]:
     words, slash, unit = text.partition("/")
     if slash:
         yield words.strip(), unit.strip().strip("()[]")
-    # A function of several words, as in dB(S11) and re:Trc1_S11, stands before the bracket or colon.
-    function = re.fullmatch(r"(?i)(db|deg|rad)\s*(?:mag)?\s*[(:_]\s*(.*?)\s*[)]?", text)
+    function = _vocabulary().patterns["function"].fullmatch(text)
     if function is not None:
         yield function[2], function[1]
     named = _IN.fullmatch(text)
@@ -266,55 +258,39 @@ def _split(text: str) -> Iterator[tuple[str, str]]:
         yield named[1], named[2]
 
 
-def _words(text: str) -> Heading | None:
+def _meaning(text: str) -> Heading | None:
     """The part and the quantity that the words name, if they name at most one of each and nothing else."""
-    parts, kinds = set[str](), set[str]()
-    bars, negated, primed, letter, scaled = 0, False, False, False, False
-    connection = ""
+    words: list[_Word] = []
     for token in _TOKEN.findall(text.casefold()):
-        if token == "|":
-            bars += 1
-        elif token in ("'", '"'):
-            parts.add("real" if token == "'" else "imaginary")
-            primed = True
-        elif token in _MINUS:
+        word = _word(token)
+        if word is None:
+            return None
+        if word.role == "minus" and any(each.part or each.kind for each in words):
             # After the first word a hyphen joins words and negates nothing.
-            if not (parts or kinds or bars):
-                negated = True
-            elif token != "-":
+            if token != "-":
                 return None
-        elif token in _CONNECTIONS:
-            connection = _CONNECTIONS[token]
-        elif token in _SCALES:
-            scaled = True
-        elif token in _SCALARS:
-            parts.add("scalar")
-            kinds.add("reflection")
-        elif token not in _FILLING and token not in _SEPARATING:
-            named = _token(token)
-            if named is None:
-                return None
-            parts |= named[0]
-            kinds |= named[1]
-            letter = letter or (bool(named[1]) and not named[0])
-    if bars:
-        parts.add("magnitude")
+            continue
+        words.append(word)
+    parts, kinds = {word.part for word in words if word.part}, {word.kind for word in words if word.kind}
+    roles = [word.role for word in words]
+    negated, primed, scaled = "minus" in roles, "prime" in roles, "scale" in roles
+    connection = next((role for role in reversed(roles) if role in ("s", "p")), "")
     if "element" in parts:
         # The magnitude or phase of a capacitance is no element of a circuit.
         element = _element(parts, kinds, connection)
         return None if element is None or negated or primed or scaled else Heading("element", element)
-    if connection == "p" and (parts, kinds) == ({"real"}, {"impedance"}):
-        return Heading("element", "Rp")
     if connection == "p" and kinds == {"impedance"}:
+        return Heading("element", "Rp") if parts == {"real"} else None
+    if len(parts) > 1 or len(kinds) > 1 or not (parts or kinds) or roles.count("bar") % 2:
         return None
-    if len(parts) > 1 or len(kinds) > 1 or bars % 2 or not (parts or kinds) or (primed and not letter):
-        return None
-    part, kind = (parts or {"whole"}).pop(), (kinds or {""}).pop()
-    if (part == "frequency" and kind) or (negated and part not in ("phase", "imaginary")):
-        return None
-    if scaled and (kind not in ("reflection", "transmission") or part not in ("magnitude", "whole")):
-        return None
-    return Heading(part, kind, "", "", negated, primed and part == "imaginary")
+    part, kind = next(iter(parts), "whole"), next(iter(kinds), "")
+    refused = (
+        primed and not any(word.kind and not word.part for word in words),
+        part == "frequency" and kind,
+        negated and part not in ("phase", "imaginary"),
+        scaled and (kind not in ("reflection", "transmission") or part not in ("magnitude", "whole")),
+    )
+    return None if any(refused) else Heading(part, kind, negated=negated, primed=primed and part == "imaginary")
 
 
 def _element(parts: set[str], kinds: set[str], connection: str) -> str | None:
@@ -329,20 +305,15 @@ def _element(parts: set[str], kinds: set[str], connection: str) -> str | None:
     return symbol if not connection or symbol[1:] == connection else None
 
 
-def _token(token: str) -> tuple[set[str], set[str]] | None:
-    """Parts and quantities that one word names; a Z or Y may be joined to it ("zreal", "argz")."""
-    named = ({part for part, words in PARTS.items() if token in words},
-             {kind for kind, words in KINDS.items() if token in words})
-    if named[0] or named[1]:
-        return named
-    element = next((symbol for symbol, words in ELEMENTS.items() if token in words), None)
-    if element is not None:
-        return {"element"}, {element}
-    for letter in _LETTERS:
+def _word(token: str) -> _Word | None:
+    """The meaning of one word, or of one that a Z or Y is joined to."""
+    words = _vocabulary().words
+    if token in words:
+        return words[token]
+    for letter, kind in _LETTERS.items():
         for rest in (token.removeprefix(letter), token.removesuffix(letter)):
-            if rest != token and (len(rest) > 1 or not rest.isascii()):
-                part = {part for part, words in PARTS.items() if part != "frequency" and rest in words}
-                other = {kind for kind, words in KINDS.items() if rest in words}
-                if part and not other:
-                    return part, {kind for kind, words in KINDS.items() if letter in words}
+            word = words.get(rest)
+            if rest != token and (len(rest) > 1 or not rest.isascii()) and word is not None and not (
+                    word.kind or word.role or word.part in ("", "frequency")):
+                return _Word(word.part, kind)
     return None

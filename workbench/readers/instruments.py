@@ -7,7 +7,7 @@ yadg's documentation; Bode Analyzer Suite and Hioki IM3570/IM3536 as their users
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from workbench.files.errors import InputError
@@ -26,6 +26,24 @@ class Instrument:
     lines: int
     above: str = ""
 
+    def recognises(self, text: RecordingText) -> bool:
+        """Whether a text is of this instrument."""
+        return any(re.search(self.sign, line) for line in text.lines[:self.lines]) and headed.recognises_headed(text)
+
+    def parse(self, text: RecordingText) -> Recorded:
+        """Read the table.
+
+        Raises:
+            InputError: no table of this instrument, a faulty row, or headings that leave a doubt.
+        """
+        if self.above:
+            above = next((index for index, line in enumerate(text.lines) if re.match(self.above, line)), None)
+            if above is None:
+                raise InputError(text.path, "table", text.lines[0][:80], f"a line like {self.above!r} above the table "
+                                 f"of a {self.name} file")
+            text = replace(text, lines=tuple("" if index <= above else line for index, line in enumerate(text.lines)))
+        return headed.parse_headed(text, instrument=self.name)
+
 
 INSTRUMENTS: Mapping[str, Instrument] = {
     "bode100": Instrument("Omicron Lab Bode 100", r"(?i)bode ?(100|500|analyzer)", 30),
@@ -34,35 +52,3 @@ INSTRUMENTS: Mapping[str, Instrument] = {
     "zplot": Instrument("Scribner ZPlot", r"(?i)\"?(ZPLOT2? ASCII|ZPlotW? Data File|ZView|Z60W Data File)", 3),
     "hioki": Instrument("Hioki", r"(?i)hioki|\bIM3(5[37]\d|590)", 20),
 }
-
-
-def recogniser(name: str) -> Callable[[RecordingText], bool]:
-    """A test whether a text is of the instrument `name`, a key of :data:`INSTRUMENTS`."""
-    instrument = INSTRUMENTS[name]
-
-    def recognises(text: RecordingText) -> bool:
-        named = any(re.search(instrument.sign, line) for line in text.lines[:instrument.lines])
-        return named and headed.recognises_headed(text)
-
-    return recognises
-
-
-def instrument_parser(name: str) -> Callable[[RecordingText], Recorded]:
-    """A parser of files of the instrument `name`, a key of :data:`INSTRUMENTS`."""
-    instrument = INSTRUMENTS[name]
-
-    def parse(text: RecordingText) -> Recorded:
-        """Read the table.
-
-        Raises:
-            InputError: no table of this instrument, a faulty row, or headings that leave a doubt.
-        """
-        if instrument.above:
-            above = next((index for index, line in enumerate(text.lines) if re.match(instrument.above, line)), None)
-            if above is None:
-                raise InputError(text.path, "table", text.lines[0][:80], f"a line like {instrument.above!r} above the "
-                                 f"table of a {instrument.name} file")
-            text = replace(text, lines=tuple("" if index <= above else line for index, line in enumerate(text.lines)))
-        return headed.parse_headed(text, instrument=instrument.name)
-
-    return parse

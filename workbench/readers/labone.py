@@ -60,10 +60,9 @@ def parse_labone(text: RecordingText) -> Recorded:
     first, *others = read.values()
     said = []
     for name, other in list(read.items())[1:]:
-        same = np.array_equal(first.spectrum.frequency, other.spectrum.frequency)
-        share = float(np.sqrt(np.mean(np.abs(other.spectrum.impedance - first.spectrum.impedance) ** 2)
-                              / np.mean(first.spectrum.magnitude ** 2))) if same else np.inf
-        said.append(f"sweep {name} " + ("has other frequencies" if not same else f"differs by {100.0 * share:.2g} %"))
+        share = first.share_apart(other)
+        said.append(f"sweep {name} " + (f"differs by {100.0 * share:.2g} %" if np.isfinite(share) else
+                                        "has other frequencies"))
     if others:
         words = (f"{len(read)} sweeps in the file: the first was read; {'; '.join(said)}; to read another, take the "
                  "lines of the first out of a copy of the file")

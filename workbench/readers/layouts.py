@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -61,13 +62,14 @@ def find_layout(text: RecordingText) -> TableLayout | None:
 
 def _headings(text: RecordingText, index: int) -> TableLayout | None:
     """The layout from the line `index` if it is understood as headings; of several delimiters, the best."""
-    line = uncommented(text.lines[index]).strip().strip('"') if text.lines[index].count('"') == 2 else uncommented(
-        text.lines[index])
+    line = uncommented(text.lines[index]).strip(" ")
+    if line.count('"') == 2 and line.startswith('"') and line.endswith('"'):
+        line = line[1:-1]
     below = next((row for row in text.lines[index + 1:] if row.strip() and not row.startswith(COMMENTS)
                   and row.strip()[:1] in "+-.0123456789("), "")
     best: tuple[int, TableLayout] | None = None
     for delimiter in _DELIMITERS:
-        for plain, names in ((True, cells(line, delimiter)), (False, re.split(r"\s{2,}", line.strip()))):
+        for plain, names in _names(line, delimiter):
             # Blanks occur in sentences too, of which a word or two may be understood.
             if len(names) < 2 or ((delimiter == " " or not plain or len(names) == 2)
                                   and len(cells(below, delimiter)) != len(names)):
@@ -82,6 +84,15 @@ def _headings(text: RecordingText, index: int) -> TableLayout | None:
                 best = score, _with_units(text, TableLayout(tuple(names), index, index + 1, delimiter, len(names),
                                                             plain))
     return None if best is None else best[1]
+
+
+def _names(line: str, delimiter: str) -> Iterator[tuple[bool, list[str]]]:
+    """Every way to divide a line of headings: at the delimiter (True), at runs of blanks, before any word but a unit in
+    brackets, and behind such units."""
+    yield True, cells(line, delimiter)
+    yield False, re.split(r"\s{2,}", line.strip())
+    if delimiter == " ":
+        yield from ((False, re.split(behind + r"\s+(?![(\[])", line.strip())) for behind in ("", r"(?<=[)\]])"))
 
 
 def _with_units(text: RecordingText, layout: TableLayout) -> TableLayout:
@@ -117,11 +128,10 @@ def _numbers(text: RecordingText) -> TableLayout | None:
             row, second = cells(line, delimiter), cells(following, delimiter)
             whole = any(complex_parts(cell) is not None for cell in row)
             if len(row) == len(second) > (1 if whole else 2) and all(map(is_cell, (*row, *second))):
-                above = max((i for i, _ in lines if i < index), default=None)
-                if above is not None:
-                    names = cells(uncommented(text.lines[above]), delimiter)
+                above = max((i for i, _ in lines if i < index), default=index)
+                for plain, names in () if above == index else _names(uncommented(text.lines[above]), delimiter):
                     if len(names) == len(row) and not all(map(is_cell, names)):
-                        return TableLayout(tuple(names), above, index, delimiter, len(row), plain=True)
+                        return TableLayout(tuple(names), above, index, delimiter, len(row), plain)
                 return TableLayout((), index, index, delimiter, len(row), plain=False)
     return None
 
@@ -130,7 +140,7 @@ def is_cell(cell: str) -> bool:
     return _CELL.fullmatch(cell) is not None or complex_parts(cell) is not None
 
 
-def _decimal(text: RecordingText, layout: TableLayout) -> str:
+def decimal_mark(text: RecordingText, layout: TableLayout) -> str:
     """Decimal mark of the rows: "," or ".".
 
     Raises:
@@ -161,14 +171,14 @@ def body_of(text: RecordingText, layout: TableLayout, frequency: int) -> Body:
     Raises:
         InputError: a faulty row, or fewer than two.
     """
-    decimal = _decimal(text, layout)
+    decimal = decimal_mark(text, layout)
     above = cells(uncommented(text.lines[layout.line]), layout.delimiter) if layout.headings else ()
     rows = row_cells(text, layout.start, width=layout.width, delimiter=layout.delimiter, decimal=decimal,
                      frequency=frequency, headings=above)
     if len(rows.lines) < 2:
         raise text.error(layout.start, None, f"{len(rows.lines)} rows of numbers", "at least 2; the file may be cut "
                          "short")
-    values = np.column_stack([rows.loosely(place, decimal=decimal) for place in range(layout.width)])
+    values = np.column_stack([rows.loosely(place) for place in range(layout.width)])
     complexes = frozenset(
         place for place in range(layout.width)
         if 2 * sum(place < len(row) and complex_parts(row[place]) is not None for row in rows.cells) > len(rows.cells))

@@ -57,7 +57,8 @@ class RecordedQuantity:
     = (Z - R) / (Z + R) at ``reference_resistance`` R, 50 ohm unless stated. A transmission is S21 between two ports of
     R with the specimen in the ``configuration`` "shunt" (from the line to ground, 2 Z / (2 Z + R)) or "series" (in the
     line, 2 R / (2 R + Z)). A circuit is a pair of :data:`CIRCUITS`, in the order of the columns: the ``form`` is then
-    its name, such as "Cp-D", ``unit`` that of the first column and ``second_unit`` that of the second.
+    its name, such as "Cp-D", ``unit`` that of the first column and ``second_unit`` that of the second. An imaginary
+    part may have a ``second_unit`` of its own too.
 
     Raises:
         ValueError: a word or unit that is none of these, or an entry that does not belong to the kind.
@@ -84,8 +85,9 @@ class RecordedQuantity:
             units = (*MAGNITUDE_UNITS[self.kind], *(["dB"] if self.form == "polar" else []))
             if self.unit not in units:
                 raise ValueError(f"unit {self.unit!r} of {self.kind} ({self.form}) is not one of {', '.join(units)}")
-            if self.second_unit:
-                raise ValueError("a second unit belongs to a circuit; that of a phase is phase_unit")
+            if self.second_unit and (self.form != "rectangular" or self.second_unit not in units):
+                raise ValueError(f"second unit {self.second_unit!r} belongs to a circuit or to an imaginary part, and "
+                                 f"is then one of {', '.join(units)}; that of a phase is phase_unit")
         if self.phase_unit not in PHASE_UNITS:
             raise ValueError(f"phase unit {self.phase_unit!r} is not one of {', '.join(PHASE_UNITS)}")
         if self.kind in ("reflection", "transmission"):
@@ -113,6 +115,19 @@ class RecordedQuantity:
             raise ValueError("an element of a circuit has no negated second column")
         if not self.second_unit:
             object.__setattr__(self, "second_unit", next(iter(ELEMENT_UNITS[two])))
+
+    @property
+    def columns(self) -> tuple[tuple[str, str, str], ...]:
+        """Part, kind and unit of every column, as a heading states them; the kind of an element is its symbol."""
+        if self.kind == "circuit":
+            one, _, two = self.form.partition("-")
+            return ("element", one, self.unit), ("element", two, self.second_unit)
+        match self.form:
+            case "polar":
+                return ("magnitude", self.kind, self.unit), ("phase", self.kind, self.phase_unit)
+            case "rectangular":
+                return ("real", self.kind, self.unit), ("imaginary", self.kind, self.second_unit or self.unit)
+        return (("whole", self.kind, self.unit),)
 
     def impedance(
         self, first: NDArray[np.float64], second: NDArray[np.float64], frequency: NDArray[np.float64] | None = None
@@ -165,7 +180,8 @@ class RecordedQuantity:
         if self.form == "polar":
             magnitude = 10.0 ** (first / 20.0) if self.unit == "dB" else first * factor
             return np.asarray(magnitude * np.exp(1j * PHASE_UNITS[self.phase_unit] * second))
-        return np.asarray(factor * (first + 1j * second))
+        other = MAGNITUDE_UNITS[self.kind].get(self.second_unit, factor)
+        return np.asarray(factor * first + 1j * other * second)
 
     def _elements(
         self, first: NDArray[np.float64], second: NDArray[np.float64]

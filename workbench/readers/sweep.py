@@ -42,6 +42,13 @@ class Recorded:
     findings: tuple[Finding, ...]
     rows: Rows
 
+    def share_apart(self, other: Recorded) -> float:
+        """Rms difference of another spectrum from this one, as a share of its rms; infinite at other frequencies."""
+        if not np.array_equal(self.spectrum.frequency, other.spectrum.frequency):
+            return np.inf
+        apart = np.abs(other.spectrum.impedance - self.spectrum.impedance)
+        return float(np.sqrt(np.mean(apart**2) / np.mean(self.spectrum.magnitude**2)))
+
 
 def in_order(
     text: RecordingText, frequency: NDArray[np.float64], impedance: NDArray[np.complex128], *, lines: Sequence[int],

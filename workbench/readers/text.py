@@ -45,7 +45,7 @@ _EAST_ASIAN = 0x2E80
 _REAL = r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 #: A complex number, with its imaginary unit before or after the second part.
 _COMPLEX = re.compile(
-    rf"(?:\( *)?([+-]? *{_REAL}) *([+-]) *(?:[ijIJ] *\*? *({_REAL})|({_REAL}) *\*? *[ijIJ])(?: *\))?(?![\w.])")
+    rf"(?:\( *)?((?:[+-] *)?{_REAL}) *([+-]) *(?:[ijIJ] *\*? *({_REAL})|({_REAL}) *\*? *[ijIJ])(?: *\))?(?![\w.])")
 #: A complex number as a pair in brackets. After a letter, brackets hold the ports of S(1,1).
 _BRACKETED = re.compile(rf"(?<![\w'\"])\(\s*([+-]?{_REAL})\s*[,;]\s*([+-]?{_REAL})\s*\)")
 _PORTS = re.compile(r"(?<=[A-Za-z])\((\d),(\d)\)")
@@ -152,7 +152,8 @@ def refuse_waveform(text: RecordingText) -> None:
     """Raise if the file is a Tektronix oscilloscope waveform: voltage against time, not a spectrum."""
     if maker := recognised(text.lines):
         raise InputError(text.path, "format", maker, "an impedance spectrum; `workbench import FILE ... --resistance "
-                         "R` makes one of a capture at every frequency, R being the resistor in series with the device")
+                         "R` makes one of a capture at every frequency, R being the resistor in series with the device "
+                         "(--current N: the channel of a current probe)")
     for line in text.lines[:4]:
         if line.startswith(("Record Length,", "Sample Interval,")) or line.upper().startswith((":WFMP", "WFMP")):
             raise _waveform(text.path, line[:40])
@@ -271,57 +272,46 @@ def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], line
 
 @dataclass(frozen=True)
 class RowCells:
-    """The rows of a table as text.
+    """The rows of a table of a ``text``, as text, with its ``width`` in columns and its ``decimal`` mark.
 
     ``cells`` of every row and the ``lines`` (from one) they stand on; ``skipped``, the lines below the first row that
     are no rows; ``next_table``, the line at which another table begins (None: no other).
     """
 
+    text: RecordingText
+    width: int
+    decimal: str
     cells: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
-    skipped: tuple[int, ...]
-    next_table: int | None
+    skipped: tuple[int, ...] = ()
+    next_table: int | None = None
 
-    def column(self, text: RecordingText, place: int, *, width: int, decimal: str) -> NDArray[np.float64]:
-        """The numbers (n,) of the column `place` (from 0).
-
-        Raises:
-            InputError: a row that ends before it, or a cell that is no number.
-        """
-        found = np.empty(len(self.cells))
-        for index, line in enumerate(self.lines):
-            found[index] = cell_number(text, line, place + 1, cell=self._cell(text, index, place, width=width),
-                                       decimal=decimal)
-        return found
-
-    def complex_column(
-        self, text: RecordingText, place: int, *, width: int, decimal: str
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Real and imaginary parts, each (n,), of a column of complex numbers.
+    def numbers(self, places: Sequence[int], *, last_is_complex: bool = False) -> list[NDArray[np.float64]]:
+        """The numbers (n,) of the columns `places` (from 0); of a last one of complex numbers, both parts.
 
         Raises:
-            InputError: a row that ends before it, or a cell that is no complex number.
+            InputError: a row that ends before a column, or a cell that is no number.
         """
-        found = np.empty((2, len(self.cells)))
-        for index, line in enumerate(self.lines):
-            cell = self._cell(text, index, place, width=width)
-            parts = complex_parts(cell) or (cell, "0")
-            for part in (0, 1):
-                found[part, index] = cell_number(text, line, place + 1, cell=parts[part].lstrip("+") or cell,
-                                                 decimal=decimal)
-        return found[0], found[1]
+        parts = [(place, 0) for place in places] + ([(places[-1], 1)] if last_is_complex else [])
+        return [np.array([self._number(index, place, part if last_is_complex and place == places[-1] else None)
+                          for index in range(len(self.lines))]) for place, part in parts]
 
-    def loosely(self, place: int, *, decimal: str) -> NDArray[np.float64]:
+    def loosely(self, place: int) -> NDArray[np.float64]:
         """The numbers (n,) of a column, NaN for a cell that is none."""
-        return np.array([float(_plain(row[place], decimal)) if place < len(row) and is_number(row[place], decimal)
-                         and not holds_no_value(row[place], decimal) else np.nan for row in self.cells])
+        column = [row[place] if place < len(row) else "" for row in self.cells]
+        return np.array([float(_plain(cell, self.decimal)) if is_number(cell, self.decimal) and not holds_no_value(
+            cell, self.decimal) else np.nan for cell in column])
 
-    def _cell(self, text: RecordingText, index: int, place: int, *, width: int) -> str:
-        row = self.cells[index]
+    def _number(self, index: int, place: int, part: int | None) -> float:
+        """The number in a cell, or one `part` of a complex number."""
+        row, line = self.cells[index], self.lines[index]
         if place >= len(row):
-            line = self.lines[index]
-            raise text.error(line, None, text.lines[line - 1], f"{width} columns; this row has {len(row)}")
-        return row[place]
+            raise self.text.error(line, None, self.text.lines[line - 1], f"{self.width} columns; this row has "
+                                  f"{len(row)}")
+        cell = row[place]
+        if part is not None:
+            cell = (complex_parts(cell) or (cell, "0"))[part].lstrip("+") or cell
+        return cell_number(self.text, line, place + 1, cell=cell, decimal=self.decimal)
 
 
 def _plain(cell: str, decimal: str) -> str:
@@ -378,11 +368,11 @@ def row_cells(
         if others > 1 and not first[:1].isalpha():
             cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
         if found and not others and len(row) == width > 1 and all(row) and tuple(row) != tuple(headings):
-            return RowCells(tuple(found), tuple(lines), tuple(skipped), line)
+            return RowCells(text, width, decimal, tuple(found), tuple(lines), tuple(skipped), line)
         if found and tuple(row) != tuple(headings) and content.strip(" ,;\t").casefold() != "end":
             skipped.append(line)
         elif delimiter == "," and ";" in content and not found and re.match(r"\s*[+-]?[\d.]", content):
             raise text.error(line, None, content, "commas between columns and decimal points; semicolons and decimal "
                              "commas are a spreadsheet's rewriting: use the instrument's own file, or --columns "
                              'MAP.toml with delimiter = ";"')
-    return RowCells(tuple(found), tuple(lines), tuple(skipped), None)
+    return RowCells(text, width, decimal, tuple(found), tuple(lines), tuple(skipped))

@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.readers.findings import Finding
-from workbench.readers.quantities import THROUGH
+from workbench.readers.quantities import THROUGH, RecordedQuantity
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cell_number, is_number
 from workbench.results.spectrum import Origin
 
 _FREQUENCIES: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _PARAMETERS = ("s", "y", "z", "g", "h")
-_FORMATS = ("ri", "ma", "db")
+#: Form and unit of two columns by the format of a file.
+_FORMATS: Mapping[str, tuple[str, str]] = {"ri": ("rectangular", "ohm"), "ma": ("polar", "ohm"), "db": ("polar", "dB")}
 _SUFFIX = re.compile(r"\.[syzgh](\d+)p")
 _KEYWORD = re.compile(r"\[([^\]]*)\]\s*(.*)")
 
@@ -112,15 +113,14 @@ def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding
     if options.parameter == "s" and options.matrix == "full" and len(values):
         coupled = float(np.nanmax(np.abs(_complex(values[:, 3:5], options))))
         if coupled > THROUGH:
-            form = {"ri": 'form = "rectangular"', "ma": 'form = "polar"', "db": 'form = "polar"'}[options.form]
-            unit = "dB" if options.form == "db" else "1"
+            form, unit = _FORMATS[options.form][0], "dB" if options.form == "db" else "1"
             words += f". |S21| reaches {coupled:.2g}: a device between the ports is not what S11 shows"
             factor = next((name for name, size in UNITS["frequency"].items() if size == options.unit), "")
             if ports == 2 and factor:
                 words += (". For one in shunt with the line (or in series) give --columns MAP.toml with the lines "
                           f'frequency = 1; first = 4; second = 5; frequency_unit = "{factor}"; delimiter = " "; '
-                          f'quantity = {{ kind = "transmission", {form}, unit = "{unit}", reference_resistance = '
-                          f'{options.reference[0]:g}, configuration = "shunt" }}')
+                          f'quantity = {{ kind = "transmission", form = "{form}", unit = "{unit}", '
+                          f'reference_resistance = {options.reference[0]:g}, configuration = "shunt" }}')
     return Finding("ports", words)
 
 
@@ -253,11 +253,7 @@ def _records(
 
 def _complex(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex128]:
     """The parameter (n,) that two columns hold."""
-    one, two = pair[:, 0], pair[:, 1]
-    if options.form == "ri":
-        return np.asarray(one + 1j * two)
-    size = 10.0 ** (one / 20.0) if options.form == "db" else one
-    return np.asarray(size * np.exp(1j * np.radians(two)))
+    return RecordedQuantity("impedance", *_FORMATS[options.form]).impedance(pair[:, 0], pair[:, 1])
 
 
 def _impedance(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex128]:

@@ -28,18 +28,24 @@ FIRST = 7
 
 
 class NotEnriched(RuntimeError):
-    """The reduced model did not reach its tolerance. Carries the estimate reached, and in the process that made them
-    the model and its solution."""
+    """The reduced model did not reach its tolerance. Carries the estimate reached, the `remedy` in words, and in the
+    process that made them the model and its solution."""
 
     def __init__(
-        self, estimate: float, tolerance: float, solves: int, found: tuple[ReducedModel, Solution] | None = None
+        self, estimate: float, tolerance: float, solves: int, found: tuple[ReducedModel, Solution] | None = None,
+        *, remedy: str = "solve the full model, or narrow the band",
     ) -> None:
         super().__init__(f"the reduced model is at an estimated relative error of {estimate:.1e} after {solves} full "
-                         f"solves, above the tolerance of {tolerance:.0e}; solve the full model, or narrow the band")
+                         f"solves, above the tolerance of {tolerance:.0e}; {remedy}")
         self.estimate, self.tolerance, self.solves, self.found = estimate, tolerance, solves, found
+        self.remedy = remedy
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (NotEnriched, (self.estimate, self.tolerance, self.solves))
+        return (_not_enriched, (self.estimate, self.tolerance, self.solves, self.remedy))
+
+
+def _not_enriched(estimate: float, tolerance: float, solves: int, remedy: str) -> NotEnriched:
+    return NotEnriched(estimate, tolerance, solves, remedy=remedy)
 
 
 def reduce(

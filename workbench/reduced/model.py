@@ -125,9 +125,10 @@ class ReducedModel(Brief):
 
     def of(self, operators: FullOperators) -> ReducedModel:
         """The model of other integrals of the same unknowns; forms that it does not have yet are projected."""
-        known = {id(integral): form for integral, form in zip(self.full.integrals, self.operators.forms, strict=True)}
+        known = {form: index for index, form in enumerate(self.full.distinct_forms)
+                 if operators.has_form_of(self.full, form)}
         first = np.unique(operators.forms, return_index=True)[1]
-        there = np.array([known.get(id(operators.integrals[q]), -1) for q in first])
+        there = np.array([known.get(form, -1) for form in operators.distinct_forms])
         new, rank = np.flatnonzero(there < 0), self.basis.shape[1]
         matrices, sketch = np.empty((first.size, rank, rank)), np.empty((first.size, self.test.shape[1], rank))
         matrices[there >= 0], sketch[there >= 0] = (each[there[there >= 0]]

@@ -178,17 +178,19 @@ class Predictor:
         return replace(self, operators=operators, local=None, tolerance=math.inf,
                        model=self.model.truncated(states, UNSEEN).of(operators))
 
-    def truncated(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
+    def truncated(self, settings: Sequence[Mapping[str, complex]], error: float | None = None) -> Predictor:
         """A predictor that begins with no more of the basis than the spectra at these values need, with a count of its
         own.
 
-        The first are the values that the others lie about.
+        The first are the values that the others lie about. The truncation adds a relative `error` of Z, by default a
+        share of the tolerance.
         """
         if self.model is None:
             return self.at(self.frequencies)
         every = [self.model.states(self.frequencies, {**self.problem.values, **each}) for each in settings]
         states = np.concatenate([every[0], *(each - every[0] for each in every[1:])], axis=1)
-        error = UNSEEN_SHARE * self.tolerance if math.isfinite(self.tolerance) else UNSEEN
+        if error is None:
+            error = UNSEEN_SHARE * self.tolerance if math.isfinite(self.tolerance) else UNSEEN
         return replace(self, model=self.model.truncated(states, error), solves=0)
 
     def full(self, values: Mapping[str, complex], at: Real) -> Complex:

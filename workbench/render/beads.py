@@ -15,6 +15,7 @@ from geometry.measure import Axisymmetric
 from workbench.acoustics.captures import Window, arrived_share, light_curve
 from workbench.acoustics.nodal import FloatArray, raster
 from workbench.acoustics.trajectories import Trajectories
+from workbench.acoustics.trajectories import time_text as time_text
 from workbench.acoustics.walls import walls_of
 from workbench.files.writing import replacing
 from workbench.render.canvas import PLAIN_COLOURS, new_figure, prefixed, save_figure, typeset
@@ -139,13 +140,6 @@ def animate_beads(found: Trajectories, path: Path, *, frames: int = FRAMES) -> P
             _move_side(dots_beside, stamp_beside, found, int(index))
             writer.grab_frame()
     return path
-
-
-def time_text(seconds: float) -> str:
-    """A time as its stamp shows it."""
-    if seconds < 60.0:
-        return f"{seconds:.3g} s" if seconds < 9.95 else f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.3g} min"
 
 
 def scale_bar_length(width: float) -> float:

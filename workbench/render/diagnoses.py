@@ -1,4 +1,4 @@
-"""A diagnosis at a glance: every state before and after, and the share of the mismatch that each part takes."""
+"""A diagnosis at a glance: every state before and after, and the share of the residual that each effect explains."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ class StatePicture:
 
 
 def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, after: str) -> Path:
-    """Draw |Z| of every state above its difference from the recording, both with the lines `before` and `after`. Writes
-    `path`.
+    """Draw |Z| of every state above its residual, both with the lines `before` and `after`. Writes `path`.
 
     Raises:
         ValueError: no states.
@@ -63,7 +62,7 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
         handles = _draw_state(upper, lower, state)
         if column == 0:
             upper.set_ylabel("|Z| (Ω)")
-            lower.set_ylabel("difference (% of |Z|)")
+            lower.set_ylabel("residual (% of |Z|)")
         if index + across >= len(states):
             lower.set_xlabel("frequency (MHz)")
     figure.legend(handles, ["measured", before, after, "noise, two standard deviations"], loc="upper center",
@@ -72,27 +71,26 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
 
 
 def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
-    """One state into axes for |Z| and for the difference; the lines for a legend."""
+    """One state into axes for |Z| and for the residual; the lines for a legend."""
     megahertz = state.frequency / 1e6
     dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
                        alpha=0.5, markeredgewidth=0.0)
     differences = [100.0 * np.abs(np.log(each / state.measured)) for each in (state.before, state.after)]
     rms = [float(np.sqrt(np.mean(each**2))) for each in differences]
-    # Nothing far below the noise is visible where the two are orders apart.
+    # A logarithmic scale ends far below the noise.
     lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise)) if rms[0] > _ORDERS * rms[1] else 0.0
-    # The line after lies on the other where both coincide: one broad and pale, one narrow.
-    looks = ((_BEFORE, 3.2, 0.45), (_AFTER, 1.1, 1.0))
     lines = []
-    for impedance, difference, (colour, width, alpha) in zip((state.before, state.after), differences, looks,
-                                                             strict=True):
+    # A broad pale line and a narrow one, since they may coincide.
+    for impedance, difference, colour, width, alpha in ((state.before, differences[0], _BEFORE, 3.2, 0.45),
+                                                        (state.after, differences[1], _AFTER, 1.1, 1.0)):
         line, = upper.plot(megahertz, np.abs(impedance), color=colour, linewidth=width, alpha=alpha)
         lower.plot(megahertz, np.maximum(difference, lowest), color=colour, linewidth=0.5 * (1.0 + width), alpha=alpha)
         lines.append(line)
-    # For the two parts of ln Z together, each of that standard deviation.
+    # Both parts of ln Z have that standard deviation.
     band = lower.fill_between(megahertz, lowest, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd", zorder=0)
     upper.set_yscale("log")
-    left = [f"{float(f'{each:.2g}'):g} %" for each in rms]
-    upper.set_title(f"{state.name}\n{left[0]} of Z is left before, {left[1]} after", fontsize=9)
+    first, last = (f"{float(f'{each:.2g}'):g} %" for each in rms)
+    upper.set_title(f"{state.name}\nresidual {first} of Z before, {last} after", fontsize=9)
     upper.tick_params(labelbottom=False)
     upper.tick_params(which="minor", labelsize=6)
     if lowest:
@@ -100,13 +98,13 @@ def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
         lower.yaxis.set_major_formatter("{x:g}")
         lower.tick_params(which="minor", labelsize=6)
     lower.set_ylim(bottom=lowest)
-    for axes in (upper, lower):
-        tidy(axes)
+    tidy(upper)
+    tidy(lower)
     return [dots, *lines, band]
 
 
 def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """Draw one bar for the whole mismatch: the share that each name takes, and the unexplained rest. Writes `path`.
+    """Draw one bar for the residual as stated: the share of each name, and the unexplained rest. Writes `path`.
 
     Raises:
         ValueError: a share below zero, or a sum above one.
@@ -125,7 +123,7 @@ def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
         start += share
     axes.set_xlim(0.0, 100.0)
     axes.set_yticks([])
-    axes.set_xlabel("share of the mismatch beyond noise (%)")
+    axes.set_xlabel("share of the residual as stated, beyond noise (%)")
     axes.set_title(title, fontsize=11)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.72), ncols=2, frameon=False)

@@ -14,7 +14,11 @@ DEFINITIONS = {
     "fitted f": "series resonance of a branch of the circuit that is fitted to all resonances of the band together, "
                 "with its standard error. The smallest |Z| lies elsewhere where neighbours move it.",
     "fitted Q": "quality factor of that branch, w L1 / R1.",
-    "k_eff": "effective coupling factor of that branch with the static capacitance alone, k^2 = C1 / (C0 + C1).",
+    "fitted k_eff": "effective coupling factor of that branch, k^2 = C1 / (Cb + C1). Cb is the capacitance, at its "
+                    "frequency, of the circuit without the listed branches: the static one, and that of modes beyond "
+                    "the band. The standard error holds how far Cb varies over the band.",
+    "M": "figure of merit of that branch, Q k_eff^2 / (1 - k_eff^2): below 10 its dip of |Z| shows neither its "
+         "frequency nor its Q, below 2 its reactance never crosses zero.",
     "C0": "clamped capacitance of the electrodes: what they hold while nothing moves. It belongs to the transducer and "
           "is the same in every state. A recording about one resonance does not show it, so recordings have none.",
     "C at 1 kHz": "capacitance far below every mode, as an LCR meter shows it: C0 and what all modes add.",
@@ -44,8 +48,8 @@ DEFINITIONS = {
     "|p| across, mid-height": "largest pressure amplitude on the line across the channel at mid-height.",
     "uneven over the height": "range of the pressure amplitude over the height, where it is largest across, over its "
                               "mean there: 0 for half a wave across between hard walls.",
-    "critical diameter": "diameter of a particle that radiation and streaming along plane walls move alike; smaller "
-                         "ones follow the flow.",
+    "critical diameter": "diameter of a particle that radiation and streaming along plane walls move alike across the "
+                         "channel; smaller ones follow the flow.",
     "line across": "place across of a line along the channel that particles focus to, whatever their height.",
     "depth": "energy, averaged over the height, that parts the line from a deeper one or, for the deepest, from the "
              "highest place.",
@@ -53,15 +57,15 @@ DEFINITIONS = {
     "MAPE of |Z|": "mean absolute percentage error: the mean over the points of ||Z_sim| - |Z_meas|| / |Z_meas|.",
     "rms of ln(Z_sim / Z_meas)": "root mean square of the complex logarithm: relative error of magnitude and error of "
                                  "phase in radian together.",
-    "share of the mismatch": "part of the mismatch that known numbers alone leave beyond noise, and that the effect "
-                             "takes away: of chi-square, with the distances of known numbers from what is stated.",
-    "share of what is left": "part of the square of ln(Z_model / Z_measured), in units of the stated noise, of all "
-                             "states that were fitted.",
-    "left of Z": "root mean square of ln(Z_model / Z_measured), the real and the imaginary part together.",
-    "times the noise": "what is left of Z over what the stated noise alone leaves.",
-    "noise alone": "what the stated noise of both parts leaves of Z.",
-    "known numbers within their uncertainties": "the best that the numbers taken as known can do alone.",
-    "odds against nothing further": "posterior odds that this is there beside what was found, against nothing more.",
+    "share of the residual as stated": "part of the residual of the model as stated, beyond noise, that the effect "
+                                       "explains: of chi-square, with the distances of known parameters from their "
+                                       "stated values.",
+    "share of the residual": "part of the square of ln(Z_model / Z_measured), in units of the stated noise, of all "
+                             "fitted states.",
+    "residual of Z": "root mean square of ln(Z_model / Z_measured), the real and the imaginary part together.",
+    "times the noise": "the residual of Z over that of the stated noise alone.",
+    "noise floor": "the residual of Z by the stated noise of both parts alone.",
+    "odds against nothing further": "posterior odds of this hypothesis beside the finding, against the finding alone.",
     "above the floor": "height above the floor of the cavity; z counts from the bottom of the chip.",
 }
 

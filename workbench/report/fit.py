@@ -14,8 +14,16 @@ from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.gel import PUBLISHED, GelCase
 from workbench.fitting.joint import FitResult, Match
 from workbench.fitting.prepare import Prepared
-from workbench.fitting.record import Source, derived_quantities, reference_frequency, refusals, software
-from workbench.fitting.uncertainty import CONFIDENCE, ParameterEstimate
+from workbench.fitting.record import (
+    Source,
+    derived_quantities,
+    name_in_fit,
+    reference_frequency,
+    refusals,
+    rms_log_residual,
+    software,
+)
+from workbench.fitting.uncertainty import CONFIDENCE, DEVIATIONS, ParameterEstimate
 from workbench.render.fits import Interval, draw_correlation, draw_fit, draw_gel_study, draw_intervals
 from workbench.report.figures import figures_record, origin_table
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
@@ -57,18 +65,44 @@ def parameter_table(result: FitResult, prepared: Prepared) -> TextTable:
                    "by profile" if e.method == "profile" else ""]
         spread = "" if p.prior is None else number_in_unit(p.prior, p.unit, digits=2)
         prior = f"± {spread}{' (assumed)' if p.assumed else ''}" if spread else ""
+        part = number_in_unit(DEVIATIONS * e.held, p.unit, digits=2) if e.held > 0.0 else ""
         rows.append((short_name(e, prepared), number_in_unit(p.start, p.unit),
-                     *shown_estimate(e.value, e.low, e.high, p.unit), shown_unit(p.unit), difference, prior,
-                     "; ".join(filter(None, remarks))))
-    return TextTable(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", "remark"),
-                     tuple(rows))
+                     *shown_estimate(e.value, e.low, e.high, p.unit), f"± {part}" if part else "", shown_unit(p.unit),
+                     difference, prior, "; ".join(filter(None, remarks))))
+    return TextTable(("parameter", "start", "fitted", "95 % interval", OF_HELD, "unit", "change (%)", "known before",
+                      "remark"), tuple(rows))
 
 
-def without_prior(table: TextTable) -> TextTable:
-    """The table of parameters without what was known before, for a terminal of 80 columns."""
-    without = table.columns.index("known before")
-    heads, *rows = (row[:without] + row[without + 1:] for row in (table.columns, *table.rows))
+#: Heading of the part of an interval that comes of the numbers that a fit holds.
+OF_HELD = "of which held constants"
+
+
+def for_terminal(table: TextTable) -> TextTable:
+    """The table of parameters for a terminal of 80 columns: without what was known before, the change in per cent, and
+    the part of the held constants if there is none."""
+    left_out = {"known before", "change (%)"}
+    where = table.columns.index(OF_HELD)
+    if not any(row[where] for row in table.rows):
+        left_out.add(OF_HELD)
+    kept = [i for i, head in enumerate(table.columns) if head not in left_out]
+    heads, *rows = (tuple(row[i] for i in kept) for row in (table.columns, *table.rows))
     return TextTable(heads, tuple(rows))
+
+
+def held_table(result: FitResult) -> TextTable | None:
+    """The numbers that the fit held although they are uncertain; None if there are none."""
+    if not result.held:
+        return None
+    errors = {e.parameter.name: e for e in result.estimates}
+    rows = []
+    for h in result.held:
+        p, moved = h.parameter, errors[h.moved]
+        spread = number_in_unit(p.scale, p.unit, digits=2)
+        rows.append((name_in_fit(p, result), number_in_unit(p.value, p.unit), f"± {spread}", shown_unit(p.unit),
+                     f"{name_in_fit(moved.parameter, result)}, by {h.part:.2g} of its error" if h.part >= 0.01 else "",
+                     number_text(100.0 * h.share, 2)))
+    return TextTable(("held", "value", "known to", "unit", "moves most", "would take of the residual's square (%)"),
+                     tuple(rows))
 
 
 def derived_table(result: FitResult, prepared: Prepared) -> TextTable | None:
@@ -130,8 +164,11 @@ def write_fit_report(
     verdict += [Note(f"{s.recording}: {text}") for s in sources for text in s.findings]
     if saved_as:
         verdict.append(f"Saved as {saved_as}.")
-    found: list[Block] = [*verdict, "\n\n".join(result.findings), parameter_table(result, prepared),
-                          match_table(result)]
+    found: list[Block] = [*verdict, "\n\n".join(result.findings), parameter_table(result, prepared)]
+    held = held_table(result)
+    if held is not None:
+        found += ["Held fixed, although uncertain too:", held]
+    found.append(match_table(result))
     table = derived_table(result, prepared)
     if table is not None:
         found += [f"At {reference_frequency(result) / 1e6:.4f} MHz:", table]
@@ -193,7 +230,7 @@ def fit_record(
         "accepted": not refused, "refusals": list(refused), "saved_as": saved_as,
         "findings": list(result.findings),
         "mape_percent": float(np.mean([m.after.mape_percent for m in result.recordings])),
-        "rms_log_residual": float(np.sqrt(np.mean([m.after.rms_log_residual**2 for m in result.recordings]))),
+        "rms_log_residual": rms_log_residual(result),
         "converged": result.converged, "improved": result.improved, "iterations": result.iterations,
         "wall_seconds": result.seconds, "full_solves": result.full_solves, "confidence": CONFIDENCE,
         "parameters": [parameter_record(e) for e in result.estimates],
@@ -203,6 +240,10 @@ def fit_record(
         "recordings": [_match_record(m, s) for m, s in zip(result.recordings, sources, strict=True)],
         "correlation": {"names": [e.parameter.name for e in result.estimates],
                         "rows": [[finite(x) for x in row] for row in result.correlation]},
+        "held": [{"name": h.parameter.name, "value": h.parameter.value, "unit": h.parameter.unit,
+                  "standard_uncertainty": h.parameter.scale, "moves": h.moved, "by_standard_errors": h.part,
+                  "share_of_residual": h.share, "taken_if_proposed": h.taken} for h in result.held],
+        "entries_tried": [{"name": each.name, "rms_log_residual": each.rms} for each in result.entries],
         "undetermined": [{"shares": dict(d.shares), "narrowing": d.narrowing, "symmetry": d.symmetry}
                          for d in result.undetermined],
         "starts": [{"label": s.label, "rms_log_residual": finite(s.rms),
@@ -223,7 +264,7 @@ def parameter_record(estimate: ParameterEstimate) -> dict[str, Any]:
         "low": finite(estimate.low), "high": finite(estimate.high),
         "standard_error": finite(estimate.standard_error), "numerical": finite(estimate.numerical), "prior": p.prior,
         "start": p.start, "at_bound": estimate.at_bound, "determined": estimate.determined,
-        "narrowing": finite(estimate.narrowing), "method": estimate.method,
+        "narrowing": finite(estimate.narrowing), "method": estimate.method, "of_held": finite(estimate.held),
     }
 
 

@@ -16,15 +16,21 @@ from workbench.bench.run_file import Run
 from workbench.bench.setup import BenchSetup
 from workbench.bench.spectra import LevelSpectrum
 from workbench.render.plots import draw_residuals, draw_spectra
-from workbench.report.figures import FIGURE_COLUMNS, figures_row, origin_table
+from workbench.report.figures import figures_rows, figures_table, origin_table
 from workbench.report.page import Block, Note, Picture, TextTable, Verbatim, number_text, write_report
 from workbench.results.merit import measured_figures
 
 
 def measured_figures_table(levels: Sequence[LevelSpectrum]) -> TextTable:
     """Figures of merit at every level of drive."""
-    return TextTable(FIGURE_COLUMNS, tuple(
-        figures_row(f"{found.level:g} Vpp", measured_figures(found.spectrum)[0]) for found in levels))
+    return figures_table([row for found in levels for row in figures_rows(
+        f"{found.level:g} Vpp", measured_figures(found.spectrum)[0])])
+
+
+def weak_resonances(levels: Sequence[LevelSpectrum]) -> list[str]:
+    """A sentence on the weak resonance of every level that has one."""
+    found = ((each.level, measured_figures(each.spectrum)[0]) for each in levels)
+    return [f"{level:g} Vpp: {merit.weakness}" for level, merit in found if merit is not None and merit.is_weak]
 
 
 def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectrum], path: Path) -> Path:
@@ -35,6 +41,7 @@ def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectru
         spectra = draw_spectra({f"{found.level:g} Vpp": found.spectrum for found in levels}, folder / "impedance.png",
                                measured=[f"{found.level:g} Vpp" for found in levels], title=title)
         blocks: list[Block] = [Note(f"{found.level:g} Vpp: {flag}") for found in levels for flag in found.flags]
+        blocks += map(Note, weak_resonances(levels))
         sections: list[tuple[str, list[Block]]] = [
             ("What was measured", [*blocks, measured_figures_table(levels), Picture(spectra, "impedance")])]
         for found in levels:

@@ -21,16 +21,16 @@ from workbench.acoustics.trajectories import Fate, Trajectories
 from workbench.files.quantities import finite
 from workbench.files.writing import replacing, write_atomic
 from workbench.model.particles import drag_coefficient, net_weight
-from workbench.render.beads import time_text
 from workbench.report.page import Answer, Block, Note, Picture, TextTable, write_report
-from workbench.report.simulation import field_table
-from workbench.simulation.gathering import particle_words, percent
+from workbench.report.simulation import field_table, gathering_record
+from workbench.report.warm import warm_blocks
+from workbench.simulation.gathering import Gathering
 from workbench.simulation.liquid_motion import LiquidMotion
 from workbench.simulation.run import Snapshot
 
 #: Sentences on the limits of the computation, as the documentation has them.
-LEFT_OUT = ("Left out: forces between particles and their shadow in the sound, the larger drag within a few radii of a "
-            "wall, crowding, thermal motion, and what a particle does after it has touched a wall.")
+LEFT_OUT = ("Left out: forces between particles and their shadow in the sound, crowding, thermal motion, and what a "
+            "particle does after it has touched a wall.")
 
 
 def captures_table(statistics: Sequence[CaptureStatistics]) -> TextTable:
@@ -64,23 +64,7 @@ def rest_table(found: Trajectories) -> TextTable:
     return TextTable(("trap", "of the sound alone (mm)", "place of rest (mm)", "particles there"), tuple(rows))
 
 
-def motion_answer(found: Trajectories) -> str:
-    """Sentences on the fate of the particles."""
-    excitation, count = found.forces.excitation, found.count
-    voltage = 2.0 * excitation.voltage
-    ends = [f"{percent(float((found.fate == fate).mean()))} {fate.words}" for fate in
-            (Fate.TRAPPED, Fate.FOCUSED, Fate.LEVITATED, Fate.MOVING, Fate.SEDIMENTED, Fate.AT_WALL)
-            if (found.fate == fate).any()]
-    text = (f"After {time_text(float(found.times[-1]))} at {excitation.frequency / 1e6:.4f} MHz and {voltage:.3g} Vpp, "
-            f"of {count} evenly spread {particle_words(found.report.forces)}: {', '.join(ends)}.")
-    first = capture_statistics(found)[0]
-    if first.ninety is not None:
-        verb = "focus across the channel" if 0 in found.report.forces.mesh.measure.focusing else "come to levitate"
-        text += f" {percent(first.share)} {verb}, nine tenths of these within {time_text(first.ninety)}."
-    return text
-
-
-def motion_record(found: Trajectories, window: Window) -> dict[str, Any]:
+def motion_record(found: Trajectories, window: Window, answer: Gathering) -> dict[str, Any]:
     """Everything about the motion that particles.json holds."""
     forces, excitation = found.forces, found.forces.excitation
     curve = light_curve(found, window)
@@ -96,6 +80,7 @@ def motion_record(found: Trajectories, window: Window) -> dict[str, Any]:
                       "ten_percent_s": row.ten, "half_s": row.half, "ninety_percent_s": row.ninety,
                       "focusing_time_s": row.focusing_time, "focusing_spread_s": row.focusing_spread}
                      for row in capture_statistics(found)],
+        "gathering": gathering_record([answer])[answer.state],
         "rest_m": [[finite(r), finite(z)] for r, z in found.rest],
         "window_m": {"inner": window.inner, "outer": finite(window.outer), "bottom": finite(window.bottom),
                      "top": finite(window.top)},
@@ -136,7 +121,7 @@ def flow_answer(moving: LiquidMotion) -> str:
     if heat is not None:
         text += (f"; driven steadily the chip is up to {heat.peak:.3g} K above ambient, its liquid "
                  f"{heat.parts[flow.region].mean:.3g} K, with a time constant of {heat.time_constant:.3g} s")
-    return text + "."
+    return f"{text}. {moving.left_out}".rstrip()
 
 
 def flow_record(moving: LiquidMotion) -> dict[str, Any]:
@@ -153,13 +138,14 @@ def flow_record(moving: LiquidMotion) -> dict[str, Any]:
 
 
 def write_particles_report(
-    shot: Snapshot, found: Trajectories, moving: LiquidMotion, pictures: Sequence[Picture], files: Mapping[str, Path],
-    folder: Path
+    shot: Snapshot, found: Trajectories, moving: LiquidMotion, answer: Gathering, pictures: Sequence[Picture],
+    files: Mapping[str, Path], folder: Path
 ) -> Path:
     """``report.html``: the fate of the particles first, then how many, when and where, the pictures, what is left out.
     `files` are further files by what they hold."""
     sections: list[tuple[str, list[Block]]] = [
-        ("Where are the particles?", [Answer(motion_answer(found)), flow_answer(moving), *map(Note, shot.findings)]),
+        ("Where are the particles?", [*warm_blocks(shot), Answer(str(answer)), flow_answer(moving),
+                                      *map(Note, shot.findings)]),
         ("How many, and when", [captures_table(capture_statistics(found)), rest_table(found)]),
         ("Pictures", list(pictures)),
         (f"The field of state {shot.state} at {shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}",

@@ -12,16 +12,20 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
+from geometry.straight import straight_findings
 from materials.kinds import Fluid
 from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
+from workbench.files.quantities import finite
 from workbench.model.numbers import ParameterName
 from workbench.model.particles import net_weight
 from workbench.render.plots import draw_energy, draw_spectra
 from workbench.report.figures import (
-    MODEL_COLUMNS,
+    CAPACITANCE_COLUMNS,
+    FigureRows,
     capacitance_cells,
     figures_record,
-    figures_row,
+    figures_rows,
+    figures_table,
 )
 from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_report
 from workbench.report.resonances import (
@@ -30,9 +34,10 @@ from workbench.report.resonances import (
     resonances_table,
     single_fits_record,
 )
+from workbench.report.warm import warm_record, warm_section
 from workbench.simulation.channel import ChannelFigures, channel_figures
 from workbench.simulation.energy import EnergySpectrum
-from workbench.simulation.gathering import Gathering
+from workbench.simulation.gathering import GatheredAt, Gathering
 from workbench.simulation.run import Simulation, Snapshot
 
 #: Peaks of the energy at most that a picture marks, the highest ones.
@@ -125,12 +130,14 @@ def model_table(runs: Sequence[Simulation]) -> TextTable:
 
 def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable:
     """Figures of merit of every state as simulated, and as the chip file reports them."""
-    rows = []
+    rows: FigureRows = []
     for run in runs:
-        rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
-        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number_text(r.z_min), number_text(r.q), "", "", "")
+        (first, named), *rest = figures_rows(f"{run.state}, simulated", run.figures)
+        cells = dict(zip(CAPACITANCE_COLUMNS, capacitance_cells(run.capacitance), strict=True))
+        rows += [(first, named | cells), *rest]
+        rows += [((f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number_text(r.z_min), number_text(r.q), ""), {})
                  for r in chip.state(run.state).reported]
-    return TextTable(MODEL_COLUMNS, tuple(rows))
+    return figures_table(rows, CAPACITANCE_COLUMNS)
 
 
 def without_resonance(runs: Sequence[Simulation]) -> list[str]:
@@ -149,11 +156,11 @@ def energy_table(runs: Sequence[Simulation]) -> TextTable:
     return TextTable(("state", "peak of the energy (MHz)", "Q", "mean E_ac (J/m^3)", "per Vpp^2", "per W"), tuple(rows))
 
 
-def _findings(runs: Sequence[Simulation]) -> list[Note]:
-    """Findings of all runs, each once with the states that it holds in."""
+def _findings(runs: Sequence[Simulation], first: Sequence[str]) -> list[Note]:
+    """Findings of all runs but the `first` ones, each once with the states that it holds in."""
     found: dict[str, list[str]] = {}
     for run in runs:
-        for text in run.findings:
+        for text in (text for text in run.findings if text not in first):
             found.setdefault(text, []).append(run.state)
     return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
 
@@ -175,16 +182,20 @@ def write_simulation_report(
         (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     found = {run.state: run.resonances for run in runs}
-    sections: list[tuple[str, list[Block]]] = []
+    first = straight_findings(chip.measure, chip.electrodes)
+    sections: list[tuple[str, list[Block]]] = [("What is computed?", [*map(Note, first)])] if first else []
     driven = _driven(chip, runs, folder)
     if driven:
         sections.append(("At which frequency?", driven))
+    warmth = warm_section(chip.name, runs, folder)
+    if warmth:
+        sections.append(("How warm does it get?", warmth))
     if answers:
         # That of the last state first: it is the one the device works in.
         sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
     sections.append(("Figures of merit", [
         chip.description, f"Source: {chip.source}" if chip.source else "", simulated_figures_table(chip, runs),
-        *map(Note, without_resonance(runs)), *_findings(runs), Picture(spectra, _resolution(runs)),
+        *map(Note, without_resonance(runs)), *_findings(runs, first), Picture(spectra, _resolution(runs)),
         resonances_table(found), *resonance_notes(found)]))
     for run in runs:
         blocks: list[Block] = []
@@ -229,8 +240,15 @@ def _resolution(runs: Sequence[Simulation]) -> str:
 
 
 def gathering_record(answers: Sequence[Gathering]) -> dict[str, Any]:
-    """Whether particles gather, by state."""
-    return {answer.state: {"gathers": answer.gathers, "sentences": list(answer.sentences)} for answer in answers}
+    """Whether, where and when particles gather, by state."""
+    def place(found: GatheredAt) -> dict[str, Any]:
+        return {"words": found.words, "share": found.share, "half_s": found.half}
+
+    return {answer.state: {
+        "gathers": answer.gathers, "sentences": list(answer.sentences),
+        "first": None if answer.first is None else place(answer.first), "places": list(map(place, answer.places)),
+        "critical_diameter_m": {name: finite(value) for name, value in answer.critical_diameters.items()},
+    } for answer in answers}
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
@@ -266,6 +284,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "traps": [_trap_record(trap) for trap in run.traps.traps],
         }
     record |= _channel_record(run)
+    record |= warm_record(run)
     record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
     record["seconds"] = dict(run.seconds)
     return record

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.design.evaluation import Operation
 from workbench.design.figures import Figure, change_unit
 from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
@@ -33,7 +34,7 @@ def law_in_words(each: Number) -> str:
     return f"standard uncertainty {amount(each.name, each.deviation)}"
 
 
-def figures_table(found: Tolerance) -> TextTable:
+def uncertain_figures_table(found: Tolerance) -> TextTable:
     """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
     sampled = found.outcomes
     rows = []
@@ -136,8 +137,9 @@ def sobol_table(found: Tolerance) -> TextTable:
 
 
 def drive_in_words(found: Tolerance) -> str:
-    """Whether the drive follows the resonance, or its frequency."""
-    return "drive follows f0" if found.frequency is None else f"driven at {found.frequency / 1e6:.4f} MHz"
+    """Which resonance the drive follows, or its frequency."""
+    words = Operation(found.drive, found.frequency).words
+    return f"the drive {words}" if isinstance(found.frequency, str) else f"driven at {words}"
 
 
 def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
@@ -147,7 +149,7 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
     first: list[Block] = []
     first.append(f"{drive_in_words(found)}; {found.drive}" + ("" if found.outcomes is None else
                  f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
-    first.append(figures_table(found))
+    first.append(uncertain_figures_table(found))
     if found.yields is not None:
         first += [yields_table(found), pictures["yield"], pictures["samples"]]
         first.append(
@@ -190,7 +192,8 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
     known = found.sensitivities
     record: dict[str, Any] = {
         "chip": found.chip.name, "state": found.state, "drive": str(found.drive),
-        "frequency_hz": found.frequency, "tracking": found.frequency is None, "seed": found.seed,
+        "frequency_hz": None if isinstance(found.frequency, str) else found.frequency,
+        "follows": found.frequency if isinstance(found.frequency, str) else None, "seed": found.seed,
         "uncertainty": {
             "normal_laws_cut_at_standard_deviations": CUT,
             "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.value,

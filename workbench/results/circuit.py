@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -67,8 +67,9 @@ class FittedNumber:
 class FittedResonance:
     """One branch of a fitted circuit.
 
-    ``frequency`` (Hz) and ``q`` of its series resonance; ``k_eff`` its effective coupling factor with the static
-    capacitance alone, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (C0 + C1); ``resistance`` (ohm), ``inductance`` (H) and
+    ``frequency`` (Hz) and ``q`` of its series resonance; ``k_eff`` its effective coupling factor without the other
+    resonances, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (Cb + C1), with the capacitance Cb of the background at its frequency
+    (:meth:`SolvedCircuit.background`), NaN if that is not above zero; ``resistance`` (ohm), ``inductance`` (H) and
     ``capacitance`` (F) in series; ``phase`` (rad) that losses of the coupling give the branch, 0 in a plain circuit.
     """
 
@@ -85,17 +86,23 @@ class FittedResonance:
         """f / Q, Hz."""
         return self.frequency.value / self.q.value
 
+    @property
+    def merit(self) -> float:
+        """Figure of merit Q k^2 / (1 - k^2); below 10 the dip of |Z| shows neither the frequency nor the Q."""
+        return self.q.value * self.k_eff.value**2 / (1.0 - self.k_eff.value**2)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CircuitFit(Brief):
     """A circuit fitted to a spectrum.
 
-    ``resonances`` by frequency; ``static_capacitance`` (F), ``loss_tangent`` and ``series_resistance`` (ohm), 0 where
-    they were not fitted; ``model`` the fitted spectrum on the points used; ``rms_residual`` the root mean square of
+    ``resonances`` by frequency; ``static_capacitance`` (F) and ``loss_tangent`` of the background in the middle of the
+    band: C0, modes beyond the band and losses in parallel; ``series_resistance`` (ohm), 0 where it was not fitted;
+    ``model`` the fitted spectrum on the points used; ``rms_residual`` the root mean square of
     |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known; ``findings`` what cannot be
     resolved. Standard errors hold for independent noise of the stated uncertainty or, without one, for noise of the
     same relative size in Z at every point, judged from the residual: a model that does not fit gives errors that mean
-    little.
+    little. Those of k_eff and of the static capacitance hold how far the background varies over the band as well.
     """
 
     resonances: tuple[FittedResonance, ...]
@@ -286,18 +293,27 @@ class BranchCircuit:
     def with_slopes(self, frequency: Real) -> tuple[Complex, Complex]:
         """Z (n,) ohm and its derivatives (n, numbers) by those of :meth:`vector`."""
         omega = 2.0 * np.pi * frequency
+        capacitance, slopes = self.capacitance(frequency)
+        admittance = 1j * omega * capacitance
+        return self.rest[2] + 1.0 / admittance, np.column_stack([
+            -1j * omega[:, None] * slopes / admittance[:, None] ** 2, np.ones_like(omega)])
+
+    def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
+        """Y / (j w) (n,) F of all but Rs and the branches `without`, and its derivatives (n, numbers - 1) by the rest.
+        """
         columns: list[NDArray[Any]] = []
-        static = 1j * omega * math.exp(_within(self.rest[0]))
-        admittance: Complex = static * (1.0 - 1j * self.rest[1])
-        for at, sharpness, capacitance, phase in self.branches:
+        static = math.exp(_within(self.rest[0])) * np.ones(len(frequency), dtype=complex)
+        total = static * (1.0 - 1j * self.rest[1])
+        for k, (at, sharpness, capacitance, phase) in enumerate(self.branches):
+            if k in without:
+                columns += OF_BRANCH * [np.zeros(len(frequency))]
+                continue
             u, q = frequency * math.exp(-_within(at)), math.exp(_within(sharpness))
             bracket = 1.0 - u**2 + 1j * u / q
-            part: Complex = 1j * omega * np.exp(_within(capacitance) + 1j * phase) / bracket
-            admittance = admittance + part
+            part: Complex = np.exp(_within(capacitance) + 1j * phase) / bracket
+            total = total + part
             columns += [part * (1j * u / q - 2.0 * u**2) / bracket, part * (1j * u / q) / bracket, part, 1j * part]
-        columns += [static * (1.0 - 1j * self.rest[1]), -1j * static]
-        slopes = -np.column_stack(columns) / admittance[:, None] ** 2
-        return self.rest[2] + 1.0 / admittance, np.column_stack([slopes, np.ones_like(omega)])
+        return total, np.column_stack([*columns, static * (1.0 - 1j * self.rest[1]), -1j * static])
 
 
 def _within(logarithm: float) -> float:
@@ -330,26 +346,55 @@ class SolvedCircuit:
         branches = self.circuit.branches
         chosen = sorted(range(len(branches)) if listed is None else listed, key=lambda k: float(branches[k, 0]))
         impedance = self.circuit.impedance(self.spectrum.frequency)
-        last = OF_BRANCH * len(branches)
         return CircuitFit(
-            tuple(self._resonance(k) for k in chosen), self._exponential({last: 1.0}),
-            self._number(last + 1), self._number(last + 2), Spectrum(self.spectrum.frequency, impedance),
-            *left_over(self.spectrum, impedance, len(self.free)), findings)
+            tuple(self._resonance(k, chosen) for k in chosen), *self._static(chosen), self._number(-1),
+            Spectrum(self.spectrum.frequency, impedance), *left_over(self.spectrum, impedance, len(self.free)),
+            findings)
 
-    def _resonance(self, k: int) -> FittedResonance:
+    def background(self, frequency: float, listed: Sequence[int]) -> tuple[complex, Complex, float]:
+        """Capacitance (F) at a frequency (Hz) of all but the branches `listed`, its derivatives (numbers - 1,), half of
+        its range (F) over the band.
+
+        A band does not tell the static capacitance from that of modes beyond its ends, or a loss of coupling from one
+        in parallel, so these are taken together. Another band, with other modes, moves it by about that half range.
+        """
+        (value,), (slopes,) = self.circuit.capacitance(np.array([frequency]), listed)
+        over_band, _ = self.circuit.capacitance(self.spectrum.frequency, listed)
+        return complex(value), slopes, 0.5 * float(np.ptp(over_band.real))
+
+    def _static(self, listed: Sequence[int]) -> tuple[FittedNumber, FittedNumber]:
+        """Capacitance (F) and loss tangent of the background in the middle of the band."""
+        middle = 0.5 * float(self.spectrum.frequency[0] + self.spectrum.frequency[-1])
+        value, slopes, changed = self.background(middle, listed)
+        tangent = -value.imag / value.real
+        return (FittedNumber(value.real, math.hypot(self._error(slopes.real), changed)),
+                FittedNumber(tangent, self._error((slopes.imag + tangent * slopes.real) / value.real)))
+
+    def _error(self, slopes: Real) -> float:
+        """Standard error of a value with these derivatives by the numbers but Rs."""
+        return math.sqrt(max(float(slopes @ self.covariance[:-1, :-1] @ slopes), 0.0))
+
+    def _resonance(self, k: int, listed: Sequence[int]) -> FittedResonance:
         at, sharpness, capacitance, phase = range(OF_BRANCH * k, OF_BRANCH * (k + 1))
-        static = OF_BRANCH * len(self.circuit.branches)
-        vector, turn = self.circuit.vector(), math.log(2.0 * math.pi)
-        k2 = 1.0 / (1.0 + math.exp(vector[static] - vector[capacitance]))
-        # d ln k = (1 - k^2) (d ln C - d ln C0) / 2.
-        spread = self._exponential({capacitance: 1.0, static: -1.0})
-        coupling = math.sqrt(k2)
+        turn = math.log(2.0 * math.pi)
         return FittedResonance(
-            self._exponential({at: 1.0}), self._exponential({sharpness: 1.0}),
-            FittedNumber(coupling, 0.5 * coupling * (1.0 - k2) * spread.standard_error / spread.value),
+            self._exponential({at: 1.0}), self._exponential({sharpness: 1.0}), self._coupling(k, listed),
             self._exponential({at: -1.0, capacitance: -1.0, sharpness: -1.0}, -turn),
             self._exponential({at: -2.0, capacitance: -1.0}, -2.0 * turn), self._exponential({capacitance: 1.0}),
             self._number(phase))
+
+    def _coupling(self, k: int, listed: Sequence[int]) -> FittedNumber:
+        """k_eff of a branch: k^2 = C / (Cb + C) with the background's capacitance Cb at its frequency."""
+        own = self._exponential({OF_BRANCH * k + 2: 1.0}).value
+        value, slopes, changed = self.background(float(self.circuit.frequencies[k]), listed)
+        if not value.real > 0.0:
+            return FittedNumber(math.nan, math.nan)
+        # d ln k = (1 - k^2) (d ln C - d ln Cb) / 2.
+        of_ratio = -slopes.real / value.real
+        of_ratio[OF_BRANCH * k + 2] += 1.0
+        k2 = own / (own + value.real)
+        spread = math.hypot(self._error(of_ratio), changed / value.real)
+        return FittedNumber(math.sqrt(k2), 0.5 * math.sqrt(k2) * (1.0 - k2) * spread)
 
     def _number(self, index: int) -> FittedNumber:
         return FittedNumber(float(self.circuit.vector()[index]), math.sqrt(self.covariance[index, index]))

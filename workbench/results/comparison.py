@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -41,8 +42,8 @@ class Comparison(Shown):
     root mean square of |ln(Z_sim / Z_meas)|; ``worst_percent``, at ``worst_frequency``, the largest relative error of
     |Z|, which a mean over the band hides: it is usually on a peak.
     ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in
-    squares) is None if neither is known. ``rows`` compare f0, Z_min and Q; if a resonance is missing they are empty and
-    ``rows_missing`` gives the reason.
+    squares) is None if neither is known. ``rows`` compare f0, Z_min and Q, before them fs and Q by the conductance if a
+    resonance is weak; if a resonance is missing they are empty and ``rows_missing`` gives the reason.
     """
 
     measured: Spectrum
@@ -142,7 +143,12 @@ def _rows(measured: Spectrum, simulated: Spectrum, near: float | None) -> tuple[
         except NoResonance as error:
             return (), f"{name}: {error.reason}"
     ours, theirs = found
+    right: tuple[MetricRow, ...] = ()
+    if (ours.is_weak or theirs.is_weak) and ours.conductance is not None and theirs.conductance is not None:
+        right = (MetricRow("fs (Hz), by the conductance", ours.conductance.frequency, theirs.conductance.frequency),
+                 MetricRow("Q, by the conductance", ours.conductance.q, theirs.conductance.q))
     return (
+        *(row for row in right if math.isfinite(row.measured + row.simulated)),
         MetricRow("f0 (Hz)", ours.f0, theirs.f0),
         MetricRow("Z_min (ohm)", ours.z_min, theirs.z_min),
         MetricRow("Q factor", ours.q, theirs.q),

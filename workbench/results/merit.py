@@ -4,18 +4,23 @@ Definitions (docs/conventions.md): f0 is the frequency of the smallest |Z|, Z_mi
 f1 and f2 the half-power frequencies about f0, where |Y| = |Y|max / sqrt(2). All are taken on
 :meth:`workbench.results.spectrum.Spectrum.interpolant`, not on the recorded points. The fits of a circuit
 (`workbench.results.circuit`) and of a pole (`workbench.results.pole`) estimate what is behind the curve.
+
+The dip of |Z| shows the resonance only if its figure of merit M = Q k^2 / (1 - k^2) is large: at M = 15 its width gives
+Q within 1 %, at 3 within 16 %, at 1 half of Q. The conductance Re Y of a branch has its peak at fs and a half width of
+fs / Q whatever the static capacitance, so :class:`Conductance` has both, and the M that tells which to believe.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from workbench.results.coupling import Plate, effective_coupling
 from workbench.results.peaks import find_peaks
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
@@ -25,13 +30,26 @@ Interpolant = Callable[..., NDArray[np.complex128]]
 #: points find narrower resonances.
 _FINE = 32
 
+#: Least points of that grid within two bandwidths that show a peak of Re Y. Halved, the peak of a resonance without
+#: loss lies between them and its M is far off.
+_RESOLVED = 16
+
+#: Figure of merit below which the dip of |Z| shows neither the frequency nor the Q of a resonance: Q by the dip is 2 %
+#: low there. Doubled, dips that are right to 0.5 % are called weak.
+WEAK = 10.0
+
 #: Meanings of the figures by the heading that reports give them; the glossary has them too.
 MEANINGS = {
-    "f0": "frequency of the smallest |Z|: the resonance.",
+    "f0": 'frequency of the smallest |Z|: the resonance. In a row "by the conductance", that of the largest Re Y.',
     "Z_min": "the smallest |Z|, at f0.",
-    "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2.",
-    "kt": "thickness coupling factor from f0 and the frequency of the largest |Z| above it (IEEE Std 176); empty where "
-          "that lies outside the band.",
+    "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2. In a row "
+         '"by the conductance", over the width at which Re Y has fallen to half, whatever the static capacitance.',
+    "k_eff": "effective coupling factor of this mode, k^2 = 1 - (f0 / fa)^2 (IEEE Std 176); fa is the frequency of the "
+             'largest |Z| above f0, in a row "by the conductance" of the largest Re Z. Empty if the band lacks it.',
+    "kt": "thickness coupling factor from f0 and fa (IEEE Std 176): only of the thickness mode of a bare plate that is "
+          "at least 10 times as wide as thick, with electrodes all over its faces.",
+    "kp": "planar coupling factor from f0 and fa by the resonance equation of a thin disc, with Poisson's ratio of its "
+          "material: only of the first radial mode of a bare disc that is at least 10 times as wide as thick.",
 }
 
 
@@ -59,28 +77,48 @@ def _no_resonance(reason: str, frequency: float, impedance: float, candidates: t
 
 @dataclass(frozen=True)
 class Antiresonance:
-    """The maximum of |Z| above f0 and the coupling factors that follow from it.
+    """The maximum of |Z| above f0, and the coupling factors of the mode.
 
-    ``frequency`` Hz and ``z_max`` ohm; ``kt`` the thickness coupling factor; ``k_effective`` the effective coupling
-    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone. It is a start for a fit,
-    not the static capacitance, which the modes outside the window hide (`workbench.fem.capacitance` has that of a
-    model).
+    ``frequency`` Hz and ``z_max`` ohm; ``k_effective`` the effective coupling factor by :attr:`Figures.pair`. ``kt``,
+    the thickness coupling factor, and ``kp``, the planar one, are NaN but for the thickness mode of a bare plate and
+    the first radial mode of a bare thin disc, which only a chip shows (:func:`named`). ``circuit_capacitance`` (farad)
+    is the parallel one of a circuit of this mode alone: a start for a fit, not the static capacitance, which the modes
+    outside the window hide (`workbench.fem.capacitance` has that of a model).
     """
 
     frequency: float
     z_max: float
-    kt: float
     k_effective: float
     circuit_capacitance: float
+    kt: float = math.nan
+    kp: float = math.nan
+
+
+@dataclass(frozen=True)
+class Conductance:
+    """A resonance as the conductance Re Y shows it.
+
+    ``frequency`` (Hz) of its peak, the series resonance fs; ``q`` fs over the width at half of the peak, NaN if Re Y
+    does not fall to half of it on both sides; ``parallel`` (Hz) that of the peak of Re Z above, NaN without one;
+    ``merit`` |Re Y / Im Y| at fs, which is Q k^2 / (1 - k^2) of a resonance by itself. Im Y of overlapping resonances
+    is not that of a capacitance, so ``merit`` is Re Y over the mean of |Y| / f in the band, times fs, if that is 10 or
+    more.
+    """
+
+    frequency: float
+    q: float
+    parallel: float
+    merit: float
 
 
 @dataclass(frozen=True)
 class Figures:
     """Figures of merit of one resonance: frequencies in hertz, impedance in ohm.
 
-    ``q_step_change`` is the relative change of Q if every second point is left out: a small value means that the step
-    does not affect Q, an infinite one that the resonance is lost at twice the step. ``antiresonance`` is None if |Z|
-    has no maximum above f0 inside the band.
+    ``f0``, ``z_min`` and ``q`` are of the dip of |Z|. ``q_step_change`` is the relative change of Q if every second
+    point is left out: a small value means that the step does not affect Q, an infinite one that the resonance is lost
+    at twice the step. ``antiresonance`` is None if |Z| has no maximum above f0 inside the band, ``conductance`` if Re Y
+    has no peak there. Where :attr:`is_weak`, the conductance has the frequency and the Q of the resonance.
     """
 
     f0: float
@@ -90,6 +128,33 @@ class Figures:
     f2: float
     q_step_change: float
     antiresonance: Antiresonance | None
+    conductance: Conductance | None = None
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether the dip of |Z| shows neither the frequency nor the Q of the resonance: M below :data:`WEAK`."""
+        return self.conductance is not None and self.conductance.merit < WEAK
+
+    @property
+    def pair(self) -> tuple[float, float] | None:
+        """Series and parallel resonance (Hz): the smallest and the largest |Z|, or the largest Re Y and Re Z of a weak
+        resonance. None if the band does not hold both."""
+        if self.conductance is not None and self.is_weak:
+            found = self.conductance.frequency, self.conductance.parallel
+            return None if math.isnan(found[1]) else found
+        return None if self.antiresonance is None else (self.f0, self.antiresonance.frequency)
+
+    @property
+    def weakness(self) -> str:
+        """A sentence on what is right of a weak resonance; empty for others."""
+        if self.conductance is None or not self.is_weak:
+            return ""
+        right = self.conductance
+        believed = "the fitted branch of the circuit has these" if math.isnan(right.q) else (
+            f"these are {right.frequency / 1e6:.4f} MHz and {right.q:.4g}, by the conductance Re Y")
+        return (f"the resonance at {right.frequency / 1e6:.4f} MHz is weak (Q k^2 / (1 - k^2) = {right.merit:.2g}, "
+                f"below {WEAK:g}): the smallest |Z| ({self.f0 / 1e6:.4f} MHz) and its width (Q {self.q:.4g}) do not "
+                f"show its frequency and its Q; {believed}")
 
     def count_within(self, frequency: NDArray[np.float64]) -> int:
         """The number of frequencies (n,) Hz that lie within the half-power width of the resonance."""
@@ -119,13 +184,25 @@ def figures(
         change = abs((high - low) / (f2 - f1) - 1.0)
     except ValueError:  # NoResonance, or fewer than two points left: either way the resonance is lost
         change = math.inf
-    return Figures(f0, z_min, f0 / (f2 - f1), f1, f2, change, _antiresonance(seen, f0, f2 - f1))
+    found = Figures(f0, z_min, f0 / (f2 - f1), f1, f2, change, _antiresonance(seen, f0, f2 - f1),
+                    _conductance(seen, f0, f2 - f1))
+    if found.antiresonance is None or found.pair is None:
+        return found
+    return replace(found, antiresonance=replace(found.antiresonance, k_effective=effective_coupling(*found.pair)))
 
 
-def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
-    """Figures of a recording, or why there are none."""
+def named(merit: Figures, plate: Plate | None) -> Figures:
+    """The figures with kt if they are of the thickness mode of a bare `plate`, with kp if of its planar mode."""
+    if merit.antiresonance is None or merit.pair is None or plate is None:
+        return merit
+    return replace(merit, antiresonance=replace(
+        merit.antiresonance, kt=plate.thickness_coupling(*merit.pair), kp=plate.planar_coupling(*merit.pair)))
+
+
+def measured_figures(spectrum: Spectrum, plate: Plate | None = None) -> tuple[Figures | None, str]:
+    """Figures of a spectrum, those of a bare `plate` with its coupling factors, or why there are none."""
     try:
-        return figures(spectrum), ""
+        return named(figures(spectrum), plate), ""
     except NoResonance as missing:
         return None, missing.reason
 
@@ -197,30 +274,44 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
     if index in (0, len(grid) - 1):
         return None
     fa = _extremum(at, grid, index, sign=-1.0)
-    z_max = float(np.abs(at(fa)))
-    return Antiresonance(fa, z_max, thickness_coupling(f0, fa), effective_coupling(f0, fa),
+    return Antiresonance(fa, float(np.abs(at(fa))), effective_coupling(f0, fa),
                          _circuit_capacitance(spectrum, f0, fa, bandwidth))
 
 
-def thickness_coupling(resonance: float, antiresonance: float) -> float:
-    """Coupling factor kt of a plate's thickness mode from its resonance and antiresonance (hertz).
+def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance | None:
+    """The largest Re Y within a bandwidth of `f0`; None if that is at the edge, or if the grid does not resolve it."""
+    at = spectrum.interpolant()
+    grid = _fine_grid(spectrum)
+    impedance = at(grid)
+    conductance = (1.0 / impedance).real
+    near = np.flatnonzero(np.abs(grid - f0) <= bandwidth)
+    if near.size < _RESOLVED:
+        return None
+    index = int(near[np.argmax(conductance[near])])
+    if index in (near[0], near[-1]) or conductance[index] <= 0.0:
+        return None
 
-    kt^2 = (pi / 2) (fr / fa) tan((pi / 2) (fa - fr) / fa), IEEE Std 176-1987. Written for the lossless series and
-    parallel frequencies; the extrema of |Z| stand for them to order 1 / (k Q)^2.
-    """
-    ratio = _ratio(resonance, antiresonance)
-    return math.sqrt(0.5 * math.pi * ratio * math.tan(0.5 * math.pi * (1.0 - ratio)))
+    def parabola(values: NDArray[np.float64], peak: int) -> float:
+        """The top (Hz) of a parabola through a largest value and its neighbours: the grid is finer than the width."""
+        curve = np.polyfit(grid[peak - 1:peak + 2] - grid[peak], values[peak - 1:peak + 2], 2)
+        return float(grid[peak] - 0.5 * curve[1] / curve[0]) if curve[0] < 0.0 else float(grid[peak])
 
-
-def effective_coupling(resonance: float, antiresonance: float) -> float:
-    """The effective coupling factor of any mode, k^2 = (fa^2 - fr^2) / fa^2 (IEEE Std 176-1987)."""
-    return math.sqrt(1.0 - _ratio(resonance, antiresonance) ** 2)
-
-
-def _ratio(resonance: float, antiresonance: float) -> float:
-    if not 0.0 < resonance < antiresonance:
-        raise ValueError(f"the antiresonance must lie above the resonance, received {antiresonance} and {resonance} Hz")
-    return resonance / antiresonance
+    fs = parabola(conductance, index)
+    admittance = complex(1.0 / at(np.array([fs]))[0])
+    below, above = (np.flatnonzero(side <= 0.5 * admittance.real)
+                    for side in (conductance[:index], conductance[index:]))
+    q = math.nan
+    if below.size and above.size:
+        low, high = (float(np.interp(0.5 * admittance.real, conductance[ends], grid[ends]))
+                     for ends in ([below[-1], below[-1] + 1], [index + above[0], index + above[0] - 1]))
+        q = fs / (high - low)
+    resistance = impedance.real[index:]
+    top = int(np.argmax(resistance))
+    parallel = math.nan if top in (0, resistance.size - 1) else parabola(impedance.real, index + top)
+    alone = abs(admittance.real / admittance.imag) if admittance.imag else math.inf
+    mean = math.exp(float(np.mean(np.log(np.abs(spectrum.admittance) / spectrum.frequency))))
+    in_band = admittance.real / (fs * mean)
+    return Conductance(fs, q, parallel, max(alone, in_band) if max(alone, in_band) >= WEAK else alone)
 
 
 def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:

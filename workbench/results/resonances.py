@@ -70,9 +70,16 @@ def fit_resonances(
         raise InputError("fit_resonances", "count", count, f"a whole number from 1 to {MOST}")
     check_passive_spectrum(seen, source="fit_resonances")
     start = _start(seen, count)
-    found = solved(seen, start, Freedom())
-    if _wanting(found):
-        found = _better(found, _with_surroundings(found))
+    try:
+        found = solved(seen, start, Freedom())
+    except ValueError:
+        beside = _with_surroundings(seen, start)  # a plain circuit may not converge where it lacks much
+        if beside is None:
+            raise
+        found = beside
+    else:
+        if _wanting(found):
+            found = _better(found, _with_surroundings(seen, found.circuit))
     findings: list[str] = []
     while len(listed(found)) < (MOST if count is None else count):
         more = _one_more(found, needed=count is not None)
@@ -197,15 +204,15 @@ def _better(found: SolvedCircuit, other: SolvedCircuit | None) -> SolvedCircuit:
     return found if other is None or other.left > EARNED * found.left else other
 
 
-def _with_surroundings(found: SolvedCircuit) -> SolvedCircuit | None:
+def _with_surroundings(spectrum: Spectrum, circuit: BranchCircuit) -> SolvedCircuit | None:
     """The circuit with losses of coupling and capacitance, and with a resonance beyond either end of the band."""
-    low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
-    circuit, width = found.circuit, float(np.median(found.circuit.bandwidths))
+    low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
+    width = float(np.median(circuit.bandwidths))
     reach, first = min(width, 0.5 * (high - low), 0.25 * low), len(circuit.branches)
     for at in (low - reach, high + reach):
         circuit = circuit.with_branch(at, width)
     held = {first: (max(low - (high - low), 0.5 * low), low), first + 1: (high, high + (high - low))}
-    return _attempt(found.spectrum, circuit, Freedom(losses=True, held=held))
+    return _attempt(spectrum, circuit, Freedom(losses=True, held=held))
 
 
 def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
@@ -228,7 +235,9 @@ def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
     split = BranchCircuit(halves, circuit.rest).with_branch(centre + 0.3 * width, width)
     starts = [circuit.with_branch(at, width), split]
     tried = [each for each in (_attempt(spectrum, start, found.freedom) for start in starts) if each is not None]
-    kept = [each for each in tried if _sound(each) and (needed or each.left < EARNED * found.left)]
+    # Not if one that was listed left the band, or became a loss in parallel.
+    kept = [each for each in tried if _sound(each) and len(listed(each)) > len(places)
+            and (needed or each.left < EARNED * found.left)]
     return min(kept, key=lambda each: each.left, default=None)
 
 

@@ -19,6 +19,7 @@ from workbench.files.errors import InputError
 from workbench.files.names import visible
 from workbench.files.writing import write_atomic
 from workbench.results.notebook import Shown, Summary
+from workbench.results.signs import with_signs
 
 if TYPE_CHECKING:
     import xarray
@@ -279,7 +280,8 @@ def _refuse(
 def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     """Correct a spectrum whose sign was recorded wrongly; the settings of its origin note the correction.
 
-    `correction` is "negate" (phase off by 180 degrees) or "conjugate" (phase of the wrong sign).
+    `correction` is "negate" (phase off by 180 degrees), "conjugate" (phase of the wrong sign) or "signs" (phase or
+    reactance without its sign, see :mod:`workbench.results.signs`).
 
     Raises:
         ValueError: another correction.
@@ -289,8 +291,10 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
             impedance = -spectrum.impedance
         case "conjugate":
             impedance = np.conj(spectrum.impedance)
+        case "signs":
+            impedance = with_signs(spectrum.impedance)
         case _:
-            raise ValueError(f"correction {correction!r} is not one of negate, conjugate")
+            raise ValueError(f"correction {correction!r} is not one of negate, conjugate, signs")
     before = spectrum.origin.settings.get("correction")
     settings = {**spectrum.origin.settings, "correction": f"{before}, {correction}" if before else correction}
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))

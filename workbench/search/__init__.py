@@ -1,1 +1,1 @@
-"""One search: least squares under conditions, continuation through easier problems, several starts, distinct optima."""
+"""Search: constrained least squares, continuation, several starts, distinct optima."""

@@ -24,7 +24,7 @@ INTERIOR = 0.99
 #: Smallest relative margin of a start, and the first step towards it as a share of the way to the bounds.
 STRICT, EASED = 1e-9, 1e-7
 
-#: Cost, half a chi-square, below which nothing is left to be gained.
+#: Cost, half a chi-square, below which no gain is possible.
 NOTHING = 1e-6
 
 #: Barrier weights of one trust-region step, relative to the cost; the last one times the number of inequalities bounds
@@ -54,7 +54,7 @@ Residuals = TypeVar("Residuals", bound=LeastSquares)
 
 @dataclass(frozen=True, eq=False)
 class Inequality:
-    """constant + sum_i x_i slopes[i] is positive semidefinite: ``constant`` (k, k), ``slopes`` (p, k, k)."""
+    """constant + sum_i x_i slopes[i] is positive semidefinite. ``constant`` is (k, k), ``slopes`` (p, k, k)."""
 
     name: str
     constant: Real
@@ -100,10 +100,10 @@ def minimise(
     limit: int = 50,
     refused: tuple[type[Exception], ...] = (),
 ) -> Minimum[Residuals]:
-    """The least sum of squares near `start` (p,), strictly inside the bounds and inequalities at every step.
+    """The least sum of squares near `start` (p,), under bounds and inequalities.
 
-    Steps are measured in `scale` (p,); the first is no longer than `radius`. An exception of a type in `refused` means
-    that the function has no value there; the step is then shortened.
+    Every step is strictly admissible and measured in `scale` (p,); the first is no longer than `radius`. An exception
+    of a type in `refused` means that the function has no value there; the step is then shortened.
 
     Raises:
         ValueError: `start` is not admissible and there is no admissible point near it.
@@ -144,10 +144,10 @@ def minimise(
 
 
 def interior(start: Real, low: Real, high: Real, inequalities: Sequence[Inequality]) -> Real:
-    """`start`, or a point near it that is strictly admissible: the worst condition is eased by growing steps.
+    """`start`, or a strictly admissible point near it, found by growing steps.
 
     Raises:
-        ValueError: none was found.
+        ValueError: there is no such point.
     """
     width = high - low
     x = np.clip(start, low + 1e-6 * width, high - 1e-6 * width)
@@ -176,7 +176,7 @@ def _together(inequalities: Sequence[Inequality], size: int) -> Inequality:
 
 
 class _Region:
-    """The admissible set around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
+    """The admissible set around x: lower < d < upper, matrix(d) positive. Steps d are measured in `scale`."""
 
     def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequality: Inequality) -> None:
         self.x, self.scale = x, scale
@@ -201,9 +201,9 @@ class _Region:
         return value - 2.0 * float(np.log(triangle.diagonal()).sum())
 
     def descend(self, d: Real, hessian: Real, slope: Real, mu: float, enough: float) -> Real:
-        """The minimum of d.hessian.d / 2 + slope.d + mu barrier(d) from an admissible d, by Newton's method.
+        """The minimum of d.hessian.d / 2 + slope.d + mu barrier(d).
 
-        It ends where a step promises less than `enough`, or where rounding leaves no step that is better.
+        Newton's method starts from an admissible d. It ends if a step promises less than `enough`, or by rounding.
         """
         ridge = _ridge(hessian)
 
@@ -238,14 +238,14 @@ class _Region:
         return d
 
     def centre(self) -> Real:
-        """The point x + d (p,) that is farthest from all boundaries: the minimum of the barrier alone."""
+        """The point x + d (p,) farthest from all boundaries. It is the minimum of the barrier alone."""
         nothing = np.zeros(self.x.size)
         d = self.descend(nothing, np.diag(nothing), nothing, 1.0, 1e-6)
         return np.asarray(self.x + d * self.scale)
 
 
 def _step(at: LeastSquares, cost: float, region: _Region, centre: Real) -> tuple[Real, float]:
-    """The best admissible step of the linearised problem within the trust region, and the decrease it promises."""
+    """The best admissible step in the trust region, and its predicted decrease. The problem is linearised."""
     scale, cost = region.scale, max(cost, 1e-12)
     jacobian = at.jacobian * scale
     hessian, slope = jacobian.T @ jacobian, jacobian.T @ at.vector
@@ -262,7 +262,7 @@ def _step(at: LeastSquares, cost: float, region: _Region, centre: Real) -> tuple
 
 
 def _free_step(hessian: Real, slope: Real) -> Real | None:
-    """The best step of the linearised problem without any condition; None if rounding cannot tell one."""
+    """The best unconstrained step of the linearised problem; None within rounding."""
     try:
         return np.asarray(-np.linalg.solve(hessian + _ridge(hessian) * np.eye(slope.size), slope))
     except np.linalg.LinAlgError:

@@ -1,7 +1,7 @@
-"""Tempered search: a problem with many optima is approached through easier ones, each begun where the last one ended.
+"""Tempered search: a sequence of problems, each begun at the last end.
 
-Spectra have an optimum for every way to lay the overtones of a model on those of a recording. Where admittances are
-smoothed, or where points weigh little, there are few.
+Spectra have an optimum for every match of a model's overtones to those of a recording. There are few if admittances are
+smoothed, or if points weigh little.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class ContinuationStage:
 
 @dataclass(frozen=True)
 class Schedule:
-    """The stages of a tempered search, from the easiest problem to the hardest."""
+    """The stages of a tempered search, easiest problem first."""
 
     stages: tuple[ContinuationStage, ...]
 
     def resolved(self, spacing: float) -> Schedule:
-        """The stages whose smoothing points of that relative `spacing` can show, and those without smoothing."""
+        """The unsmoothed stages, and those resolved by a relative `spacing` of points."""
         return Schedule(tuple(each for each in self.stages if each.smoothing == 0.0 or each.smoothing > spacing))
 
     def holding(self, indices: tuple[int, ...]) -> Schedule:
@@ -78,10 +78,10 @@ def tempered(
     worse: float = np.inf,
     progress: Progress = no_progress,
 ) -> TemperedMinimum[Residuals]:
-    """Solve the stages of `schedule` in their order, each from the end of the last one, the first from `begin` (p,).
+    """Solve the stages of `schedule`, each from the end of the last.
 
-    Stages before number `first` are left out, but not the last stage. The search is given up once a stage costs more
-    than `worse` times what it cost `rival`; the last stage is never given up. `progress` is called after each stage.
+    The first one solved, number `first` or the last, starts from `begin` (p,). The search ends once a stage but the
+    last costs more than `worse` times the cost of `rival`. `progress` is called after each stage.
     """
     x, iterations, refusals, costs = begin, 0, list[str](), dict[int, float]()
     last = len(schedule.stages) - 1

@@ -1,4 +1,4 @@
-"""Descents from several starts, one after the other; the end of a descent may change the starts that follow."""
+"""Descents from several starts; each end may change the starts that follow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ End = TypeVar("End")
 
 @dataclass(frozen=True, eq=False)
 class StartPoint:
-    """A point ``x`` (p,) that a descent begins at, and the ``stage`` of a continuation schedule that it begins with."""
+    """A start ``x`` (p,) of a descent, and its first ``stage``. The stage is one of a continuation schedule."""
 
     label: str
     x: Real
@@ -26,7 +26,7 @@ class StartPoint:
 
 @dataclass(frozen=True, eq=False)
 class Trial(Generic[End]):
-    """A start and where its descent ended, or the error that left it without an end."""
+    """A start and the end of its descent, or the error instead."""
 
     start: StartPoint
     end: End | None
@@ -47,7 +47,7 @@ def multistart(
     following: Callable[[Trial[End], list[StartPoint]], Sequence[StartPoint]] = lambda _trial, waiting: waiting,
     progress: Progress = no_progress,
 ) -> list[Trial[End]]:
-    """Descend from each of `starts` in their order, at most `tries` times, and return every trial.
+    """Descend from each of `starts`, at most `tries` times; return all trials.
 
     An exception of a type in `refused` ends one descent without an end. `following` is called after each trial with the
     starts that wait, and returns those that follow: none to stop. `progress` is called before each descent.

@@ -1,9 +1,9 @@
-"""One idea of "the same optimum", for the ends of descents.
+"""One definition of "the same optimum", for the ends of descents.
 
 Two points are one optimum where every parameter agrees within :data:`ERRORS` of its standard errors, or within
 :data:`SHARE` of its scale, whichever is more. Standard errors are those of the problem that the ends are optima of: its
-data as they weigh there, and its priors. A direction that the data say nothing of ends anywhere along it. The scale is
-what is known of a parameter beforehand: its prior, or the range of an unknown of a design.
+data as they weigh there, and its priors. A direction without information ends anywhere along it. The scale is the prior
+of a parameter, or the range of an unknown of a design.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ UNSEEN = 1e-12
 
 
 def separation(one: Real, other: Real, errors: Real, scale: Real | float) -> Real:
-    """The distances (p,) of two points (p,), relative to the most by which points of one optimum differ.
+    """The distances (p,) of two points over those within one optimum.
 
-    `errors` (p,) are standard errors, zero of what has none, and `scale` (p,) what is known beforehand, zero where
-    nothing is. A parameter that cannot move is at no distance.
+    `errors` (p,) are standard errors, and `scale` (p,) is the prior or range; both are zero if there is none. A
+    parameter that cannot move is at no distance.
     """
     most = np.maximum(ERRORS * errors, SHARE * np.asarray(scale))
     off = np.abs(one - other)
@@ -43,14 +43,14 @@ def separation(one: Real, other: Real, errors: Real, scale: Real | float) -> Rea
 
 
 def is_same_optimum(one: Real, other: Real, errors: Real, scale: Real | float) -> bool:
-    """Whether two points (p,) are one optimum; `errors` and `scale` as of :func:`separation`."""
+    """Whether two points (p,) are one optimum; arguments as of :func:`separation`."""
     return bool((separation(one, other, errors, scale) <= 1.0).all())
 
 
 def standard_errors(jacobian: Real, scale: Real) -> Real:
-    """Standard errors (p,) of least squares with that `jacobian` (m, p), rows of priors included.
+    """Standard errors (p,) of least squares by its `jacobian` (m, p).
 
-    They are worked out in units of `scale` (p,), all above zero: in SI the columns span forty orders of magnitude.
+    Rows of priors are included. Units are `scale` (p,) > 0: in SI the columns span forty orders of magnitude.
     """
     by_scale = jacobian * scale
     information, directions = np.linalg.eigh(by_scale.T @ by_scale)
@@ -59,9 +59,9 @@ def standard_errors(jacobian: Real, scale: Real) -> Real:
 
 
 def distinct(ends: Iterable[End], is_same: Callable[[End, End], bool], rank: Callable[[End], Any]) -> list[list[End]]:
-    """The `ends` of each optimum, the best first, and the optima by their best ends.
+    """The `ends` of each optimum, and the optima, both best first.
 
-    `rank` sorts ends, least first; `is_same` is asked of an end and the best one of an optimum.
+    `rank` sorts ends, least first; `is_same` compares an end with the best one of an optimum.
     """
     optima: list[list[End]] = []
     for end in sorted(ends, key=rank):

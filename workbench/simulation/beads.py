@@ -8,18 +8,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import StrEnum
 
 import numpy as np
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.nodal import FloatArray, transfer
 from workbench.acoustics.streaming import Streaming
 from workbench.acoustics.trajectories import SEED, Trajectories, follow, record_times
 from workbench.acoustics.traps import find_traps
-from workbench.files.errors import InputError, expect_number, expect_whole
+from workbench.files.errors import InputError, choose, expect_number, expect_whole
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.drive import check_scaled
 from workbench.model.problem import FilledChip, fill
@@ -30,15 +30,19 @@ from workbench.simulation.run import Snapshot
 #: trapped. Rings of traps in the plane of levitation have hundredths of it; at a hundredth, two thirds of the particles
 #: of the paper's chip rest in rings that are none of its traps.
 LEAST_DEPTH = 1e-4
-#: Largest radius of a particle over the wavelength: the force is off by about (k a)^2, here by 40 %. Doubled, it may
-#: have the wrong sign.
-LARGEST = 0.1
+
+
+class BeadStart(StrEnum):
+    """Where particles are when the sound is switched on."""
+
+    SPREAD = "spread"
+    FLOOR = "floor"
 
 
 def trajectories(
     shot: Snapshot, duration: float, *, particles: int | FloatArray = 200, seed: int = 0,
     flow: FloatArray | None = None, voltage_factor: float = 1.0, times: FloatArray | None = None,
-    tolerance: float | None = None, progress: Progress = no_progress,
+    tolerance: float | None = None, start: str = BeadStart.SPREAD, progress: Progress = no_progress,
 ) -> Trajectories:
     """Follow the particles of a simulated state for a `duration` (s).
 
@@ -53,10 +57,14 @@ def trajectories(
             it is that of the voltage it was computed for.
         times: times (n,) in s of the record, ascending from 0 to `duration`; closer at the beginning unless given.
         tolerance: estimated error of a step in m.
+        start: "spread" over the cavity, or on its "floor" below such places (under the lid, if they are light).
+
+    The drag is that next to walls where they are near.
 
     Raises:
-        InputError: a state without particle, a duration that is not positive, a negative seed, a flow that is at no
-            nodes of the cavity, a voltage that no amplifier gives, or see `workbench.acoustics.trajectories.follow`.
+        InputError: a state without particle, an unknown start, a duration that is not positive, a negative seed, a
+            flow that is at no nodes of the cavity, a voltage that no amplifier gives, or see
+            `workbench.acoustics.trajectories.follow`.
     """
     if shot.traps is None:
         raise InputError("trajectories", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a particle "
@@ -65,17 +73,17 @@ def trajectories(
     positive = "a positive time in s, such as 30.0"
     if not expect_number(duration, positive, source="trajectories", field="duration") > 0.0:
         raise InputError("trajectories", "duration", duration, positive)
+    lying = BeadStart(choose(start, list(BeadStart), source="trajectories", field="start")) is BeadStart.FLOOR
     expect_whole(seed, SEED, source="trajectories", field="seed", low=0)
     factor = expect_number(voltage_factor, "a positive number", source="trajectories", field="voltage_factor")
     check_scaled(2.0 * shot.traps.excitation.voltage, factor, source="trajectories", field="voltage_factor")
     forces = shot.traps.forces
-    _check_small(shot.chip, shot.state, forces.particle.radius, forces.fluid.sound_speed / shot.fields.frequency)
     record = record_times(duration) if times is None else np.asarray(times, dtype=float)
     if record.size and record[-1] != duration:
         raise InputError("trajectories", "times", f"times up to {record[-1]:g} s", f"times that end at {duration:g} s")
     report = find_traps(forces, least_depth=LEAST_DEPTH)
     return follow(report, record, particles=particles, seed=seed, flow=_on_forces(shot, flow),
-                  voltage_factor=voltage_factor, tolerance=tolerance, progress=progress)
+                  voltage_factor=voltage_factor, tolerance=tolerance, near_walls=True, lying=lying, progress=progress)
 
 
 def with_particle(chip: Chip, state: str | None, *, particle: str | None, radius: float | None) -> Chip:
@@ -94,25 +102,13 @@ def carrier_of(chip: Chip, state: str | None, registry: Registry | None = None) 
     """The chip in a state that has a particle in a liquid, its materials read and checked: nothing is solved.
 
     Raises:
-        InputError: a state without particle, a particle too large for the formulas of the force even at the lower end
-            of the band, or see `workbench.model.problem.fill`.
+        InputError: a state without particle, or see `workbench.model.problem.fill`.
     """
     device = fill(chip, state, registry)
     if device.particle is None:
         raise InputError(chip.file, f"states.{device.state.name}.particle", None, "a particle to follow, such as "
                          'particle = "polystyrene" with particle_radius = "5 um"')
-    fluid = device.materials[CAVITY]
-    assert isinstance(fluid, Fluid)
-    _check_small(chip, device.state.name, device.particle.radius, fluid.sound_speed / chip.band[0])
     return device
-
-
-def _check_small(chip: Chip, state: str, radius: float, wavelength: float) -> None:
-    """Raise if the formulas of the force do not hold for a particle of that `radius` (m)."""
-    if radius > LARGEST * wavelength:
-        raise InputError(chip.file, f"states.{state}.particle_radius", f"{1e6 * radius:.4g} um",
-                         f"at most {1e6 * LARGEST * wavelength:.3g} um: Gor'kov's formula holds for spheres much "
-                         f"smaller than the wavelength of {1e3 * wavelength:.3g} mm")
 
 
 def _on_forces(shot: Snapshot, flow: FloatArray | None) -> FloatArray | None:

@@ -1,50 +1,95 @@
-"""Sentences on whether, where and how strongly particles gather in a field, and on the reason if they do not."""
+"""The statement whether, where and when particles gather: one for every command, from the force and the flow.
+
+It is made from trajectories of particles in the radiation force, their weight and the flow of the liquid. Where the
+flow moves a particle more than sound does, none are followed: it circulates, at any voltage.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from geometry.names import CAVITY
 from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.captures import place_across
 from workbench.acoustics.channel import focus_lines
 from workbench.acoustics.forces import ParticleForces
-from workbench.acoustics.nodal import raster
-from workbench.acoustics.traps import Trap, TrapReport, find_traps, time_to
-from workbench.model.particles import net_weight
+from workbench.acoustics.nodal import FloatArray, IntArray, raster
+from workbench.acoustics.trajectories import Fate, Trajectories, time_text
+from workbench.acoustics.traps import Trap, TrapReport, find_traps
+from workbench.files.errors import InputError
+from workbench.model.particles import drag_coefficient, net_weight
+from workbench.model.validity import cavitation_words
+from workbench.simulation.beads import trajectories
+from workbench.simulation.heating import softening_words
+from workbench.simulation.liquid_motion import FlowCause, LiquidMotion, liquid_motion
 from workbench.simulation.run import Snapshot
+from workbench.simulation.warm import WarmUp
 
-#: Share of the cavity's volume whose particles must come to rest in the liquid to gather there. Doubled, a trap that a
-#: tenth of the particles reach does not count.
+#: Share of the particles that must stay at a place to gather there. Doubled, a trap that a tenth of them reach does not
+#: count.
 LEAST_SHARE = 0.05
-#: Time to focus (s) above which particles gather slowly. Doubled, a quarter of an hour for a full cavity passes without
-#: a word.
+#: Time to the plane or the line (s) above which particles gather slowly. Doubled, a quarter of an hour for a full
+#: cavity passes without a word.
 SLOW = 60.0
-#: Barrier in J below which thermal motion carries a particle out of a trap: ten times k T at 25 degC.
-THERMAL = 10.0 * 1.380649e-23 * 298.15
+#: Energy (J) of thermal motion at 25 degC, and the barrier below which it carries a particle out of a trap.
+KT = 1.380649e-23 * 298.15
+THERMAL = 10.0 * KT
 #: Step, as a factor of the voltage, and largest factor of the search for a voltage that holds particles. Finer steps
 #: would promise more than the accuracy of a bench's drive, and no amplifier of a bench has more.
 VOLTAGE_STEP, LARGEST_FACTOR = 1.2, 15.0
-#: Share of height or radius within which a place on a wall is on the floor, the lid or the side wall.
-_AT = 0.02
+#: Time (s) that a statement follows particles for, that of `workbench particles`, and how many. Doubled, shares change
+#: by a hundredth.
+FOLLOWED, COUNT = 1800.0, 200
+#: Turns of the flow about the cavity at most that it follows them for. Doubled, fast rolls take twice the processor.
+TURNS = 30.0
+#: Times of the record, and error of a step as a share of the wavelength: shares are those of the default within 1 %, in
+#: half the time.
+RECORDED, TOLERANCE = 31, 1e-4
+
+
+@dataclass(frozen=True)
+class GatheredAt:
+    """A place where particles stay: its ``words``, their ``share`` of all, and the time (s) by which ``half`` of them
+    are there, None if they were from the start or the time is not known."""
+
+    words: str
+    share: float
+    half: float | None
+
+    def __str__(self) -> str:
+        when = "" if self.half is None else f" (half of these within {time_text(self.half)})"
+        return f"{percent(self.share)} {self.words}{when}"
 
 
 @dataclass(frozen=True)
 class Gathering:
-    """The answer for one state: ``gathers`` is None if there is no particle; ``sentences`` describe it."""
+    """The answer for one state: ``gathers`` is None if there is no particle; ``sentences`` describe it.
+
+    ``first`` is the plane of levitation, or the line across a channel, that particles come to first, and ``places`` are
+    those where they are in the end. ``critical_diameters`` (m) by direction, empty where the flow is not known.
+    """
 
     state: str
     gathers: bool | None
     sentences: tuple[str, ...]
+    first: GatheredAt | None = None
+    places: tuple[GatheredAt, ...] = ()
+    critical_diameters: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return " ".join(self.sentences)
 
 
-def gathering(shot: Snapshot) -> Gathering | None:
-    """The answer whether and where the particles of a state gather; None without a cavity."""
+def gathering(shot: Snapshot, *, registry: Registry | None = None, kept: bool = False) -> Gathering | None:
+    """The answer whether and where the particles of a state gather; None without a cavity.
+
+    A liquid that is `kept` at its stated temperature has no flow by heat.
+    """
     if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
@@ -54,70 +99,237 @@ def gathering(shot: Snapshot) -> Gathering | None:
     if shot.traps is None:
         return Gathering(state, None, (
             f'State {state} names no particle. Lines such as particle = "polystyrene" and particle_radius = "5 um" in '
-            f"[states.{state}] of the chip file show where such particles gather.",))
-    return _of_traps(state, shot.traps)
+            f"[states.{state}] of the chip file show where such particles gather.",
+            *cavitation_words(float(np.abs(shot.fields.pressure[shot.fields.mesh.nodes_of([CAVITY])]).max()),
+                              shot.fields.frequency)))
+    moving, left_out = _known_motion(shot, registry, kept)
+    answer = statement(state, shot.traps, moving, None) if circulates(shot.traps, moving) else statement(
+        state, shot.traps, moving, _followed(shot, moving))
+    return replace(answer, sentences=(*left_out, *answer.sentences))
 
 
-def _of_traps(state: str, report: TrapReport) -> Gathering:
-    excitation, who = report.excitation, particle_words(report.forces)
-    at = f"At {excitation.frequency / 1e6:.4f} MHz and {2.0 * excitation.voltage:.3g} Vpp"
-    free = [trap for trap in report.traps if not trap.on_wall]
-    held = sorted((trap for trap in free if trap.holds), key=lambda trap: -trap.share)
-    share = sum(trap.share for trap in held)
-    if share < LEAST_SHARE:
-        where = _on_walls(report)
-        across = _across(report, at) if 0 in report.forces.mesh.measure.focusing else None
-        if across is not None:
-            return Gathering(state, *across)
-        return Gathering(state, False, (
-            f"{at}, {who} do not gather in the liquid" + (f": they come to rest {where}." if where else "."),
-            *_why_not(report, free)))
-    places = f", {place_words(held[0])}"
-    if len(held) > 1:
-        places = ": " + "; ".join(f"{percent(trap.share)} {place_words(trap)}" for trap in held[:3])
-    rest = "" if len(held) <= 3 else f"; the others in {len(held) - 3} more traps"
-    best = max(held, key=lambda trap: math.inf if trap.barrier is None else trap.barrier)
-    sentences = [f"{at}, {percent(share)} of evenly spread {who} gather in the liquid{places}{rest}.",
-                 _strength(best, report, several=len(held) > 1)]
-    seconds = time_to(report, best)
-    voltage = 2.0 * excitation.voltage
-    if seconds is None:
-        sentences.append(f"One that starts a quarter wavelength {trap_sides(best)} does not get there: another trap, a "
-                         "wall or its weight takes it.")
-    elif seconds > SLOW:
-        quick = voltage * math.sqrt(seconds / 10.0)
-        sentences.append(f"Focusing is slow: {rounded(seconds)} s from a quarter wavelength away; it is faster by the "
-                         f"square of the voltage, so that {rounded(quick)} Vpp would take 10 s.")
+def statement(state: str, report: TrapReport, moving: LiquidMotion, found: Trajectories | None) -> Gathering:
+    """The answer for particles that were followed, or, where they circulate, need not be.
+
+    Args:
+        report: the traps of the field, by which it is said why particles do not gather.
+        moving: the flow of the liquid that carried them.
+        found: their trajectories; None only where they circulate.
+    """
+    report = report if found is None else found.report
+    critical = {} if moving.streaming is None else dict(moving.streaming.critical_diameters)
+    ends = () if found is None else tuple(_ends(found))
+    first = None if found is None else _first(found)
+    said = [] if found is None else [_ends_words(found, ends)]
+    gathers = False
+    if circulates(report, moving):
+        said += _circulating(report, critical)
+    elif found is None or first is None or first.share < LEAST_SHARE:
+        said += _why_not(report, [trap for trap in report.traps if not trap.on_wall])
     else:
-        sentences.append(f"From a quarter wavelength away they are there in {rounded(seconds)} s.")
-    where = _on_walls(report)
-    if share < 1.0 - LEAST_SHARE and where:
-        sentences.append(f"The others come to rest {where}.")
-    kept = best.barrier is None or best.barrier >= THERMAL
-    return Gathering(state, kept and (seconds is None or seconds <= SLOW), tuple(sentences))
+        gathers, more = _gathered(found, first, critical)
+        said += more
+    said += [*_weightless(report.forces), *cavitation_words(report.excitation.pressure_amplitude,
+                                                            report.excitation.frequency)]
+    return Gathering(state, gathers, tuple(said), first, ends, critical)
 
 
-def _across(report: TrapReport, at: str) -> tuple[bool, tuple[str, ...]] | None:
-    """Whether particles that no trap holds at a height gather in lines across a channel, and sentences on that; None if
-    they do not come to any line in the liquid."""
-    lines = [line for line in focus_lines(report.forces) if not line.at_side]
-    share = sum(line.share for line in lines)
-    if share < LEAST_SHARE:
-        return None
-    places = "; ".join(line.measure.place_words(line.place) for line in sorted(lines, key=lambda line: -line.share)[:3])
-    times = [line.time for line in lines if line.time is not None]
-    sentences = [f"{at}, {percent(share)} of evenly spread {particle_words(report.forces)} gather across the channel: "
-                 f"{places}."]
-    slowest = max(times, default=None)
-    if slowest is not None:
-        sentences.append(f"From the sides of the channel, or a quarter wavelength away, they are there in "
-                         f"{rounded(slowest)} s.")
-    where = _on_walls(report)
-    sentences.append("No trap holds them at a height" + (f": they come to rest {where}." if where else "."))
-    held = max(line.depth for line in lines)
-    if held < THERMAL:
-        sentences.append("Thermal motion carries them out of the line.")
-    return held >= THERMAL and (slowest is None or slowest <= SLOW), tuple(sentences)
+def circulates(report: TrapReport, moving: LiquidMotion) -> bool:
+    """Whether the flow moves the particle more than sound does along the direction that it would gather along first."""
+    if moving.streaming is None:
+        return False
+    limit = moving.streaming.critical_diameters[_first_direction(report.forces)]
+    return math.isnan(limit) or 2.0 * report.forces.particle.radius < limit
+
+
+def _first_direction(forces: ParticleForces) -> str:
+    """The name of the direction that particles focus along within seconds: across a channel, up in a flat cavity."""
+    measure = forces.mesh.measure
+    return measure.directions[min(measure.focusing)]
+
+
+def _known_motion(
+    shot: Snapshot, registry: Registry | None, kept: bool
+) -> tuple[LiquidMotion, tuple[str, ...]]:
+    """The flow as far as it can be computed, and sentences on its causes that are left out."""
+    left_out, causes = list[str](), [(FlowCause.SOUND, "flow of the liquid")]
+    if kept or (shot.warm is not None and shot.warm.here is None):
+        left_out.append("The following is for a liquid that is kept at its stated temperature.")
+    else:
+        causes.insert(0, (FlowCause.HEAT, "heat of the drive"))
+    up = WarmUp() if shot.warm is None else shot.warm.up
+    for cause, words in causes:
+        try:
+            moving = liquid_motion(shot, by=cause, registry=registry, convection=up.convection, holder=up.holder)
+            return moving, (*left_out[-1:], *softening_words(shot, moving.heat))
+        except InputError as error:
+            left_out.append(f"The {words} is left out of the following, because this state has {error.value} and the "
+                            f"computation takes {error.expected}.")
+    return liquid_motion(shot, by=FlowCause.NONE), tuple(left_out[-1:])
+
+
+def _followed(shot: Snapshot, moving: LiquidMotion) -> Trajectories:
+    """The particles of a state, followed as `workbench particles` does, with larger steps."""
+    assert shot.traps is not None
+    forces = shot.traps.forces
+    duration = FOLLOWED
+    if moving.streaming is not None and moving.streaming.rms_speed > 0.0:
+        around = 2.0 * float(np.ptp(forces.mesh.points, axis=0).sum())
+        duration = min(duration, TURNS * around / moving.streaming.rms_speed)
+    wavelength = forces.fluid.sound_speed / forces.excitation.frequency
+    return trajectories(shot, duration, particles=COUNT, flow=moving.velocity, tolerance=TOLERANCE * wavelength,
+                        times=duration * np.linspace(0.0, 1.0, RECORDED) ** 2)
+
+
+# Places --------------------------------------------------------------------------------------------------------------
+
+
+def _half(at: FloatArray) -> float | None:
+    """The time (s) by which half of some particles have arrived; None where one of them has no time."""
+    return float(np.median(at)) if at.size and np.isfinite(at).all() else None
+
+
+def _first(found: Trajectories) -> GatheredAt:
+    """The plane of levitation or the line across that particles come to first, and stay in."""
+    across = 0 in found.velocity.mesh.measure.focusing
+    at = found.focused_at if across else found.levitated_at
+    which = np.flatnonzero(np.isfinite(at))
+    if across:
+        words = f"focus across the channel{place_across(found, which)}"
+    else:
+        floor = float(found.velocity.mesh.points[:, 1].min())
+        levels = _levels(found.positions[which, -1, 1] - floor, found.within)
+        words = "levitate" + (
+            f" {' and '.join(f'{1e3 * level:.2f}' for level in levels)} mm above the floor" if levels else "")
+    return GatheredAt(words, which.size / found.count, _half(at[which]))
+
+
+def _levels(heights: FloatArray, apart: float) -> list[float]:
+    """The middles of the groups of heights that lie further than a distance `apart` from each other."""
+    ordered = np.sort(heights)
+    groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > apart) + 1) if ordered.size else []
+    # A few that are on their way along a slope are no level of their own.
+    return [float(np.median(group)) for group in groups if group.size >= LEAST_SHARE * ordered.size]
+
+
+def _ends(found: Trajectories) -> Iterator[GatheredAt]:
+    """Where the particles are in the end, those in the liquid first, each place with most of them first."""
+    def at(words: str, which: IntArray, arrived: FloatArray | None = None) -> GatheredAt:
+        return GatheredAt(words, which.size / found.count, None if arrived is None else _half(arrived[which]))
+
+    measure = found.velocity.mesh.measure
+    trapped = [at(f"in a trap {place_words(_at_rest(found, number))}", np.flatnonzero(found.trap == number),
+                  found.trapped_at) for number in np.unique(found.trap[found.trap >= 0])]
+    yield from sorted(trapped, key=lambda place: -place.share)
+    rests = _rests(found.report.forces)
+    for fate, arrived in ((Fate.FOCUSED, found.focused_at), (Fate.LEVITATED, None), (Fate.MOVING, None),
+                          (Fate.SEDIMENTED, found.stopped_at), (Fate.AT_LID, found.stopped_at),
+                          (Fate.AT_WALL, found.stopped_at)):
+        which = np.flatnonzero(found.fate == fate)
+        if not which.size:
+            continue
+        words = fate.words
+        if fate is Fate.SEDIMENTED:
+            words = f"{'settled on' if rests else 'carried to'} the {_bottom(found.report.forces)}"
+        if fate is Fate.LEVITATED:
+            words = "levitated, in no trap"
+        place = place_across(found, which) if fate is not Fate.MOVING else ""
+        yield at(words + place, which, arrived if 0 in measure.focusing or fate is not Fate.FOCUSED else None)
+
+
+def _at_rest(found: Trajectories, number: int) -> Trap:
+    """A trap where weight and flow let a particle rest."""
+    trap, (r, z) = found.report.traps[number], found.rest[number]
+    return replace(trap, radius=found.velocity.mesh.mirrors.snapped(float(r)), height=float(z),
+                   above_floor=trap.above_floor + float(z) - trap.height)
+
+
+def _ends_words(found: Trajectories, ends: tuple[GatheredAt, ...]) -> str:
+    excitation = found.forces.excitation
+    shown = ends if len(ends) <= 7 else ends[:7]
+    rest = sum(each.share for each in ends[len(shown):])
+    more = f"; {percent(rest)} elsewhere" if rest else ""
+    who = particle_words(found.report.forces)
+    who = f"{who} that lay on the {_bottom(found.report.forces)}" if found.lying else f"evenly spread {who}"
+    return (f"After {time_text(float(found.times[-1]))} at {excitation.frequency / 1e6:.4f} MHz and "
+            f"{2.0 * excitation.voltage:.3g} Vpp, of {found.count} {who}: {'; '.join(map(str, shown))}{more}.")
+
+
+# Sentences -----------------------------------------------------------------------------------------------------------
+
+
+def _gathered(found: Trajectories, first: GatheredAt, critical: Mapping[str, float]) -> tuple[bool, list[str]]:
+    """Whether particles that come to a plane or a line gather, and sentences on that."""
+    report, across = found.report, 0 in found.velocity.mesh.measure.focusing
+    at = found.focused_at if across else found.levitated_at
+    ninety = float(np.quantile(at[np.isfinite(at)], 0.9))
+    half = first.half or 0.0
+    said = [f"{percent(first.share)} {first.words}: half of these within {time_text(half)}, nine tenths within "
+            f"{time_text(ninety)}."]
+    if half > SLOW:
+        voltage = 2.0 * found.forces.excitation.voltage
+        said.append(f"This is slow; the force grows with the square of the voltage, so that "
+                    f"{rounded(voltage * math.sqrt(half / 10.0))} Vpp would take 10 s if the chip stayed as warm.")
+    held = [_at_rest(found, number) for number in np.unique(found.trap[found.trap >= 0])]
+    share = float((found.trap >= 0).mean())
+    if held:
+        best = max(held, key=lambda trap: math.inf if trap.barrier is None else trap.barrier)
+        said += [_strength(best, report, several=len(held) > 1), *_two_times(best, report)]
+    kept = any(trap.barrier is None or trap.barrier >= THERMAL for trap in held)
+    if across:
+        lines = [line for line in focus_lines(report.forces) if not line.at_side]
+        kept, share = any(line.depth >= THERMAL for line in lines), first.share
+        if not kept:
+            said.append("Thermal motion carries them out of the line.")
+    slow_direction = found.velocity.mesh.measure.directions[1 if across else 0]
+    limit, own = critical.get(slow_direction), 2.0 * report.forces.particle.radius
+    if not across and limit is not None and not own > limit:
+        said.append(f"Along the plane the flow moves them more than the sound does, however large the voltage"
+                    f"{_limit_words(limit)}.")
+    return kept and share >= LEAST_SHARE and half <= SLOW, said
+
+
+def _two_times(trap: Trap, report: TrapReport) -> list[str]:
+    """The times in which the sound alone brings a particle e times nearer to a trap, up and across."""
+    drag = drag_coefficient(report.forces.particle, report.forces.fluid)
+    if trap.on_wall or not (trap.axial_stiffness > 0.0 and trap.radial_stiffness > 0.0):
+        return []
+    along = "across" if 0 in trap.measure.focusing else "along the plane"
+    return [f"Beside it the sound brings them e times nearer in {time_text(drag / trap.axial_stiffness)} up and down, "
+            f"and in {time_text(drag / trap.radial_stiffness)} {along}."]
+
+
+def _circulating(report: TrapReport, critical: Mapping[str, float]) -> list[str]:
+    """Sentences on particles that follow the flow."""
+    excitation, direction = report.excitation, _first_direction(report.forces)
+    return [f"At {excitation.frequency / 1e6:.4f} MHz and {2.0 * excitation.voltage:.3g} Vpp, "
+            f"{particle_words(report.forces)} do not gather: they circulate with the streaming, however large the "
+            f"voltage{_limit_words(critical[direction])}.",
+            "Larger particles, or a higher frequency, gather."]
+
+
+def _limit_words(limit: float) -> str:
+    if math.isnan(limit):
+        return " (no size of them is moved more by the sound)"
+    return f" (their critical diameter is {rounded(1e6 * limit)} um)"
+
+
+def _rests(forces: ParticleForces) -> bool:
+    """Whether weight holds a particle on the floor against thermal motion: kT over it is less than the height."""
+    weight = abs(net_weight(forces.particle, forces.fluid))
+    return weight * float(np.ptp(forces.mesh.points[:, 1])) > KT
+
+
+def _weightless(forces: ParticleForces) -> list[str]:
+    weight = abs(net_weight(forces.particle, forces.fluid))
+    if _rests(forces) or not weight:
+        return []
+    return [f"They do not rest on the {_bottom(forces)}: thermal motion spreads them over a height of "
+            f"{rounded(1e3 * KT / weight)} mm against their weight."]
+
+
+def _bottom(forces: ParticleForces) -> str:
+    return "floor" if net_weight(forces.particle, forces.fluid) > 0.0 else "lid or surface"
 
 
 def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
@@ -185,41 +397,13 @@ def _antinode(forces: ParticleForces, trap: Trap) -> str:
             f"{goal} (contrast factor {rounded(forces.scattering.contrast_factor)}).")
 
 
-def _on_walls(report: TrapReport) -> str:
-    """The places of particles that do not stay in the liquid; empty if there are few."""
-    places = [f"{_wall_words(trap, report.forces)} ({percent(trap.share)})" for trap in
-              sorted(report.traps, key=lambda trap: -trap.share)
-              if trap.on_wall and trap.holds and trap.share >= LEAST_SHARE]
-    if report.settled >= LEAST_SHARE:
-        sinks = net_weight(report.forces.particle, report.forces.fluid) > 0.0
-        places.append(f"on the {'floor' if sinks else 'lid'}, where the weight brings them ({percent(report.settled)})")
-    return ", ".join(places)
-
-
 def place_words(trap: Trap) -> str:
     """The place of a trap, in words."""
     return f"{trap.measure.place_words(trap.radius)}, {_above_floor(trap)}"
 
 
-def trap_sides(trap: Trap) -> str:
-    """The places from which a particle's time to a trap is counted."""
-    beside = ", or on the same level to either side" if 0 in trap.measure.focusing else ""
-    return f"above or below it on the same vertical line{beside}"
-
-
 def _above_floor(trap: Trap) -> str:
     return f"{trap.above_floor * 1e3:.{trap.measure.decimals}f} mm above the floor"
-
-
-def _wall_words(trap: Trap, forces: ParticleForces) -> str:
-    nodes = forces.mesh.points
-    if trap.above_floor < _AT * float(np.ptp(nodes[:, 1])):
-        wall = "on the floor"
-    elif abs(trap.radius) > (1.0 - _AT) * np.abs(nodes[:, 0]).max():
-        return f"at the side wall {_above_floor(trap)}"
-    else:
-        wall = "at the lid"
-    return f"{wall} {trap.measure.wall_place_words(trap.radius)}"
 
 
 def particle_words(forces: ParticleForces) -> str:
@@ -228,8 +412,9 @@ def particle_words(forces: ParticleForces) -> str:
 
 
 def percent(share: float) -> str:
-    """A share as a whole per cent."""
-    return f"{100.0 * share:.0f} %"
+    """A share as a whole per cent, or with more digits where that would be 0 or 100."""
+    whole = round(100.0 * share)
+    return f"{whole} %" if whole == 100.0 * share or 0 < whole < 100 else f"{100.0 * share:.3g} %"
 
 
 def rounded(value: float) -> str:

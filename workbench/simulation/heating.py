@@ -8,14 +8,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
 from geometry.dimension import SAME_LENGTH
 from geometry.names import CAVITY
-from materials.kinds import Fluid
+from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.heat import (
@@ -28,9 +28,15 @@ from workbench.acoustics.heat import (
     thermal_influence,
 )
 from workbench.acoustics.nodal import integrate
-from workbench.fem.linearised import FullSystem, curvature, frequency_slope, mixed_slopes
+from workbench.acoustics.sound_energy import SoundEnergy
+from workbench.fem.level import impedance_level
+from workbench.fem.linearised import FullSystem
+from workbench.fem.operators import FullOperators
+from workbench.fem.solve import System
 from workbench.files.errors import InputError, expect, expect_number
 from workbench.model.fluid_slopes import fluid_slopes
+from workbench.model.problem import registry_of
+from workbench.model.temperature import law_of, warmer_values
 from workbench.results.merit import NoResonance
 from workbench.simulation.run import Simulation, Snapshot
 
@@ -51,8 +57,10 @@ class LiquidWarming:
     ``speed_slope`` m/s per K and ``density_slope`` kg/m^3 per K by the law of its entry; ``speed_change`` (m/s) and
     ``density_change`` (kg/m^3) by a parabola through that law; ``thermal_expansion`` of volume, 1/K. ``resonance`` Hz
     is f0, and ``resonance_slope`` Hz per K its derivative when all of the liquid, and nothing else, is warmer;
-    ``resonance_shift`` Hz is that times ``rise``. None where the entry has no law so far to both sides, or the result
-    no resonance. Viscosities stay, and so do the solids.
+    ``resonance_shift`` Hz is that times ``rise``. ``energy_slope`` (1/K) is the relative change of the mean energy
+    density in the cavity by the first kelvin, at the frequency of the fields and a constant voltage. None where the
+    entry has no law so far to both sides, or the result no resonance. For the slopes of f0 viscosities stay; the solids
+    always do.
     """
 
     fluid: str
@@ -64,6 +72,7 @@ class LiquidWarming:
     thermal_expansion: float | None = None
     resonance: float | None = None
     resonance_slope: float | None = None
+    energy_slope: float | None = None
 
     @property
     def resonance_shift(self) -> float | None:
@@ -79,6 +88,9 @@ def heating(
     flow_speed: float = 0.0,
 ) -> Heating:
     """The steady temperatures of a simulated chip, at the frequency and under the drive of its fields.
+
+    Its notes tell how the field changes with the temperature. Fields of `snapshot` are those of the stated temperature
+    unless it was given a `warm`; the temperatures are then those that their losses would bring.
 
     Args:
         result: what `simulate` or `snapshot` returned.
@@ -99,8 +111,62 @@ def heating(
     liquid = result.problem.materials.get(CAVITY)
     if flow_speed and isinstance(liquid, Fluid):
         check_peclet(liquid, flow_speed, cavity_height(result))
-    return conducted_heat(result.problem, result.solution, abs(result.fields.voltage), drive=result.fields.drive,
-                          convection=convection, holder=holder, empty=empty)
+    found = conducted_heat(result.problem, result.solution, abs(result.fields.voltage), drive=result.fields.drive,
+                           convection=convection, holder=holder, empty=empty)
+    if result.warm is not None:
+        return replace(found, notes=(*found.notes, result.warm.slopes.rstrip(".")))
+    return replace(found, notes=(*found.notes, *_unwarmed(result, found)))
+
+
+def _unwarmed(result: Snapshot, heat: Heating) -> tuple[str, ...]:
+    """A note on fields that do not know of the warmth of the chip."""
+    slope = energy_slope(result, Registry())
+    if slope is None:
+        return ()
+    rise = heat.parts[CAVITY].mean
+    return (f"The fields are those of the liquid at its stated temperature. The first kelvin changes E_ac by "
+            f"{100.0 * slope:+.2g} % at this frequency and voltage, and the rise is {rise:.3g} K. In Python "
+            "warm=wb.WarmUp() solves both together",)
+
+
+def energy_slope(result: Snapshot, registry: Registry) -> float | None:
+    """The relative change of the mean energy density in the cavity by the first kelvin of its liquid.
+
+    At the frequency and the voltage of the fields; None without a liquid that has a law so far.
+    """
+    problem, solution = result.problem, result.solution
+    liquid = problem.materials.get(CAVITY)
+    law = law_of(liquid, registry) if isinstance(liquid, Fluid) and not liquid.is_gas else None
+    if law is None or law.highest < 1.0:
+        return None
+    assert isinstance(solution.operators, FullOperators)
+    values = warmer_values(problem, (law,), {law.material.name: 1.0})
+    sound = SoundEnergy.of(solution.operators)
+    warmer = System(solution.operators, values).solutions(solution.frequency)
+    here, there = (float(sound.density(each.frequency, each.states, numbers)[0])
+                   for each, numbers in ((solution, problem.values), (warmer, values)))
+    return there / here - 1.0
+
+
+def softening_words(result: Snapshot, heat: Heating | None) -> tuple[str, ...]:
+    """A sentence for each part that the drive warms beyond the softening temperature of its polymer.
+
+    The surroundings are at the temperature that the liquid is stated at.
+    """
+    liquid = result.stated_problem.materials.get(CAVITY)
+    if heat is None or not isinstance(liquid, Fluid) or liquid.temperature is None:
+        return ()
+    found, voltage = list[str](), 2.0 * abs(result.fields.voltage)
+    for region, material in result.problem.materials.items():
+        limit = material.softening_temperature if isinstance(material, IsotropicSolid) else None
+        part = heat.parts.get(region)
+        if limit is None or part is None or liquid.temperature + part.peak <= limit:
+            continue
+        most = voltage * max((limit - liquid.temperature) / part.peak, 0.0) ** 0.5
+        found.append(f"The {region} becomes {liquid.temperature + part.peak - 273.15:.3g} degC at its warmest place, "
+                     f"and {material.name.split('/')[0]} softens at {limit - 273.15:.3g} degC: its numbers hold up to "
+                     f"about {most:.2g} Vpp at the electrodes.")
+    return tuple(found)
 
 
 def thermal_resistances(
@@ -137,14 +203,14 @@ def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None
         InputError: the cavity holds no liquid; temperatures of another chip or state.
     """
     expect(result, Snapshot, reader="read_chip", source="liquid warming", field="result")
-    liquid = result.problem.materials.get(CAVITY)
+    liquid = result.stated_problem.materials.get(CAVITY)
     if not isinstance(liquid, Fluid):
         raise InputError("liquid warming", f"state {result.state}", None if liquid is None else liquid.name,
                          "a state with a fluid in the cavity",
                          tuple(state.name for state in result.chip.states if state.name != result.state))
     _check_own(result, heat)
     rise = heat.parts[CAVITY].mean
-    known = Registry() if registry is None else registry
+    known = registry_of(result.chip, registry)
 
     def law(temperature: float) -> Fluid:
         return cast(Fluid, known.load(liquid.name, temperature=temperature))
@@ -162,7 +228,7 @@ def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None
         speed_change=rise * (speed_slope + liquid.sound_speed * by_kelvin["speed_bend"] * rise),
         density_change=rise * (density_slope + liquid.density * by_kelvin["density_bend"] * rise),
         thermal_expansion=-by_kelvin["density_slope"], resonance=resonance and resonance[0],
-        resonance_slope=resonance and resonance[1])
+        resonance_slope=resonance and resonance[1], energy_slope=energy_slope(result, known))
 
 
 def _check_own(result: Snapshot, heat: Heating) -> None:
@@ -191,12 +257,13 @@ def _resonance_slope(
     """
     if not isinstance(result, Simulation) or result.figures is None:
         return None
-    system, frequency = FullSystem(result.operators, result.problem.values), result.figures.f0
+    system, frequency = FullSystem(result.operators, result.stated_problem.values), result.figures.f0
     for _ in range(RESONANCE_STEPS):
         state = system.linearised(frequency, (f"{fluid}.sound_speed", f"{fluid}.density"))
-        step = -frequency_slope(state) / curvature(state)
+        level = impedance_level(state, np.ones(2, dtype=complex))
+        step = -level.slope / level.curvature
         if abs(step) <= RESONANCE_FOUND * frequency:
-            slopes = -mixed_slopes(state, np.ones(2, dtype=complex)) / curvature(state)
+            slopes = -level.mixed / level.curvature
             return frequency + step, float(slopes @ np.array([speed_slope, density_slope]))
         frequency += step
     raise NoResonance("the full model has no resonance near that of its spectrum", frequency=result.figures.f0,

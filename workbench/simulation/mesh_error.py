@@ -147,7 +147,7 @@ def _surplus(operators: FullOperators) -> _Surplus:
         where, rows = np.concatenate(pieces), finer.numbering[component]
         nodes = fine.element_dofs[:, where]
         embedding += _map(nodes, coarse.element_dofs[:, where], _values(low, low + MORE), rows,
-                          operators.numbering[component], embedding.shape)
+                          operators.numbering[component], embedding.shape, operators.shares.get(component))
         basis += _map(nodes, own[:, where], functions, rows, numbering[component], basis.shape)
     # The electrode, whose nodes share one unknown.
     voltage = sparse.csr_array(([1.0], ([finer.size - 1], [operators.size - 1])), shape=embedding.shape)
@@ -155,23 +155,25 @@ def _surplus(operators: FullOperators) -> _Surplus:
     places = {name: _restricted(place, fine.element_dofs[:, place.elements], own[:, place.elements], functions)
               for name, place in part.places.items()}
     return _Surplus(finer, embedding + voltage, basis,
-                    replace(part, places=places, numbering=numbering, size=count))
+                    replace(part, places=places, numbering=numbering, size=count, shares={}))
 
 
 def _map(
-    nodes: Integers, functions: Integers, values: Real, rows: Integers, columns: Integers, shape: tuple[int, ...]
+    nodes: Integers, functions: Integers, values: Real, rows: Integers, columns: Integers, shape: tuple[int, ...],
+    shares: Real | None = None,
 ) -> sparse.csr_array:
     """The map from the unknowns of some functions to those of the higher order, without the electrode.
 
     `values` (nodes, functions) of every element at the `nodes` (nodes, cells) for the `functions` (functions, cells);
-    their unknowns are `rows` and `columns` by their number, -1 for none.
+    their unknowns are `rows` and `columns` by their number, -1 for none, and the functions have `shares` of theirs.
     """
     node, function = np.nonzero(np.abs(values) > ZERO_ENTRY)
     row, column, value = nodes[node].ravel(), functions[function].ravel(), np.repeat(values[node, function],
                                                                                     nodes.shape[1])
     # Shared entries of two elements are equal.
     _, first = np.unique(row.astype(np.int64) * columns.size + column, return_index=True)
-    row, column, value = rows[row[first]], columns[column[first]], value[first]
+    value = value[first] if shares is None else value[first] * shares[column[first]]
+    row, column = rows[row[first]], columns[column[first]]
     kept = (row >= 0) & (row < shape[0] - 1) & (column >= 0)
     return sparse.csr_array((value[kept], (row[kept], column[kept])), shape=shape)
 

@@ -23,7 +23,8 @@ class OperatingPoint:
     """The ``frequency`` (Hz) of the fields, and the ``reason`` for it in words.
 
     ``here`` are the figures of the energy there, and ``at_f0`` those at ``f0`` (Hz), None where the cavity holds no
-    sound or the band no f0; ``peaks`` are those of the energy under the drive, the largest first.
+    sound or the band no f0; ``peaks`` are those of the energy under the drive, the largest first. With ``follows`` the
+    drive starts there and stays on the peak while the chip warms up.
     """
 
     frequency: float
@@ -32,18 +33,22 @@ class OperatingPoint:
     peaks: tuple[EnergyPeak, ...] = ()
     f0: float | None = None
     at_f0: EnergyPeak | None = None
+    follows: bool = False
 
     def __str__(self) -> str:
-        found = f"The fields are those at {self.frequency / 1e6:.4f} MHz, {self.reason}"
+        subject = "The drive starts" if self.follows else "The fields are those"
+        found = f"{subject} at {self.frequency / 1e6:.4f} MHz, {self.reason}"
         if self.here is None:
             return f"{found}."
         peak = self.peaks[0] if self.peaks else None
         figures = peak if peak is not None and peak.frequency == self.frequency else self.here
         found += f": {figures.words}."
         if peak is not None and peak is not figures:
-            found += (f" The largest peak of the energy is at {peak.frequency / 1e6:.4f} MHz, "
-                      f"{peak.energy_density / self.here.energy_density:.3g} times as large.")
-        elif self.at_f0 is not None and self.f0 is not None:
+            if peak.energy_density > HIGHER * self.here.energy_density:
+                found += (f" The largest peak of the energy is at {peak.frequency / 1e6:.4f} MHz, "
+                          f"{peak.energy_density / self.here.energy_density:.3g} times as large.")
+        elif self.at_f0 is not None and self.f0 is not None and abs(
+                figures.energy_density / self.at_f0.energy_density - 1.0) > HIGHER - 1.0:
             found += (f" At f0, {self.f0 / 1e6:.4f} MHz, it is "
                       f"{_less(figures.energy_density / self.at_f0.energy_density)}.")
         return found

@@ -7,11 +7,9 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,11 +18,9 @@ from numpy.typing import NDArray
 
 import geometry.mesh
 from geometry.chip import Chip
-from geometry.measure import PER_METRE, Straight
 from geometry.names import CAVITY
 from geometry.operating_point import check_operating_point
 from geometry.plausible import check_frequency
-from materials.assumed import is_lossless
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.acoustics.fields import Fields, fields
@@ -32,25 +28,37 @@ from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import NotConverged, Solution, System
+from workbench.fem.solve import Solution, System
 from workbench.files.errors import InputError, expect
-from workbench.jobs.progress import Progress, no_progress
+from workbench.jobs.progress import Laps, Progress, no_progress
 from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
-from workbench.model.drive import Drive, VoltageDrive, check_drive
+from workbench.model.drive import Drive, check_drive, wired
 from workbench.model.problem import FilledChip, Problem, build, fill
 from workbench.reduced.at_point import reduced
 from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
 from workbench.results.circuit import CircuitFit
-from workbench.results.merit import Figures, NoResonance, figures
+from workbench.results.coupling import plate_of
+from workbench.results.merit import Figures, measured_figures
 from workbench.results.notebook import Shown, Summary
 from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
+from workbench.simulation.fixed_point import warmed
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
-from workbench.simulation.solved_spectrum import band_of, findings_of, frequency_grid, full_spectrum, reduced_spectrum
+from workbench.simulation.solved_spectrum import (
+    SolvedSpectrum,
+    band_of,
+    findings_of,
+    frequency_grid,
+    full_spectrum,
+    reduced_spectrum,
+    solution_near,
+    undamped,
+)
+from workbench.simulation.warm import WarmState, WarmUp
 
 if TYPE_CHECKING:
     import xarray
@@ -58,17 +66,13 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Least number of frequencies within the half-power width of a resonance that determine its figures. Doubled, grids
-#: that are right to 0.1 % would raise a finding.
-RESOLVED = 2
-
-#: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
-#: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
-NEARBY = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
-
 #: Largest ratio of the error of a mesh to its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small
 #: example chip (one more order shows a part of the error of a singular corner). Used in the warning alone.
 ERROR_OVER_ESTIMATE = 3.0
+
+
+#: A driven chip warms up in still air, at a fixed frequency.
+IN_STILL_AIR = WarmUp()
 
 
 class MeshTooCoarse(UserWarning):
@@ -98,12 +102,25 @@ class Snapshot(DrawnState):
     """One state of a chip at one frequency under one drive, with the solve behind it.
 
     ``residual`` is the scaled residual of the solve. ``findings`` are sentences on assumptions about the materials, and
-    on failed solves. ``solution`` is the full one behind the fields, at 1 V.
+    on failed solves. ``solution`` is the full one behind the fields, at 1 V. ``warm`` is the steady state of the driven
+    chip, whose fields and ``problem`` these are where it matters; None if the chip is kept at its stated temperature,
+    or if the warm one is not known.
     """
 
     residual: float
     findings: tuple[str, ...]
     solution: Solution
+    warm: WarmState | None = field(default=None, kw_only=True)
+
+    @property
+    def stated_problem(self) -> Problem:
+        """The problem at the stated temperature."""
+        return self.problem if self.warm is None else self.warm.problem
+
+    @property
+    def liquid_rise(self) -> float:
+        """K by which the liquid of the fields is warmer than stated."""
+        return 0.0 if self.warm is None else self.warm.rise
 
     @property
     def drawn(self) -> DrawnState:
@@ -159,6 +176,8 @@ class Simulation(Snapshot, Shown):
                       f"{1e3 * trap.above_floor:.3g} mm above the floor, barrier "
                       f"{barrier_words(trap.barrier)}, {100.0 * trap.share:.0f} % of the cavity")
                      for trap in self.traps.traps[:3]]
+        if self.warm is not None:
+            rows.append(("warm chip", str(self.warm)))
         rows += [("finding", text) for text in self.findings]
         rows.append(("estimated error of Z", f"{100.0 * self.error:.1g} % by the reduced model" + (
             "" if self.mesh_error is None else f", {100.0 * self.mesh_error.rms:.1g} % rms by the mesh")))
@@ -171,19 +190,6 @@ class Simulation(Snapshot, Shown):
         if self.figures is not None:
             found = found.assign_attrs(f0_hz=self.figures.f0, z_min_ohm=self.figures.z_min, q=self.figures.q)
         return found
-
-
-class Laps:
-    """Seconds spent on one step after the other, by name."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._started = time.perf_counter()
-
-    def __call__(self, name: str) -> None:
-        """End the step called `name` now."""
-        now = time.perf_counter()
-        self.seconds[name], self._started = now - self._started, now
 
 
 def simulate(
@@ -204,6 +210,7 @@ def simulate(
     progress: Progress = no_progress,
     assumed_losses: bool = True,
     inviscid: bool = False,
+    warm: WarmUp | None = IN_STILL_AIR,
 ) -> Simulation:
     """Simulate a chip in one of its states. Frequencies at which no solve converges are left out; a finding names them.
 
@@ -217,8 +224,10 @@ def simulate(
         relative_error: of the reduced model's impedance.
         drive: drive of the device; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation.
-        assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
-        inviscid: leave out the boundary layers of what the cavity holds; a finding says so.
+        assumed_losses, inviscid: give a ceramic without any loss that of `materials.assumed`; leave out the boundary
+            layers of what the cavity holds. A finding says so.
+        warm: ways for the heat to leave a chip whose fields are as warm as they keep it; None, or a Peltier element,
+            keeps the liquid at its stated temperature. The spectrum is always that of the stated one.
         on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
 
     Raises:
@@ -228,8 +237,8 @@ def simulate(
     """
     _check_operation(chip, None if isinstance(at, str) else at, drive, source="simulate", field="at")
     check_operating_point(chip.operating_point if at is None else None, band or chip.band, chip.file)
-    at, drive, lap = at if at is None or isinstance(at, str) else float(at), drive or VoltageDrive(), Laps()
-    device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
+    at, drive, lap = at if at is None or isinstance(at, str) else float(at), wired(drive, chip), Laps()
+    device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     frequencies = frequency_grid(band_of(chip, band), points)
     progress("mesh", 0.0)
@@ -239,33 +248,28 @@ def simulate(
     system = System(assemble(problem.mesh, problem.terms), problem.values)
     lap("assembly")
     found = full_spectrum(system, frequencies, known or {}, on_point, progress) if full else \
-        reduced_spectrum(system, frequencies, relative_error, progress)
+        reduced_spectrum(system, frequencies, relative_error, device, progress)
     lap("spectrum")
     if found.model is not None and found.solution is not None:
-        on_spectrum(Spectrum.from_solver(found.frequency, found.impedance,
-                                         origin=_origin(device, _reduced_to(found.error))))
-        if device.is_wet:
-            energy = energy_spectrum_of(found.model, found.solution, problem.values)
+        on_spectrum(_spectrum_of(found, device))
+        energy = energy_spectrum_of(found.model, found.solution, problem.values, chip) if device.is_wet else None
         of_mesh = _mesh_error(found.model, found.frequency, problem, accuracy, progress)
         lap("error of the mesh")
-    method = "full solves" if of_mesh is None else f"{_reduced_to(found.error)}, of its mesh {of_mesh.rms:.1e} rms"
-    spectrum = Spectrum.from_solver(found.frequency, found.impedance, origin=_origin(device, method))
-    on_spectrum(spectrum)
-    merit, reason = _merit(spectrum)
+    on_spectrum(spectrum := _spectrum_of(found, device, of_mesh))
+    merit, reason = measured_figures(spectrum, plate_of(chip, device.materials))
     operating = operating_point(at, chip.operating_point, merit, 0.5 * sum(span), energy, drive, source="simulate")
     progress("fields", 0.0)
-    shot = _snapshot(device, problem, system, operating.frequency, drive)
+    shot = _snapshot(device, problem, system, operating.frequency, drive, warm, registry, found.model)
     lap("fields")
-    left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
     progress("fields", 1.0)
+    left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
     return Simulation(
-        chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
+        chip=chip, state=shot.state, problem=shot.problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(found.residual, shot.residual), operators=system.operators, spectrum=spectrum,
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
         seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
-        operating=operating, findings=(
-            *_left_out(device, left_out, frequencies.size), *findings_of(found, relative_error, is_wet=device.is_wet),
-            *_unresolved(spectrum, merit), *shot.findings))
+        warm=shot.warm, operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
+        findings=(*findings_of(found, relative_error, device, left_out, spectrum, merit), *shot.findings))
 
 
 def energy_spectrum(
@@ -295,7 +299,7 @@ def energy_spectrum(
     problem = build(device, band=(float(frequencies[0]), float(frequencies[-1])), accuracy=accuracy)
     model, solution = reduced(assemble(problem.mesh, problem.terms), frequencies, problem.values,
                               tolerance=relative_error, skip_singular=True, progress=progress)
-    return energy_spectrum_of(model, solution, problem.values)
+    return energy_spectrum_of(model, solution, problem.values, chip)
 
 
 def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:
@@ -303,38 +307,6 @@ def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -
     registry = registry or Registry()
     return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses,
                    inviscid=inviscid or registry.inviscid)
-
-
-def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
-    """A finding that names the `frequencies` (Hz), of `asked` requested ones, at which no solve converged."""
-    if not frequencies:
-        return ()
-    listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
-    return (f"{len(frequencies)} of {asked} frequencies are left out, because the solve there did not converge: "
-            f"{listed} MHz. {_undamped(device)}",)
-
-
-def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
-    """A finding that hardly any frequencies lie in the resonance; none if enough do."""
-    if merit is None:
-        return ()
-    width = merit.f2 - merit.f1
-    inside = merit.count_within(spectrum.frequency)
-    if inside >= RESOLVED:
-        return ()
-    enough = math.ceil((spectrum.frequency[-1] - spectrum.frequency[0]) / width * 2 * RESOLVED) + 1
-    return (f"{inside} of the {spectrum.frequency.size} frequencies lie within the resonance, which is "
-            f"{width / 1e3:.3g} kHz wide: f0, Z_min and Q may be far off; {enough} points, or a narrower band, would "
-            "show it.",)
-
-
-def _undamped(device: FilledChip) -> str:
-    """The reason why a solve may not converge, as far as the materials show it."""
-    lossless = [f"{material.name} ({region})" for region, material in device.materials.items()
-                if not isinstance(material, Fluid) and is_lossless(material)]
-    if not lossless:
-        return "The model is close to singular there: a resonance with next to no loss"
-    return f"A resonance without loss has no height: state a loss of {', '.join(lossless)}"
 
 
 def _check_operation(chip: Chip, frequency: float | None, drive: Drive | None, *, source: str, field: str) -> None:
@@ -366,14 +338,6 @@ def _mesh_error(
     return error
 
 
-def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
-    """The figures of a spectrum, or the reason why there are none."""
-    try:
-        return figures(spectrum), ""
-    except NoResonance as missing:
-        return None, missing.reason
-
-
 def snapshot(
     chip: Chip,
     state: str | None,
@@ -386,62 +350,53 @@ def snapshot(
     progress: Progress = no_progress,
     assumed_losses: bool = True,
     inviscid: bool = False,
+    warm: WarmUp | None = None,
 ) -> Snapshot:
     """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
+
+    The liquid is at its stated temperature, unless `warm` states the ways for the heat of the drive to leave.
 
     Raises:
         InputError: a mistake in the chip, its materials or the arguments.
         NotConverged: the solve reached its tolerance neither there nor beside it.
     """
     _check_operation(chip, frequency, drive, source="snapshot", field="frequency")
-    device = fill(chip, state, _assuming(registry, assumed_losses, inviscid))
+    registry = _assuming(registry, assumed_losses, inviscid)
+    device = fill(chip, state, registry)
     progress("mesh", 0.0)
     problem = build(device, band=band_of(chip, band), accuracy=accuracy)
     progress("fields", 0.5)
     system = System(assemble(problem.mesh, problem.terms), problem.values)
-    found = _snapshot(device, problem, system, frequency, drive or VoltageDrive())
+    drive = wired(drive, chip)
+    found = _snapshot(device, problem, system, frequency, drive, warm, registry)
     progress("fields", 1.0)
     return found
 
 
 def _snapshot(
-    device: FilledChip, problem: Problem, system: System, frequency: float, drive: Drive
+    device: FilledChip, problem: Problem, system: System, frequency: float, drive: Drive, warm: WarmUp | None,
+    registry: Registry, model: ReducedModel | None = None,
 ) -> Snapshot:
+    """The state of a device by a full solution, as `warm` as its drive keeps it where that matters; particles stay as
+    stated."""
     check_mesh(problem, frequency)
-    solution = _solved_near(system, frequency)
-    found = fields(problem, system.operators, solution, drive)
-    losses, closure = loss_budget(solution, abs(found.voltage))
-    findings = (*_of_one_metre(device.chip), *device.findings)
-    if found.frequency != frequency:
-        findings = (f"the fields are of {found.frequency / 1e6:.8g} MHz, because the solve at "
-                    f"{frequency / 1e6:.8g} MHz did not converge. {_undamped(device)}", *findings)
-    return Snapshot(device.chip, device.state.name, problem, found, losses, closure, _traps(device, found),
-                    float(solution.residual[0]), findings, solution)
-
-
-def _of_one_metre(chip: Chip) -> tuple[str, ...]:
-    """A finding that the length of a straight chip is not stated."""
-    if not isinstance(chip.measure, Straight) or chip.measure.length != PER_METRE:
-        return ()
-    return ('the chip states no length: Z, power, heat, and the voltage that a generator leaves are those of 1 m of '
-            'it; state its length under [chip], such as length = "35 mm"',)
-
-
-def _solved_near(system: System, frequency: float) -> Solution:
-    """The full solution at `frequency` (Hz), or at the nearest of :data:`NEARBY` if it does not converge there.
-
-    Raises:
-        NotConverged: it converges at none of them.
-    """
-    try:
-        return system.solutions(np.array([frequency]))
-    except NotConverged as error:
-        for beside in NEARBY:
-            try:
-                return system.solutions(np.array([frequency * (1.0 + beside)]))
-            except NotConverged:
-                continue
-        raise error
+    device.check_validity((frequency, frequency))
+    solution, state = solution_near(system, frequency), None
+    findings = device.findings
+    if solution.frequency[0] != frequency:
+        findings = (f"the fields are of {solution.frequency[0] / 1e6:.8g} MHz, because the solve at "
+                    f"{frequency / 1e6:.8g} MHz did not converge. {undamped(device)}", *findings)
+    if warm is not None:
+        found = warmed(problem, solution, drive, warm, registry=registry, model=model)
+        state, findings = found.state, (*filter(None, (found.reason,)), *findings)
+        if found.problem is not None and found.solution is not None:
+            problem, solution = found.problem, found.solution
+            device = replace(device, materials=problem.materials)
+    assert isinstance(solution.operators, FullOperators)
+    shown = fields(problem, solution.operators, solution, drive)
+    losses, closure = loss_budget(solution, abs(shown.voltage))
+    return Snapshot(device.chip, device.state.name, problem, shown, losses, closure, _traps(device, shown),
+                    float(solution.residual[0]), findings, solution, warm=state)
 
 
 def check_mesh(problem: Problem, frequency: float) -> None:
@@ -481,12 +436,14 @@ def _traps(device: FilledChip, found: Fields) -> TrapReport | None:
     return find_traps(particle_forces(found, device.particle, fluid=fluid, region=CAVITY))
 
 
-def _reduced_to(error: float) -> str:
-    """Description of a spectrum by the reduced model with that largest estimated relative error."""
-    return f"reduced model, estimated relative error at most {error:.1e}"
-
-
-def _origin(device: FilledChip, method: str) -> Origin:
+def _spectrum_of(found: SolvedSpectrum, device: FilledChip, of_mesh: MeshErrorEstimate | None = None) -> Spectrum:
+    """The spectrum with its origin, and its errors as far as they are known."""
+    method = "full solves"
+    if found.model is not None:
+        method = f"reduced model, estimated relative error at most {found.error:.1e}"
+    if of_mesh is not None:
+        method += f", of its mesh {of_mesh.rms:.1e} rms"
     settings = {"chip": device.chip.name, "state": device.state.name, "method": method,
                 **{f"material of {region}": material.name for region, material in device.materials.items()}}
-    return Origin(kind="simulated", source=device.chip.file, settings=settings)
+    return Spectrum.from_solver(found.frequency, found.impedance, origin=Origin(
+        kind="simulated", source=device.chip.file, settings=settings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.names import CAVITY
 from geometry.plausible import check_band
+from materials.assumed import is_lossless
+from materials.kinds import Fluid
 from workbench.fem.solve import NotConverged, Solution, System
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress
 from workbench.model.job_size import check_points
+from workbench.model.problem import FilledChip
 from workbench.reduced.at_point import NotEnriched, reduced
 from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
+from workbench.results.merit import Figures
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -25,9 +32,18 @@ Complex = NDArray[np.complex128]
 #: given up: a model that is singular everywhere is not held by anything. Doubled, the message takes twice as long.
 FAILED_PER_SOLVED, FAILED_ANYWAY = 0.5, 5
 
+#: Least number of frequencies within the half-power width of a resonance that determine its figures. Doubled, grids
+#: that are right to 0.1 % would raise a finding.
+RESOLVED = 2
+
 #: Ratio of the error of a reduced model to the requested one up to which it is used, and said. Doubled, a spectrum may
 #: be off by 2e-3 where 1e-4 was asked.
 NEARLY = 10.0
+
+
+#: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
+#: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
+NEARBY = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,25 +93,48 @@ def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]
 
 
 def reduced_spectrum(
-    system: System, frequencies: Real, relative_error: float, progress: Progress
+    system: System, frequencies: Real, relative_error: float, device: FilledChip, progress: Progress
 ) -> SolvedSpectrum:
     """The spectrum by the reduced model; one that nearly reached its tolerance is better than none.
 
     Raises:
-        NotEnriched: it is off by more than :data:`NEARLY` times the tolerance.
+        NotEnriched: it is off by more than :data:`NEARLY` times the tolerance; the remedies are those of the `device`.
     """
     try:
         model, solution = reduced(system.operators, frequencies, system.values, tolerance=relative_error,
                                   skip_singular=True, system=system, progress=progress)
     except NotEnriched as error:
         if error.found is None or error.estimate > NEARLY * relative_error:
-            raise
+            raise NotEnriched(error.estimate, error.tolerance, error.solves,
+                              remedy=_remedy(device, error.estimate)) from error
         model, solution = error.found
     return SolvedSpectrum(solution.frequency, solution.impedance, model.solves, model.residual,
                           float(model.error(solution).max()), model, solution)
 
 
-def findings_of(found: SolvedSpectrum, asked: float, *, is_wet: bool) -> tuple[str, ...]:
+def _remedy(device: FilledChip, estimate: float) -> str:
+    """Ways out for a state whose reduced model is off by the `estimate`."""
+    power = 10.0 ** math.floor(math.log10(estimate))
+    enough = next(each * power for each in (2.0, 5.0, 10.0) if each * power >= 1.2 * estimate)
+    held = device.materials.get(CAVITY)
+    gas = (f' In a chip file, cavity = "vacuum" in place of "{device.state.cavity}" leaves out the modes of the gas, '
+           "of which this band has many") if isinstance(held, Fluid) and held.is_gas else ""
+    return (f'for state {device.state.name}, --relative-error "{100.0 * enough:.2g} %" (in Python relative_error='
+            f"{enough:.0e}) accepts that, --full (full=True) solves every frequency, --from and --to narrow the band."
+            f"{gas}")
+
+
+def findings_of(
+    found: SolvedSpectrum, asked: float, device: FilledChip, left_out: tuple[float, ...], spectrum: Spectrum,
+    merit: Figures | None,
+) -> tuple[str, ...]:
+    """Findings on a spectrum: frequencies (Hz) `left_out`, a reduced model that is off by more than was `asked`, no
+    energy over frequency, or too few frequencies in its resonance."""
+    return (*_left_out(device, left_out, found.frequency.size + len(left_out)),
+            *_inexact(found, asked, is_wet=device.is_wet), *_unresolved(spectrum, merit))
+
+
+def _inexact(found: SolvedSpectrum, asked: float, *, is_wet: bool) -> tuple[str, ...]:
     """Findings that the reduced model is off by more than was `asked`, or that without it the energy of the sound in a
     liquid is not known over frequency."""
     if found.model is None:
@@ -138,3 +177,53 @@ def full_spectrum(
         raise failed[-1]
     solved = impedance != 0.0
     return SolvedSpectrum(frequencies[solved], impedance[solved], done, residual)
+
+
+def solution_near(system: System, frequency: float) -> Solution:
+    """The full solution at `frequency` (Hz), or at the nearest of :data:`NEARBY` if it does not converge there.
+
+    Raises:
+        NotConverged: it converges at none of them.
+    """
+    try:
+        return system.solutions(np.array([frequency]))
+    except NotConverged as error:
+        for beside in NEARBY:
+            try:
+                return system.solutions(np.array([frequency * (1.0 + beside)]))
+            except NotConverged:
+                continue
+        raise error
+
+
+def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
+    """A finding that names the `frequencies` (Hz), of `asked` requested ones, at which no solve converged."""
+    if not frequencies:
+        return ()
+    listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
+    return (f"{len(frequencies)} of {asked} frequencies are left out, because the solve there did not converge: "
+            f"{listed} MHz. {undamped(device)}",)
+
+
+def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
+    """Findings that the resonance is weak, and that hardly any frequencies lie in it; none if it is not, and they do.
+    """
+    if merit is None:
+        return ()
+    width = merit.f2 - merit.f1
+    inside = merit.count_within(spectrum.frequency)
+    if inside >= RESOLVED:
+        return (merit.weakness,) if merit.is_weak else ()
+    enough = math.ceil((spectrum.frequency[-1] - spectrum.frequency[0]) / width * 2 * RESOLVED) + 1
+    return (f"{inside} of the {spectrum.frequency.size} frequencies lie within the resonance, which is "
+            f"{width / 1e3:.3g} kHz wide: f0, Z_min and Q may be far off; {enough} points, or a narrower band, would "
+            "show it.",)
+
+
+def undamped(device: FilledChip) -> str:
+    """The reason why a solve may not converge, as far as the materials show it."""
+    lossless = [f"{material.name} ({region})" for region, material in device.materials.items()
+                if not isinstance(material, Fluid) and is_lossless(material)]
+    if not lossless:
+        return "The model is close to singular there: a resonance with next to no loss"
+    return f"A resonance without loss has no height: state a loss of {', '.join(lossless)}"

@@ -18,6 +18,8 @@ from workbench.acoustics.flow_forces import TemperatureSlopes
 from workbench.acoustics.nodal import FloatArray
 from workbench.acoustics.streaming import Streaming, acoustic_streaming
 from workbench.files.errors import InputError
+from workbench.model.problem import registry_of
+from workbench.model.validity import check_streaming_layer
 from workbench.simulation.run import Snapshot
 
 #: Step in K of the central differences for the change of a liquid with temperature. A parabola is exact; the cube of
@@ -33,19 +35,22 @@ def streaming(
 
     Args:
         shot: a state of `snapshot` or `simulate` with a liquid in its cavity.
-        temperature: K above the stated temperature of the liquid, at the nodes of the mesh of ``shot.fields`` or at
-            those of the cavity alone; even unless given.
+        temperature: K above the stated temperature of the liquid, which is that of the surroundings, at the nodes of
+            the mesh of ``shot.fields`` or at those of the cavity alone; even unless given.
         slopes: change of the liquid with temperature; taken from its law in the `registry` unless given.
         order: polynomial order of the flow; that of the fields unless given.
 
     Raises:
-        InputError: no liquid in the cavity, or one without viscosity; a temperature of another shape, or without a law
+        InputError: no liquid in the cavity, or one without viscosity, or with a boundary layer above 5 % of the
+            cavity's smallest length; a temperature of another shape, or without a law
             of the liquid at it.
     """
     fluid = shot.problem.materials.get(CAVITY)
     if not isinstance(fluid, Fluid):
         raise InputError("streaming", "shot", f"state {shot.state} of {shot.chip.name}", "a state with a liquid in the "
                          'cavity, such as cavity = "water" in its table of the chip file')
+    if fluid.shear_viscosity is not None:
+        check_streaming_layer(shot.chip, shot.state, fluid, shot.fields.frequency)
     known = {name: complex(shot.problem.values[f"{fluid.name}.{name}"]).real for name in (
         "density", "sound_speed", "shear_viscosity", "diffusivity_of_sound")
         if f"{fluid.name}.{name}" in shot.problem.values}
@@ -59,10 +64,10 @@ def streaming(
     if temperature is not None and slopes is None:
         inside = shot.fields.mesh.nodes_of([CAVITY])
         there = temperature[inside] if temperature.size > inside.size else temperature
-        slopes = slopes_of(fluid, registry or Registry(), warmer_by=float(np.mean(there)))
+        slopes = slopes_of(fluid, registry_of(shot.chip, registry), warmer_by=float(np.mean(there)) - shot.liquid_rise)
     return acoustic_streaming(shot.fields, fluid=fluid, region=CAVITY,
                               diffusivity=known.get("diffusivity_of_sound"), temperature=temperature, slopes=slopes,
-                              order=order, scattering=None if shot.traps is None else shot.traps.forces.scattering)
+                              order=order, forces=None if shot.traps is None else shot.traps.forces)
 
 
 def slopes_of(fluid: Fluid, registry: Registry, *, warmer_by: float = 0.0) -> TemperatureSlopes:

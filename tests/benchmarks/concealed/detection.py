@@ -14,6 +14,7 @@ import numpy as np
 from concealed.device import PZT, State, Values
 from concealed.mechanisms import Effect
 from concealed.response import Device
+from concealed.solver import NotAccurate
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
@@ -65,8 +66,12 @@ def detectability(
             break
         damped = np.vstack([steep, math.sqrt(damping) * np.eye(parameters)])
         step = np.linalg.lstsq(damped, np.concatenate([-here, np.zeros(parameters)]))[0]
-        there = lengths(moves + step)
-        after = float(np.linalg.norm(there))
+        try:
+            there = lengths(moves + step)
+            after = float(np.linalg.norm(there))
+        except (NotAccurate, ValueError):
+            # So far away there is no such device.
+            after = math.inf
         if not after < size:
             if damping > DAMPING:
                 break

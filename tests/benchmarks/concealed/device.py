@@ -13,11 +13,11 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from concealed.media import Bubbles, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
+from concealed.media import Bubbles, Hold, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
 from concealed.section import Body, Box, Face, Profile, Warp
 from numpy.typing import NDArray
 
-from materials.kinds import Fluid
+from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
 
 Values = Mapping[str, float]
@@ -28,7 +28,13 @@ PZT, PLA, EPOXY, GLASS, GEL, WATER = ("pzt/trial", "pla/trial", "epoxy/trial", "
                                       "water/iapws_2011")
 REFERENCE_TEMPERATURE = 298.15
 
-#: Thickness (m) of the layers that stand for an imperfect bond and for a crack.
+#: Liquids that may be in the cavity instead of water, and materials of its wall instead of the printed polymer.
+LIQUIDS = ("glycerol_water_20/volk_2018", "glycerol_water_50/volk_2018", "glycerol_water_80/volk_2018",
+           "olive_oil/rshydro")
+WALLS = ("petg/acevedo_2026", "abs/acevedo_2026", "pmma/acevedo_2026", "polycarbonate/ono_2020",
+         "photopolymer/bakaric_2021")
+
+#: Thickness (m) of the layers that stand for an imperfect bond, for a crack and for a bubble under the lid.
 THIN = 1e-6
 
 #: Slices of the ceramic whose poling changes through its thickness.
@@ -65,12 +71,26 @@ STATES = tuple(dict.fromkeys((*FILLINGS, *DRIVES)))
 
 
 @lru_cache
-def water(temperature: float) -> Fluid:
-    """The registry's water (its law is what the states' stated temperatures refer to)."""
-    found = Registry().load("water", temperature=temperature)
+def liquid(name: str, temperature: float) -> Fluid:
+    """A liquid of the registry (its law is what the states' stated temperatures refer to)."""
+    found = Registry().load(name, temperature=temperature)
     if not isinstance(found, Fluid):
-        raise TypeError("water must be a fluid")
+        raise TypeError(f"{name} must be a fluid")
     return found
+
+
+def water(temperature: float) -> Fluid:
+    """What the cavity is stated to hold."""
+    return liquid(WATER, temperature)
+
+
+@lru_cache
+def registry_solid(name: str) -> Solid:
+    """A solid of the registry."""
+    found = Registry().load(name)
+    if not isinstance(found, IsotropicSolid):
+        raise TypeError(f"{name} must be an isotropic solid")
+    return Solid.isotropic(found.density, found.bulk_modulus, found.shear_modulus)
 
 
 def _number(values: Values, name: str) -> complex:
@@ -128,8 +148,12 @@ def couplant(values: Values, defects: Values) -> Medium:
 
 def content(values: Values, defects: Values, state: State) -> Viscous:
     """What fills the cavity: a viscous fluid, whose layers at the walls are resolved."""
-    law = water(state.temperature + defects.get("temperature.offset", 0.0))
-    scale = values[f"{WATER}.sound_speed"] / water(REFERENCE_TEMPERATURE).sound_speed
+    temperature = state.temperature + defects.get("temperature.offset", 0.0)
+    if "cavity.liquid" in defects:
+        law, scale = liquid(LIQUIDS[int(defects["cavity.liquid"])], temperature), 1.0
+    else:
+        law = water(temperature)
+        scale = values[f"{WATER}.sound_speed"] / water(REFERENCE_TEMPERATURE).sound_speed
     speed, shear, bulk = law.sound_speed * scale, law.shear_viscosity or 0.0, law.bulk_viscosity or 0.0
     bulk += defects.get("cavity.bulk_viscosity", 0.0)
     bubbles = None
@@ -196,7 +220,8 @@ def body(values: Values, defects: Values, state: State) -> Body:
         middle = z + defects["crack.height"] * (top - z)
         boxes.append(Box(defects["crack.inner"], defects["crack.outer"], middle, middle + THIN, None))
     floor, z, top = top, top, top + values["sidewall.thickness"]
-    boxes.append(Box(cavity, outer, z, top, pla, "sidewall"))
+    wall = registry_solid(WALLS[int(defects["sidewall.material"])]) if "sidewall.material" in defects else pla
+    boxes.append(Box(cavity, outer, z, top, wall, "sidewall"))
     z, top = top, top + values["bond.thickness"]
     boxes.append(Box(cavity, outer, z, top, Solid.isotropic(
         values[f"{EPOXY}.density"], _number(values, f"{EPOXY}.bulk_modulus"),
@@ -221,9 +246,13 @@ def body(values: Values, defects: Values, state: State) -> Body:
         _number(values, f"{GLASS}.shear_modulus")), "superstrate"))
     if state.filling == "filled":
         fluid = content(values, defects, state)
-        boxes.append(Box(0.0, defects.get("meniscus.radius", cavity), floor, ceiling, fluid))
+        surface = floor + defects.get("fill.share", 1.0) * (ceiling - floor)
+        boxes.append(Box(0.0, defects.get("meniscus.radius", cavity), floor, surface, fluid))
+        if "bubble.outer" in defects:
+            boxes.append(Box(defects["bubble.inner"], defects["bubble.outer"], ceiling - THIN, ceiling, None))
+            lines_r += [defects["bubble.outer"] - TIP, defects["bubble.outer"] + TIP]
         layer = math.sqrt(2.0 * fluid.shear_viscosity / (abs(fluid.density) * omega))
-        lines_z += [floor + 2.5 * layer, ceiling - 2.5 * layer, ceiling - CORNER]
+        lines_z += [floor + 2.5 * layer, surface - 2.5 * layer, surface - CORNER]
         lines_r.append(cavity - 2.5 * layer)
         if "port necks.share" in defects:
             necks = Necks(defects["port necks.share"], abs(fluid.density), defects["port necks.length"],
@@ -231,6 +260,10 @@ def body(values: Values, defects: Values, state: State) -> Body:
             faces.append(Face(cavity, cavity, floor, ceiling, necks))
     if "lid.normal" in defects:
         faces.append(Face(0.0, outer, top, top, Load(defects["lid.normal"], 0.0)))
+    for held, z0, z1 in (("substrate", floor - values["substrate.thickness"], floor), ("superstrate", ceiling, top)):
+        if f"{held}.held" in defects:
+            stiffness = defects[f"{held}.held"] * (1.0 - 1j * defects["held.loss_factor"])
+            faces.append(Face(outer, outer, z0, z1, Hold(stiffness, defects["held.tangential"] * stiffness)))
     return Body(tuple(boxes), live, ground, tuple(faces), tuple(lines_r), tuple(lines_z), warps(values, defects, state))
 
 

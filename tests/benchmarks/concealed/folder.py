@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,8 +11,7 @@ from concealed.design import ABSOLUTE, RELATIVE, REMOUNTED_BY, Design
 from concealed.device import EPOXY, GEL, GLASS, PIEZO_CONSTANTS, PLA, PZT, State
 from numpy.typing import NDArray
 
-from workbench.results.spectrum import Origin, Spectrum, write_spectrum
-
+Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Whether campaigns say how much states differ, [between]: set False for a reader that does not know that table.
@@ -26,8 +26,7 @@ def write(folder: Path, design: Design, states: Sequence[State], spectra: Mappin
         clean = spectra[state.name]
         sigma = design.noise * np.abs(clean)
         noisy = clean + sigma * (rng.standard_normal(clean.size) + 1j * rng.standard_normal(clean.size))
-        write_spectrum(Spectrum(design.frequency, noisy, design.noise * np.abs(noisy), Origin("measured")),
-                  folder / f"{state.name}.csv")
+        (folder / f"{state.name}.csv").write_text(recording(design.frequency, noisy), encoding="utf-8")
     nominal = design.nominal
     (folder / "materials" / "references.bib").write_text(
         "@misc{trial,\n  title = {Data sheets and measurements of the parts},\n}\n", encoding="utf-8")
@@ -44,6 +43,15 @@ def write(folder: Path, design: Design, states: Sequence[State], spectra: Mappin
     for chip in ("disc", "chip"):
         (folder / f"{chip}.toml").write_text(_chip(design, chip), encoding="utf-8")
     (folder / "campaign.toml").write_text(_campaign(design, states), encoding="utf-8")
+
+
+def recording(frequency: Real, impedance: Complex) -> str:
+    """The text of a recording: both parts of Z (ohm) to 1e-5 of its magnitude, a hundredth of the noise or less."""
+    lines = ["# kind: measured", f"# rows: {frequency.size}", "frequency_hz,z_real_ohm,z_imag_ohm"]
+    for f, z in zip(frequency.tolist(), impedance.tolist(), strict=True):
+        places = max(0, 5 - math.floor(math.log10(abs(z))))
+        lines.append(f"{f:.9g},{z.real:.{places}f},{z.imag:.{places}f}")
+    return "\n".join(lines) + "\n"
 
 
 _MODULI = {"density": "kg/m^3", "bulk_modulus": "Pa", "shear_modulus": "Pa"}
@@ -88,7 +96,7 @@ def _campaign(design: Design, states: Sequence[State]) -> str:
             "chip", "filled_again" if state.held_out else state.filling)
         lines += ["", f"[states.{state.name}]", f'chip = "{chip}.toml"', f'state = "{chosen}"',
                   f'recording = "{state.name}.csv"', f'drive = "{state.drive:g} Vpp"',
-                  f'temperature = "{state.temperature - 273.15:g} degC"']
+                  f'temperature = "{state.temperature - 273.15:g} degC"', f'noise = "{100.0 * design.noise:g} %"']
         if state.held_out:
             lines.append("held_out = true")
     lines += ["", "[known]"]

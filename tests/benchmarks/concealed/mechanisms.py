@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from concealed.design import Design
-from concealed.device import PLA, PZT, Values
+from concealed.device import LIQUIDS, PLA, PZT, REFERENCE_TEMPERATURE, WALLS, Values, liquid, registry_solid
 
 
 @dataclass(frozen=True)
@@ -327,6 +327,46 @@ def meniscus(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     return conceal("cavity not full", "cavity", "geometry", {"meniscus.radius": radius})
 
 
+# --------------------------------------------------------------------------------------------------------------------
+# What happens in labs
+
+
+def partial_filling(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """The liquid ends at a free surface below the lid; above it is nothing."""
+    return conceal("cavity filled to a height", "cavity", "geometry", {"fill.share": 1.0 - _log(rng, 1e-2, 0.6)})
+
+
+def lid_bubble(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """A flat bubble under the lid, in the middle or in a ring, releases the pressure."""
+    radius = truth["cavity.radius"]
+    inner = float(rng.integers(2)) * rng.uniform(0.1, 0.6) * radius
+    outer = inner + (_log(rng, 0.02, 0.35) if inner else _log(rng, 0.04, 0.9)) * radius
+    return conceal("bubble under the lid", "cavity", "geometry", {"bubble.inner": inner, "bubble.outer": outer})
+
+
+def other_liquid(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    which = int(rng.integers(len(LIQUIDS)))
+    found = liquid(LIQUIDS[which], REFERENCE_TEMPERATURE)
+    return conceal(f"cavity holds {LIQUIDS[which]}", "cavity", "other", {"cavity.liquid": float(which)}, told={
+        "density": found.density, "sound_speed": found.sound_speed, "shear_viscosity": found.shear_viscosity or 0.0})
+
+
+def wall_material(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    which = int(rng.integers(len(WALLS)))
+    found = registry_solid(WALLS[which])
+    return conceal(f"sidewall of {WALLS[which]}", "sidewall", "other", {"sidewall.material": float(which)}, told={
+        "density": found.density.real, "c33": found.c33.real, "c33.loss": found.c33.imag, "c44": found.c44.real,
+        "c44.loss": found.c44.imag})
+
+
+def held_rim(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """The rim of the lid or of the substrate sits in something stiff: springs per area, from weak ones to a clamp."""
+    region = ("superstrate", "substrate")[int(rng.integers(2))]
+    return conceal("held rim", region, "stiffness", {
+        f"{region}.held": _log(rng, 1e10, 1e15), "held.tangential": rng.uniform(0.2, 1.0),
+        "held.loss_factor": rng.uniform(0.0, 0.1)})
+
+
 CATALOGUED: Mapping[str, Draw] = {
     "fluid_absorption": fluid_absorption, "cavity_bubbles": cavity_bubbles, "resonant_bubbles": resonant_bubbles,
     "fluid_temperature": fluid_temperature, "port_necks": port_necks, "gel_bubbles": gel_bubbles,
@@ -344,7 +384,8 @@ CATALOGUED: Mapping[str, Draw] = {
     "bench_gain": _bench("gain", 1.5, 20.0, both=True), "bench_phase": _bench("phase", 1.5, 15.0, both=True),
     "bench_delay": _bench("delay", 1.5, 30.0, both=True),
     "wall_draft": wall_draft, "wall_barrel": wall_barrel, "lid_bow": lid_bow, "disc_dome": disc_dome,
-    "meniscus": meniscus,
+    "meniscus": meniscus, "partial_filling": partial_filling, "lid_bubble": lid_bubble, "other_liquid": other_liquid,
+    "wall_material": wall_material, "held_rim": held_rim,
 }
 OUTSIDE: Mapping[str, Draw] = {
     "lateral_gradient": lateral_gradient, "mode_splitting": mode_splitting, "substrate_crack": substrate_crack,
@@ -354,6 +395,9 @@ OUTSIDE: Mapping[str, Draw] = {
 CLASHING = (
     {"cavity_bubbles", "resonant_bubbles"}, {"imperfect_bond", "delamination"}, {"wrong_density", "density_gauge"},
     {"meniscus", "port_necks"}, {"meniscus", "wall_draft"}, {"meniscus", "wrong_dimension"},
+    *({"partial_filling", other} for other in ("meniscus", "port_necks", "lid_bubble")), {"lid_bubble", "meniscus"},
+    {"lid_bubble", "wrong_dimension"}, *({"other_liquid", other} for other in (
+        "fluid_absorption", "fluid_temperature", "cavity_bubbles", "resonant_bubbles")),
 )
 NONE = "none"
 #: All that can be concealed, and the names, with that of nothing.

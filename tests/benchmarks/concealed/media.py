@@ -162,6 +162,17 @@ class Load:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """Normal and tangential stiffness (Pa/m) of what holds an outer face."""
+
+    normal: complex
+    tangential: complex
+
+    def coefficients(self, omega: Real) -> Coefficients:
+        return {"normal": complex(self.normal), "tangential": complex(self.tangential)}
+
+
+@dataclass(frozen=True)
 class Necks:
     """Openings in the wall of a fluid: share of the wall, length (m) and resistance (Pa s/m) of the necks,
     stiffness (Pa/m) of what is behind; the displacement into them per pressure is share / (K - w^2 m - i w R)."""
@@ -186,5 +197,5 @@ class Contact:
 
 
 Medium = Solid | Piezo | Liquid | Viscous
-Surface = Load | Necks | Contact
+Surface = Load | Hold | Necks | Contact
 Anything = Medium | Surface

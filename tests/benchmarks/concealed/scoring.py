@@ -22,8 +22,10 @@ from workbench.model.numbers import BENCH_ELEMENTS
 #: An effect of more standard deviations than this is detectable; a held-out state is back to noise below that.
 DETECTABLE, HELD = 5.0, 1.3
 
-#: Verdicts that name an effect, the verdict of a diagnosis cut short, and the word for one that gave no verdict.
-CLAIMS, NOT_FINISHED, FAILED = ("missing_physics", "ambiguous"), "not_finished", "failed"
+#: Verdicts that name an effect, those that call all explained, of what nothing explains, of a diagnosis cut short, and
+#: the word for one that gave no verdict.
+CLAIMS, UNEXPLAINED, NOT_FINISHED, FAILED = ("missing_physics", "ambiguous"), "unexplained", "not_finished", "failed"
+EXPLAINED = (*CLAIMS, "parameters_explain", "parameters_at_odds", "no_mismatch")
 
 #: Kinds of trials whose times are told apart, by what was concealed.
 KINDS = ("nothing", "one effect", "outside", "two effects")
@@ -45,11 +47,25 @@ def right_names(effect: Mapping[str, Any]) -> set[str]:
         case "imperfect bond":
             # At which face is told by the parameters.
             return {"imperfect bond at the sidewall", "imperfect bond at the superstrate"}
+        case "held rim":
+            return {f"{region} held at its rim"}
+        case name if name.startswith(HOLDS):
+            return {f"{_short(name.removeprefix(HOLDS))} in the cavity"}
+        case name if name.startswith("sidewall of "):
+            return {_short(name)}
         case name if name.startswith("bench "):
             return {BENCH_ELEMENTS[name.removeprefix("bench ").replace(" ", "_")].text}
         case name:
             return {CALLED.get(name, name)}
 
+
+def _short(name: str) -> str:
+    """A name without the source of a material, in words."""
+    return name.partition("/")[0].replace("_", " ")
+
+
+#: Name of an effect of another liquid, before that of the liquid.
+HOLDS = "cavity holds "
 
 #: Names of effects that are not those of the catalogue.
 CALLED: Mapping[str, str] = {
@@ -63,6 +79,7 @@ CALLED: Mapping[str, str] = {
     "depoled rim": "rim of the transducer without piezoelectricity",
     "softening": "softening with the drive",
     "partial bond": "superstrate bonded on a part of its radius",
+    "cavity filled to a height": "cavity filled up to a height",
     "density gauge": "density that the constants were fitted with",
 }
 
@@ -86,6 +103,17 @@ def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str
             return {f"{WATER}.temperature_offset": told["temperature.offset"]}
         case "cavity not full":
             return {"cavity rim.width": 1.0 - told["meniscus.radius"] / values["cavity.radius"]}
+        case "cavity filled to a height":
+            return {"free surface.depth": 1.0 - told["fill.share"]}
+        case "bubble under the lid":
+            # An area about the axis; an annulus has none.
+            share = (told["bubble.outer"] / values["cavity.radius"]) ** 2
+            return {} if told["bubble.inner"] else {"bubble under the lid.area": share}
+        case "held rim":
+            # One stiffness there, a normal and a tangential one here.
+            return {f"{effect['region']} held at its rim.loss_factor": told["held.loss_factor"]}
+        case name if name.startswith((HOLDS, "sidewall of ")):
+            return {f"{called}.share": 1.0 for called in right_names(effect)}
         case "bubbles in the couplant":
             return {"couplant bubbles.void_fraction": told["gel.void_fraction"]}
         case "gel viscosity":
@@ -128,8 +156,8 @@ OWN = (PZT.partition(".")[0], PLA, "bench", "transducer", "couplant", "substrate
 class Outcome:
     """One trial: what was concealed, what was said, and whether that is right: ``first`` all that is detectable named,
     ``some`` at least one of it, ``among`` in a set of rivals; ``wrong`` counts what was named and is not there.
-    ``seconds`` are those of the processor, ``wall`` those that passed, ``factorisation`` those that one factorisation
-    of the filled chip's matrix took in the same process (`factorisation.seconds_of_one`)."""
+    ``part`` is the part of the corpus, ``seconds`` are those of the processor, ``wall`` those that passed, ``memory``
+    MB at the peak."""
 
     number: str
     mechanism: str
@@ -147,12 +175,12 @@ class Outcome:
     intervals: int
     covered: int
     held_out: float
-    best_score: bool
     seconds: float
     commit: str
     wall: float
     some: bool
-    factorisation: float
+    memory: float
+    part: str
 
     @property
     def kind(self) -> str:
@@ -162,12 +190,12 @@ class Outcome:
         return "two effects" if " and " in self.mechanism else "outside" if self.mechanism in OUTSIDE else "one effect"
 
     @property
-    def adds(self) -> bool:
-        """Whether an effect that is not there was named beside another one."""
-        return self.wrong > (0 if self.some else 1)
+    def is_seen_outside(self) -> bool:
+        """Whether it is outside the catalogue and detectable."""
+        return self.group == "foreign" and self.detectability > DETECTABLE
 
 
-def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> Outcome:
+def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any], commit: str) -> Outcome:
     """Compare what was found with the truth."""
     effects = truth["effects"]
     seen = [e for e in effects if e["detectability"] > DETECTABLE]
@@ -180,133 +208,140 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
         return bool(names) and all(claimed & known for known in names)
 
     said = {e["name"] for e in found["effects"]}
-    rivals = [set(r["effects"]) for r in found["rivals"]]
+    # Other names of the finding, and rivals.
+    rivals = [*map(set, found.get("alike", ())), *(set(r["effects"]) for r in found["rivals"])]
     regions = {TOUCHING.get(effect["region"], effect["region"]) for effect in effects}
     where = [e["region"] for e in found["effects"]] or [e["region"] for e in found["location"][:1]]
     intervals = {n: p for e in found["effects"] for n, p in e["parameters"].items()}
     covered = tuple(intervals[n]["low"] <= value <= intervals[n]["high"] for effect in seen
                     for n, value in true_values(truth, effect).items() if n in intervals)
-    held = [s["after"]["reduced_chi_square"] for s in found["held_out"].values()]
+    held = [s.get("predicted_reduced_chi_square", s["after"]["reduced_chi_square"]) for s in found["held_out"].values()]
     return Outcome(
         number, " and ".join(truth["mechanism"]), group, truth["detectability"], found["verdict"],
         " and ".join(sorted(said)), " and ".join(dict.fromkeys(where)), right(said),
         right(said) or any(map(right, rivals)),
         any(TOUCHING.get(r, r) in regions for r in where),
         found["verdict"] in CLAIMS, len(said - there), len(rivals), len(covered), sum(covered),
-        max(held, default=math.nan), bool(found["scores"]) and found["scores"][0]["effect"] in said,
-        found["cpu_seconds"], found["commit"], found.get("wall_seconds", math.nan),
-        any(said & known for known in names), found.get("factorisation_seconds", math.nan))
+        max(held, default=math.nan), found["cpu_seconds"], commit, found["wall_seconds"],
+        any(said & known for known in names), found.get("peak_megabytes", math.nan), truth.get("part", ""))
 
 
-def score(folder: Path, commit: str | None, into: Path | None) -> None:
-    """Compare what was concealed with what was said at a commit (the only one there is, unless given), print that, and
-    add it to a file of outcomes.
+def score(folder: Path, truth: Path, into: Path | None) -> None:
+    """Compare the outcomes in a folder, called as the commit that was tried, with a file of what was concealed, print
+    that, and write a line a trial to a file.
 
     Raises:
-        SystemExit: several commits to choose from, none, or outcomes of another one in the file.
+        SystemExit: no outcomes.
     """
-    there = sorted(path.name for path in (folder / "found").glob("*") if path.is_dir())
-    if (commit or (there[0] if len(there) == 1 else None)) not in there:
-        raise SystemExit(f"--commit {commit}: {folder / 'found'} holds outcomes of {', '.join(there) or 'no commit'}; "
-                         "expected one of these")
-    outcomes = []
-    for path in sorted((folder / "found" / (commit or there[0])).glob("*.json")):
-        truth = json.loads((folder / "truth" / path.name).read_text())
-        outcomes.append(outcome(path.stem, truth, json.loads(path.read_text())))
+    known = json.loads(truth.read_text())
+    outcomes = [outcome(path.stem, known[path.stem], json.loads(path.read_text()), folder.resolve().name)
+                for path in sorted(folder.glob("*.json"))]
+    if not outcomes:
+        raise SystemExit(f"{folder}: no outcomes NNNN.json; expected the folder of a commit that `run` has written")
     if into is not None:
-        before = read_outcomes(into)
-        others = {o.commit for o in before} - {o.commit for o in outcomes}
-        if others:
-            raise SystemExit(f"--into {into}: it holds outcomes of {', '.join(sorted(others))}, these are of "
-                             f"{commit or there[0]}; expected a file of one commit")
-        merged = sorted({o.number: o for o in (*before, *outcomes)}.values(), key=lambda o: o.number)
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(field.name for field in fields(Outcome))
-        writer.writerows(map(astuple, merged))
+        writer.writerows(map(astuple, outcomes))
         write_atomic(into, text.getvalue())
-        outcomes = merged
     table(outcomes)
 
 
 def read_outcomes(path: Path) -> list[Outcome]:
-    """The outcomes that were kept in a file; none if there is no such file."""
-    if not path.exists():
-        return []
+    """The outcomes that were kept in a file."""
     kinds: Mapping[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": "True".__eq__, "str": str}
     with path.open(newline="") as file:
-        # Older files have no wall time, no time of a factorisation, and no column for one of two.
-        rows = [{"wall": "nan", "factorisation": "nan", "some": row["first"], **row} for row in csv.DictReader(file)]
+        # Older files have not all of the columns.
+        rows = [{"wall": "nan", "memory": "nan", "part": "", "some": row["first"], **row}
+                for row in csv.DictReader(file)]
     return [Outcome(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(Outcome)})
             for row in rows]
 
 
 def table(outcomes: Sequence[Outcome]) -> None:
-    """Print outcome after outcome, and the rates the diagnosis is judged by."""
+    """Print outcome after outcome, and the rates the diagnosis is judged by, of each part and of all."""
     for o in outcomes:
         print(f"{o.number} {o.group:8} {o.detectability:7.1f} {'first' if o.first else 'among' if o.among else '-':5} "
               f"{'region' if o.region else '-':6} {o.held_out:5.2f} {o.rivals} {o.mechanism:32} {o.verdict:18} "
               f"{o.said or o.place}")
-
+    parts = dict.fromkeys(o.part for o in outcomes)
+    columns = {part: [o for o in outcomes if o.part == part] for part in parts} if len(parts) > 1 else {}
+    columns["all"] = list(outcomes)
     print()
-    rates(outcomes)
+    rates(columns)
+    print()
+    times(columns)
     print()
     confusion(outcomes)
+    print(f"\ncommits: {', '.join(dict.fromkeys(o.commit for o in outcomes))}")
 
 
-def rates(outcomes: Sequence[Outcome]) -> None:
-    """Print the rates the diagnosis is judged by, each with its count."""
-    def share(label: str, count: int, total: int) -> None:
-        print(f"{label:62} {count:3} of {total:3}" + (f"  {100.0 * count / total:5.1f} %" if total else ""))
-
-    def rate(label: str, group: Sequence[Outcome], right: Callable[[Outcome], bool]) -> None:
-        share(label, sum(right(o) for o in group), len(group))
-
-    by = {name: [o for o in outcomes if o.group == name] for name in ("single", "pair", "below", "nothing", "foreign")}
-    seen, pairs = by["single"], by["pair"]
-    foreign = [o for o in by["foreign"] if o.detectability > DETECTABLE]
-    first = [o for o in seen if o.first]
-    rate("detectable: right effect first", seen, lambda o: o.first and o.claimed)
-    rate("detectable: right effect in the rival set", seen, lambda o: o.among and o.claimed)
-    rate("detectable: right effect first, whatever the verdict", seen, lambda o: o.first)
-    rate("detectable: an effect named that is not there", seen, lambda o: o.wrong > 0)
-    rate("detectable: right region", seen, lambda o: o.region)
-    share("detectable: 95 % intervals that cover the truth", sum(o.covered for o in first),
-          sum(o.intervals for o in first))
-    rate("detectable: held-out chi-square at most 1.3", seen, lambda o: o.held_out <= HELD)
-    rate("score test names what the refits end with", [o for o in seen if o.claimed], lambda o: o.best_score)
-    rate("an explanation accepted: with rivals", [o for o in outcomes if o.claimed], lambda o: o.rivals > 0)
-    rate("two at once: all that is detectable found", pairs, lambda o: o.first)
-    rate("two at once: at least one found and none that is not there", pairs, lambda o: o.some and not o.wrong)
-    rate("nothing concealed: false alarm", by["nothing"], lambda o: o.claimed)
-    rate("not detectable: claimed", by["below"], lambda o: o.claimed)
-    rate("outside the catalogue: laid to an effect of the catalogue", foreign, lambda o: o.claimed)
-    rate("outside the catalogue: right region", foreign, lambda o: o.region)
-    rate("detectable, one or two: a second effect that is not there", [*seen, *pairs], lambda o: o.adds)
-    rate("failed, or not done in time", outcomes, lambda o: o.verdict in (NOT_FINISHED, FAILED))
-    times(outcomes)
-    commits = Counter(o.commit for o in outcomes)
-    print("commits: " + ", ".join(f"{commit} ({count})" for commit, count in commits.items()))
+#: The rates: a label, of which outcomes, and which of these count.
+RATES: tuple[tuple[str, Callable[[Outcome], bool], Callable[[Outcome], bool]], ...] = (
+    ("one effect, detectable: named first", lambda o: o.group == "single", lambda o: o.first and o.claimed),
+    ("one effect, detectable: in the set that is named", lambda o: o.group == "single",
+     lambda o: o.among and o.claimed),
+    ("one effect, detectable: right region", lambda o: o.group == "single", lambda o: o.region),
+    ("one effect, detectable: held-out chi-square at most 1.3", lambda o: o.group == "single",
+     lambda o: o.held_out <= HELD),
+    ("two effects: all that is detectable named", lambda o: o.group == "pair", lambda o: o.first and o.claimed),
+    ("two effects: one or both named, and none that is not there", lambda o: o.group == "pair",
+     lambda o: o.some and not o.wrong),
+    ("one or two, detectable: an effect named that is not there", lambda o: o.group in ("single", "pair"),
+     lambda o: o.wrong > 0),
+    ("nothing concealed: false alarm", lambda o: o.group == "nothing", lambda o: o.claimed),
+    ("nothing concealed: unexplained", lambda o: o.group == "nothing", lambda o: o.verdict == UNEXPLAINED),
+    ("not detectable: claimed", lambda o: o.group == "below", lambda o: o.claimed),
+    ("not detectable: an effect named that is not there", lambda o: o.group == "below", lambda o: o.wrong > 0),
+    ("outside, detectable: laid to an effect of the catalogue", lambda o: o.is_seen_outside, lambda o: o.claimed),
+    ("outside, detectable: not called explained", lambda o: o.is_seen_outside, lambda o: o.verdict not in EXPLAINED),
+    ("outside, detectable: right region", lambda o: o.is_seen_outside, lambda o: o.region),
+    ("claimed: a held-out state beyond 1.3", lambda o: o.claimed, lambda o: not o.held_out <= HELD),
+    ("claimed: with rivals", lambda o: o.claimed, lambda o: o.rivals > 0),
+    ("failed, or not done in time", lambda o: True, lambda o: o.verdict in (NOT_FINISHED, FAILED)),
+)
 
 
-def times(outcomes: Sequence[Outcome]) -> None:
-    """Print the processor time by what was concealed, in seconds and in factorisations of the filled chip's matrix
-    (where these were timed), and the wall time: median, 90 % quantile, largest."""
-    def row(label: str, known: Sequence[float]) -> None:
-        known = [value for value in known if math.isfinite(value)]
-        if known:
-            cells = (np.median(known), np.quantile(known, 0.9), max(known))
-            print(f"{label:46} {len(known):3}" + "".join(f"{cell:8.0f}" for cell in cells))
+def rates(columns: Mapping[str, Sequence[Outcome]]) -> None:
+    """Print the rates, each with its count and its 95 % interval (Wilson 1927)."""
+    def cell(count: int, total: int) -> str:
+        if not total:
+            return "-"
+        low, high = wilson(count, total)
+        return f"{count}/{total} {100.0 * count / total:5.1f} ({100.0 * low:.0f} to {100.0 * high:.0f})"
 
-    print(f"{'':46}    {'median':>8}{'90 %':>8}{'largest':>8}")
+    print(f"{'%':60}" + "".join(f"{name:>30}" for name in columns))
+    for label, of, counts in RATES:
+        cells = ([counts(o) for o in outcomes if of(o)] for outcomes in columns.values())
+        print(f"{label:60}" + "".join(f"{cell(sum(each), len(each)):>30}" for each in cells))
+    named = [[o for o in outcomes if o.first] for outcomes in columns.values()]
+    print(f"{'95 % intervals of what is named that hold the truth':60}" + "".join(
+        f"{cell(sum(o.covered for o in each), sum(o.intervals for o in each)):>30}" for each in named))
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """The 95 % interval of a probability of which `count` of `total` are seen."""
+    z, share = 1.959964, count / total
+    middle = share + z**2 / (2.0 * total)
+    half = z * math.sqrt(share * (1.0 - share) / total + z**2 / (4.0 * total**2))
+    return max(0.0, middle - half) / (1.0 + z**2 / total), (middle + half) / (1.0 + z**2 / total)
+
+
+def times(columns: Mapping[str, Sequence[Outcome]]) -> None:
+    """Print processor time by what was concealed, wall time and memory: how many, median, largest."""
+    def row(label: str, figures: Sequence[Sequence[float]]) -> None:
+        print(f"{label:60}" + "".join(f"{_spread([x for x in each if math.isfinite(x)]):>30}" for each in figures))
+
+    print(f"{'number: median, largest':60}" + "".join(f"{name:>30}" for name in columns))
     for kind in (*KINDS, "all"):
-        those = [o for o in outcomes if kind in ("all", o.kind)]
-        row(f"processor time, s: {kind}", [o.seconds for o in those])
-        row(f"processor time, factorisations: {kind}", [o.seconds / o.factorisation for o in those])
-    row("wall time, s: all", [o.wall for o in outcomes])
-    known = [o.factorisation for o in outcomes if math.isfinite(o.factorisation)]
-    if known:
-        print(f"one factorisation: median {np.median(known):.3f} s, {min(known):.3f} to {max(known):.3f} s")
+        row(f"processor time, s: {kind}", [[o.seconds for o in outcomes if kind in ("all", o.kind)]
+                                           for outcomes in columns.values()])
+    row("wall time, s", [[o.wall for o in outcomes] for outcomes in columns.values()])
+    row("memory, MB", [[o.memory for o in outcomes] for outcomes in columns.values()])
+
+
+def _spread(known: Sequence[float]) -> str:
+    return f"{len(known)}: {np.median(known):.0f}, {max(known):.0f}" if known else "-"
 
 
 def confusion(outcomes: Sequence[Outcome]) -> None:

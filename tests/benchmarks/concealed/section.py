@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from concealed.media import Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
+from concealed.media import Hold, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
 from numpy.typing import NDArray
 
 Real = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Face:
     r1: float
     z0: float
     z1: float
-    surface: Load | Necks
+    surface: Load | Hold | Necks
 
 
 @dataclass(frozen=True)

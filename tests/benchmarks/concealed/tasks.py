@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
+import resource
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +20,9 @@ from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.appraisal import diagnose
 from workbench.files.writing import write_atomic
 from workbench.report.diagnosis import diagnosis_record
+
+#: The file of what is concealed, in a folder of trials.
+TRUTH = "truth.json"
 
 #: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
 MINUTES = 20.0
@@ -39,22 +44,28 @@ def claimed(mark: Path) -> Iterator[bool]:
         yield is_mine
 
 
-def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...]) -> str:
-    """Write a trial, unless it is there or another process is at it; returns a line about it, or nothing."""
-    trial, truth = folder / "trials" / f"{number:04d}", folder / "truth" / f"{number:04d}.json"
-    unfinished = folder / "making" / f"{number:04d}"
-    with claimed(unfinished.with_suffix(".lock")) as is_mine:
-        if not is_mine or trial.exists():
-            return ""
-        started = time.perf_counter()
-        shutil.rmtree(unfinished, ignore_errors=True)
-        found = make_trial(1000 * seed + number, mechanism, unfinished)
-        truth.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(truth, json.dumps(found.to_dict(), indent=1) + "\n")
-        trial.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.rename(trial)
+def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...], part: str) -> str:
+    """Write a trial and its truth, unless it is there; returns a line about it."""
+    trial, unfinished = folder / f"{number:04d}", folder / f".{number:04d}"
+    started = time.perf_counter()
+    shutil.rmtree(unfinished, ignore_errors=True)
+    found = make_trial(1000 * seed + number, mechanism, unfinished)
+    add_truth(folder / TRUTH, trial.name, {"part": part, **found.to_dict()})
+    unfinished.rename(trial)
     return (f"{number:04d} {' and '.join(mechanism)}: {found.detectability:.1f} sigmas, "
             f"{time.process_time():.0f} s of CPU, {time.perf_counter() - started:.0f} s")
+
+
+def add_truth(path: Path, name: str, truth: dict[str, Any]) -> None:
+    """Add the truth of a trial to the file of all; several processes may do so."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        known = json.loads(path.read_text()) if path.exists() else {}
+        lines = [f'"{key}": {json.dumps(value)}' for key, value in sorted({**known, name: truth}.items())]
+        write_atomic(path, "{\n" + ",\n".join(lines) + "\n}\n")
+    finally:
+        os.close(folder)
 
 
 def diagnose_one(trial: Path) -> dict[str, Any]:
@@ -62,28 +73,22 @@ def diagnose_one(trial: Path) -> dict[str, Any]:
     return diagnosis_record(diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES))
 
 
-def diagnose_into(
-    result: Path, mark: Path, commit: str, trial: Path, diagnosing: Callable[[Path], dict[str, Any]],
-    timing: Callable[[], float],
-) -> str:
+def diagnose_into(result: Path, mark: Path, trial: Path, diagnosing: Callable[[Path], dict[str, Any]]) -> str:
     """Write what `diagnosing` records of a trial, or why it failed, unless that is there or another process is at it.
 
-    Returns a line about the outcome, or nothing. The processor time is that of this process, begun for this, without
-    `timing` (s of one factorisation), which comes first.
+    Returns a line about the outcome, or nothing. Processor time and memory are those of this process, begun for this.
     """
     with claimed(mark) as is_mine:
         if not is_mine or result.exists():
             return ""
-        before = time.process_time()
-        factorisation = timing()
-        spent, started = time.process_time() - before, time.perf_counter()
+        started = time.perf_counter()
         try:
             said = diagnosing(trial)
         except Exception as error:
             said = failed(f"{type(error).__name__}: {error}")
         return write_outcome(result, said | {
-            "cpu_seconds": time.process_time() - spent, "wall_seconds": time.perf_counter() - started,
-            "factorisation_seconds": factorisation, "commit": commit})
+            "cpu_seconds": time.process_time(), "wall_seconds": time.perf_counter() - started,
+            "peak_megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0})
 
 
 def failed(reason: str) -> dict[str, Any]:

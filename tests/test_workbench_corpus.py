@@ -1,0 +1,79 @@
+"""The corpus of trials: its files, and the diagnosis of a few small ones.
+
+All of them: `tests/benchmarks/trials.py run tests/corpus`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from concealed import scoring
+from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE
+from concealed.tasks import TRUTH, diagnose_one
+
+from workbench.campaign.campaign import read_campaign
+
+CORPUS = Path(__file__).parent / "corpus"
+TRIALS = sorted(path.parent for path in CORPUS.glob("*/campaign.toml"))
+TRUTHS: dict[str, dict[str, Any]] = json.loads((CORPUS / TRUTH).read_text(encoding="utf-8"))
+
+#: Trials that are diagnosed here, with nothing, an effect below detection and a detectable one: states kept (all five
+#: or six take up to four minutes), verdict, effects named, and largest reduced chi-square of the held-out state. They
+#: took 21, 18 and 66 s of processor time, and had 1.15, 1.73 and 1.20.
+SMALL = {
+    "0013": ("disc filled filled_again", "parameters_explain", "", 1.3),
+    "0142": ("disc filled filled_again", "parameters_explain", "", 2.0),
+    "0023": ("disc filled filled_again", "missing_physics", "fluid absorption", 1.3),
+}
+
+
+def test_every_trial_has_a_truth_and_a_part() -> None:
+    assert [trial.name for trial in TRIALS] == list(TRUTHS) == [f"{number:04d}" for number in range(150)]
+    assert [truth["part"] for truth in TRUTHS.values()] == ["old"] * 75 + ["fresh"] * 75
+    assert all(math.isfinite(truth["detectability"]) for truth in TRUTHS.values())
+    fresh = [tuple(truth["mechanism"]) for truth in TRUTHS.values() if truth["part"] == "fresh"]
+    assert {name for (name, *others) in fresh if not others} == {*CATALOGUED, *OUTSIDE, "none"}
+    assert sum(path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()) < 8e6
+
+
+def test_folders_tell_nothing_but_by_their_recordings() -> None:
+    words = {*MECHANISMS, "seed", "truth", "conceal"} - {"none"}
+    for path in CORPUS.glob("*/*.toml"):
+        text = path.read_text(encoding="utf-8")
+        assert not any(word in text for word in words), path
+
+
+@pytest.mark.parametrize("trial", TRIALS[::15], ids=lambda trial: trial.name)
+def test_a_recording_has_the_noise_that_the_campaign_states(trial: Path) -> None:
+    campaign, noise = read_campaign(trial / "campaign.toml"), TRUTHS[trial.name]["noise"]
+    assert [state.name for state in campaign.held_out] == ["filled_again"]
+    assert all(state.noise == pytest.approx(noise) for state in campaign.recorded)
+    # Third differences of white noise have 20 times its variance, of 300 or 600 numbers; the sharp resonances of a
+    # bare disc add to them.
+    thirds = (np.diff(np.log(state.measured.impedance), 3) for state in campaign.recorded)
+    scatter = min(np.median(np.abs([third.real, third.imag])) / 0.6745 / math.sqrt(20.0) for third in thirds)
+    assert scatter == pytest.approx(noise, rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", SMALL)
+def test_a_small_trial_is_diagnosed(number: str, tmp_path: Path) -> None:
+    states, verdict, said, held_out = SMALL[number]
+    shutil.copytree(CORPUS / number, tmp_path / number)
+    campaign = tmp_path / number / "campaign.toml"
+    text = campaign.read_text(encoding="utf-8")
+    for state in set(re.findall(r"\[states\.(\w+)\]", text)) - set(states.split()):
+        text = re.sub(rf"\[states\.{state}\].*?(?=\[)", "", text, flags=re.DOTALL)
+    campaign.write_text(text, encoding="utf-8")
+    found = scoring.outcome(number, TRUTHS[number], {
+        **diagnose_one(campaign.parent), "cpu_seconds": 0.0, "wall_seconds": 0.0}, "")
+    assert (found.verdict, found.said) == (verdict, said)
+    assert found.region or not said
+    assert found.held_out < held_out
