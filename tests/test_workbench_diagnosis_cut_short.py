@@ -112,7 +112,7 @@ class Made(DiagnosisSearch):
     def with_own_inhomogeneity(self, refitted: Refitted) -> Refitted:
         return refitted
 
-    def refit(self, candidate: Candidate, parts: Any = None, is_behind: bool = False) -> Refitted:
+    def refit(self, candidate: Candidate, parts: Any = None, is_rough: bool = False) -> Refitted:
         hypothesis = candidate.hypothesis
         self._end("refit", hypothesis.name)
         # The small one has no size beside the large one.

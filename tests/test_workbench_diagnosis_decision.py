@@ -78,6 +78,14 @@ def test_one_effect_is_named_or_a_hint_by_its_odds(odds: float, expected: str) -
     assert found.log_odds == {"nothing": 0.0, "leads": pytest.approx(math.log(odds), rel=1e-9)}
 
 
+def test_excluded_hypotheses_do_not_remain() -> None:
+    """Neither one that a held-out state refutes nor one whose parameters are near neutral, whatever their odds."""
+    hint = effect("leads", SHARE + math.log(5.0))
+    refuted = replace(effect("gain", 40.0), refuted_by=("filled",))
+    found = verdict(hint, refuted, effect("delay", 40.0, delay=1.0))
+    assert (found.verdict, found.remaining) == (HINT, (hint,))
+
+
 def test_many_weak_ones_together_say_that_something_is_wrong() -> None:
     found = verdict(*(effect(f"effect {k}", SHARE + math.log(6.0)) for k in range(4)))
     assert found.verdict == AMBIGUOUS

@@ -110,7 +110,9 @@ def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, 
     final = (*(each for each in every if each.hypothesis.name in log_odds), base)
     found = Found(base, final, stated_fits(0.3), undone=changed.pop("undone", ()),
                   not_tried=changed.pop("not_tried", ()))
-    decision = Decision(verdict, chosen, rivals, log_odds, is_explained=changed.pop("is_explained", True))
+    remaining = tuple(Evidence(name, odds, (name,)) for name, odds in log_odds.items() if name != "nothing")
+    decision = Decision(verdict, chosen, rivals, log_odds, is_explained=changed.pop("is_explained", True),
+                        remaining=changed.pop("remaining", remaining))
     fields = {key: changed.pop(key) for key in ("provisional", "criteria") if key in changed}
     return made(replace(Diagnosis(model(), found, decision, Criteria(), 12.0), **fields), **{
         "established": (TOLD,) if chosen.effects else (), "remainder": Remainder(0.003, 0.0028, 1.1, 0.001, ""),
@@ -146,6 +148,14 @@ def test_every_verdict_has_a_headline() -> None:
         assert all(part in found.headline for part in parts), found.headline
     with pytest.raises(ValueError, match="verdict 'guilty': expected one of no_mismatch"):
         _ = diagnosis("guilty").headline
+
+
+def test_a_hint_is_no_excluded_hypothesis() -> None:
+    """A hypothesis that the held-out states refute may have larger odds than the hint."""
+    hint = diagnosis("below_detection", log_odds={"leads": math.log(5.0), GLASS.name: 9.0},
+                     remaining=(Evidence("leads", math.log(5.0), ("leads",)),))
+    assert "leads most likely, at odds of 5:" in hint.headline.lower()
+    assert [each.hypothesis.name for each, _ in hint.alive] == ["nothing", "leads"]
 
 
 def test_a_residual_that_nothing_explains_has_a_place_or_a_reason_for_none() -> None:

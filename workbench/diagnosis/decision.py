@@ -105,7 +105,8 @@ class Decision:
 
     Without an effect, it names the null hypothesis. ``alike`` are hypotheses that these recordings cannot tell from the
     named one; ``rivals`` those with other predictions, best first; ``log_odds`` posterior, of every hypothesis against
-    the null hypothesis, by name; ``is_explained`` whether every state is.
+    the null hypothesis, by name; ``is_explained`` whether every state is. ``remaining`` are the hypotheses with effects
+    that no criterion excludes, best first.
     """
 
     verdict: str
@@ -114,6 +115,7 @@ class Decision:
     log_odds: Mapping[str, float]
     alike: tuple[Evidence, ...] = ()
     is_explained: bool = True
+    remaining: tuple[Evidence, ...] = ()
 
 
 def decide(
@@ -137,12 +139,12 @@ def decide(
                 for each in evidences}
 
     def unnamed(verdict: str) -> Decision:
-        return Decision(verdict, null, (), log_odds, is_explained=not null.leaves)
+        return Decision(verdict, null, (), log_odds, is_explained=not null.leaves, remaining=others)
 
     # An effect whose parameters are all consistent with zero is the null hypothesis, whatever else fits better with it.
-    others = sorted((each for each in evidences if not each.is_null and not each.refuted_by
-                     and not _moves_nothing(each, criteria.redundant)
-                     and _adds(each, evidences, log_odds, criteria)), key=lambda each: -log_odds[each.name])
+    others = tuple(sorted((each for each in evidences if not each.is_null and not each.refuted_by
+                           and not _moves_nothing(each, criteria.redundant)
+                           and _adds(each, evidences, log_odds, criteria)), key=lambda each: -log_odds[each.name]))
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
         if null.leaves:
@@ -163,12 +165,12 @@ def decide(
     if best.outside:
         # Any flexible effect gains some evidence. The gain means nothing if the residual is noise.
         if null.leaves:
-            return Decision(UNEXPLAINED, best, rivals, log_odds, is_explained=False)
+            return Decision(UNEXPLAINED, best, rivals, log_odds, is_explained=False, remaining=others)
         return unnamed(HINT)
     if best.leaves and best.share < criteria.most:
         # An effect with so large a residual stands in for another cause.
         return unnamed(UNEXPLAINED)
-    return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds, alike, not best.leaves)
+    return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds, alike, not best.leaves, others)
 
 
 def _is_alike(one: Evidence, other: Evidence, priors: Priors) -> bool:
@@ -180,7 +182,7 @@ def _is_alike(one: Evidence, other: Evidence, priors: Priors) -> bool:
 
 def _adds(each: Evidence, evidences: Sequence[Evidence], log_odds: Mapping[str, float], criteria: Criteria) -> bool:
     """Whether the last effect of an explanation is accepted beside the others. The criteria are the odds against the
-    best explanation with one effect fewer, a parameter off its neutral value, and the states held out."""
+    best explanation with a part of its effects, a parameter off its neutral value, and the states held out."""
     fewer = [other for other in evidences if other.effects and set(other.effects) < set(each.effects)]
     if len(each.effects) < 2 or not fewer:
         return True

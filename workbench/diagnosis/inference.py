@@ -1,9 +1,8 @@
 """The search of a diagnosis: from a model and recordings to explanations.
 
-Every hypothesis passes the same stages. The null hypothesis is searched for first, on coarse meshes, at low data
-weight. If it fits there, the scores at its optimum at full weight select the hypotheses to refit. Otherwise each effect
-is searched from the prior instead: first by the scores, then in a scan of all sizes. Effects are added as long as a
-further one promises to explain a part of the residual.
+The null hypothesis is searched for first, on coarse meshes, at low data weight, then refitted at full weight. The
+scores at its optimum select the hypotheses to refit. If none of these explains a fitted state, a scan of sizes about
+the prior proposes others. Effects are added as long as a further one promises to explain a part of the residual.
 """
 
 from __future__ import annotations
@@ -155,7 +154,7 @@ class DiagnosisSearch:
         self.progress("single hypotheses", 0.3)
         if not null.fits:
             # A score that promises little of a large residual leads elsewhere.
-            least = SHARE * base.explanation.gain_at_most
+            least = SHARE * base.explanation.gain_of_full_explanation
             refits += self.refitted_beside(base, [each for each in base.scores if each.evidence > least])
         else:
             refits += self.refitted_beside(base, base.scores)
@@ -228,7 +227,8 @@ class DiagnosisSearch:
         but does not explain at full weight: another local optimum may explain the recordings."""
         if not null.fits or self.is_explained([base]) or self.is_over:
             return base, null
-        starts = next(self.further_starts)
+        if (starts := next(self.further_starts, None)) is None:
+            return base, null
         candidate = self.initial_optima_from(starts, ends)[1]
         if candidate.log_evidence <= null.log_evidence + CLOSE and len(candidate.ends) == 1:
             return base, null
@@ -372,9 +372,9 @@ class DiagnosisSearch:
             SearchTask.of(each.hypothesis.name, self.refit, each, self.parts) for each in leading
             if each.hypothesis.name not in done]) if each is not None]
 
-    def refit(self, candidate: Candidate, parts: Real | None = None, is_behind: bool = False) -> Refitted:
+    def refit(self, candidate: Candidate, parts: Real | None = None, is_rough: bool = False) -> Refitted:
         """A candidate refitted at full weight; see `refit.refit_candidate`."""
-        refitted = refit_candidate(self.models, candidate, parts=parts, is_behind=is_behind)
+        refitted = refit_candidate(self.models, candidate, parts=parts, is_rough=is_rough)
         own = refitted.explanation
         self.say("settled", own.hypothesis.name, f"{100.0 * own.rms:.3f} % left, evidence {own.log_evidence:.1f}, held "
                  f"out {refitted.held_out:.1f}, error {own.error_estimate:.1g}, noise "

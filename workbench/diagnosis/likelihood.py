@@ -135,7 +135,7 @@ class Explanation:
         return self.local.best[0] - sum(mode.cost for mode in self.hypothesis.modes)
 
     @property
-    def gain_at_most(self) -> float:
+    def gain_of_full_explanation(self) -> float:
         """The gain in log evidence of a residual at the stated noise."""
         return float(self.local.problem.counts @ np.log(self.local.best[2].noise))
 

@@ -217,8 +217,8 @@ class Diagnosis(Shown):
         odds = self.decision.log_odds
         every = [self.chosen, *(self.found.refit(each.name) for each in self.decision.rivals)]
         if self.verdict == HINT:
-            every += [each for each in self.found.final if each is not self.chosen
-                      and odds[each.hypothesis.name] > -math.log(self.criteria.rival)]
+            every += [self.found.refit(each.name) for each in self.decision.remaining
+                      if odds[each.name] > -math.log(self.criteria.rival)]
         return tuple((each, odds[each.hypothesis.name]) for each in every) if len(every) > 1 else ()
 
     def estimates_of(self, refit: Refitted) -> tuple[FoundNumber, ...]:
@@ -256,8 +256,7 @@ class Diagnosis(Shown):
             case "parameters_at_odds":
                 text = f"the known parameters explain the recordings: {left}; but some are {self._beyond()}"
             case "below_detection":
-                name = max((each for each in decision.log_odds if each != self.found.base.hypothesis.name),
-                           key=lambda each: decision.log_odds[each])
+                name = decision.remaining[0].name
                 text = (f"something may be missing, {plain_words(name)} most likely, at odds of "
                         f"{odds_text(decision.log_odds[name])}: not enough to name a cause")
             case "not_finished":

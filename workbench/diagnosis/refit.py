@@ -49,11 +49,11 @@ CONSPICUOUS = 1.2
 
 
 def refit_candidate(
-    models: LocalModels, candidate: Candidate, *, parts: Real | None = None, is_behind: bool = False
+    models: LocalModels, candidate: Candidate, *, parts: Real | None = None, is_rough: bool = False
 ) -> Refitted:
     """A candidate refitted at full weight from each end; the best result.
 
-    One that `is_behind` is refitted roughly: the size of its distance does not matter. `parts` (m, k) is the
+    One that `is_rough` is refitted roughly: the size of its distance does not matter. `parts` (m, k) is the
     inhomogeneity of all recordings, in units of their noise, those held out last; by default that of the device at the
     optimum, beside which alternatives outside the catalogue are tried too.
 
@@ -61,15 +61,15 @@ def refit_candidate(
         NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: nothing near an end can be
             predicted, or is admissible.
     """
-    optima = [_optimum(models, candidate.hypothesis, end, is_behind=is_behind) for end in candidate.ends]
+    optima = [_optimum(models, candidate.hypothesis, end, is_rough=is_rough) for end in candidate.ends]
     best = max(optima, key=lambda each: each[1].weighting.log_likelihood(each[1].log_ratio))[1].weighting
     likelihood, least = max(optima, key=lambda each: each[1].weighted(best).log_evidence)
     optima.clear()  # the models of the others take some 100 MB for each state
-    if not is_behind:
+    if not is_rough:
         likelihood, least = _with_deviations(models, likelihood, least, parts)
     held = _held_out(models, least, least.likeliest)
     if parts is None:
-        parts, explanation, beside = _surroundings(models, _together(likelihood, held), least, is_behind=is_behind)
+        parts, explanation, beside = _surroundings(models, _together(likelihood, held), least, is_rough=is_rough)
     else:
         explanation, beside = least, ()
     return _with_states_held_out(held, explanation, parts, beside)
@@ -127,13 +127,13 @@ def _together(likelihood: Likelihood, held: Likelihood | None) -> Likelihood:
 
 
 def _surroundings(
-    models: LocalModels, every: Likelihood, explanation: Explanation, *, is_behind: bool = False
+    models: LocalModels, every: Likelihood, explanation: Explanation, *, is_rough: bool = False
 ) -> tuple[Real, Explanation, tuple[Alternative, ...]]:
     """The inhomogeneity of all recordings, the explanation with it, and alternatives. It is that at the likeliest point
     of the explanation."""
     parts, uneven = _changes(models, every.objective, every.noise, explanation.likeliest)
     explanation = replace(explanation, local=replace(explanation.local, parts=parts[:explanation.local.residual.size]))
-    conspicuous = not is_behind and float(explanation.local.noise.max(initial=1.0)) > CONSPICUOUS
+    conspicuous = not is_rough and float(explanation.local.noise.max(initial=1.0)) > CONSPICUOUS
     return parts, explanation, tuple(alternatives(every, explanation, uneven)) if conspicuous else ()
 
 
@@ -154,13 +154,13 @@ def _changes(models: LocalModels, objective: Objective, noise: Real, place: Real
 
 
 def _optimum(
-    models: LocalModels, hypothesis: Hypothesis, end: LaplaceApproximation, *, is_behind: bool
+    models: LocalModels, hypothesis: Hypothesis, end: LaplaceApproximation, *, is_rough: bool
 ) -> tuple[Likelihood, Explanation]:
     """The optimum at full weight near an end. Models are made again about it if their error estimate is too large."""
     x, errors, noise = end.x, end.errors, 0.0
-    for _ in range(1 if is_behind else REMADE):
+    for _ in range(1 if is_rough else REMADE):
         likelihood = models.near(hypothesis, x, errors, noise=noise)
-        explanation = likelihood.refit(hypothesis, x, limit=FEW_STEPS if is_behind else STEPS)
+        explanation = likelihood.refit(hypothesis, x, limit=FEW_STEPS if is_rough else STEPS)
         noise = _least_noise(explanation.weighting)
         own = models.model.of(hypothesis.effects, explanation.x)
         if own is likelihood.model and not models.are_inaccurate(explanation.error_estimate, noise):
