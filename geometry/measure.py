@@ -68,6 +68,10 @@ class Axisymmetric:
         """Values divided by the radius, for the hoop strain."""
         return np.asarray(value / r)
 
+    def turned(self, value: Real, r: Real) -> Real:
+        """The slope (1 / r) d/dt of values whose factor is cos(m t) or sin(m t), over the order m."""
+        return np.asarray(value / r)
+
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
         """Hoop strain (or its rate) of a motion `across` along r with its `slope` along r: u_r / r, and du_r / dr on
         the axis."""
@@ -181,6 +185,10 @@ class Straight:
     def over_r(self, value: Real, r: Real) -> Real:
         """Zero: there is no hoop strain."""
         return np.zeros(np.broadcast_shapes(np.shape(value), np.shape(r)))
+
+    def turned(self, value: Real, r: Real) -> Real:
+        """The slope d/dy of values whose factor is cos(k y) or sin(k y), over the wave number k."""
+        return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), np.shape(r)))
 
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
         """Zero: there is no hoop strain."""

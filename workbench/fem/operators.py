@@ -430,6 +430,8 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
             found = place_of(mesh, integral)
             if found is not None:  # a column of a region ends before the radius that the integral begins at
                 places[integral.domain] = found
+    if any(component == "u_s" for component, _ in unknowns):
+        places = {name: place.of_order(mesh.measure) for name, place in places.items()}
     integrals = tuple(integral for integral in integrals if integral.domain in places)
     numbering, size, shares = _number(mesh, unknowns, conditions)
     return FullOperators(mesh, terms, integrals, places, numbering, size, shares)
@@ -445,7 +447,7 @@ def _check(
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
             known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
             raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
-    if sum(any(condition.share for condition in term.conditions()) for term in terms) != 1:
+    if sum(any(each.share and not each.of for each in term.conditions()) for term in terms) != 1:
         raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
     for integral in integrals:
         for product in integral.products:
@@ -471,6 +473,7 @@ def _number(
     basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
     numbering: dict[str, NDArray[np.int64]] = {}
     live: dict[str, Real] = {}
+    tied: list[tuple[Condition, NDArray[np.int64]]] = []
     count = 0
     for component in COMPONENTS:
         present = np.zeros(basis.N, dtype=bool)
@@ -480,7 +483,10 @@ def _number(
         for condition in conditions:
             if condition.component == component:
                 at = np.asarray(basis.get_dofs(mesh.mesh.boundaries[condition.boundary]).flatten())
-                live[component][at[present[at]]] = condition.share
+                if condition.of:
+                    tied.append((condition, at[present[at]]))
+                else:
+                    live[component][at[present[at]]] = condition.share
                 present[at] = False
         rows = np.full(basis.N, -1, dtype=np.int64)
         rows[present] = count + np.arange(int(present.sum()))
@@ -490,5 +496,8 @@ def _number(
         raise ModelError("there is no electric potential on the live electrode; is the transducer piezoelectric?")
     for component in COMPONENTS:
         numbering[component][live[component] != 0.0] = count
+    for condition, at in tied:
+        numbering[condition.component][at] = numbering[condition.of][at]
+        live[condition.component][at] = condition.share
     return numbering, count + 1, {component: np.where(shares, shares, 1.0) for component, shares in live.items()
                                   if (shares[shares != 0.0] != 1.0).any()}

@@ -13,7 +13,7 @@ from skfem import Dofs
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefQuad
 
-from geometry.measure import Axisymmetric
+from geometry.measure import Axisymmetric, Measure
 from geometry.mesh import SectionMesh
 from geometry.names import parent_part, parent_place
 from workbench.fem.elements import Lagrange
@@ -50,6 +50,16 @@ class Place:
         normals = [None if each is None else each[:, cells] for each in (self.normal, self.opposite_normal)]
         return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
                      {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
+
+    def of_order(self, measure: Measure) -> Place:
+        """The place for fields that vary along the third direction: the mean square of their factor is a half."""
+        shapes = dict(self.shapes)
+        for side in ("", OPPOSITE):
+            if f"value{side}" in shapes:
+                turned = measure.turned(shapes[f"value{side}"], self.radius[:, :, None])
+                shapes |= {f"turned{side}": turned, f"less_turned{side}": -turned,
+                           f"less_over_r{side}": -shapes[f"over_r{side}"]}
+        return replace(self, weights=0.5 * self.weights, shapes=shapes)
 
     def measure(self, radial: MeasureFactor | None) -> Real:
         """The weights (ne, nq) times a further factor of the measure."""

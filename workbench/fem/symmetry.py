@@ -15,7 +15,7 @@ from workbench.physics.term import Condition
 
 #: The components that are zero at a plane of symmetry; the others have no slope across it.
 ZERO_AT_PLANE: Mapping[Parity, tuple[str, ...]] = {
-    Parity.EVEN: ("u_r",), Parity.ODD: ("u_z", "phi", "p"), Parity.NONE: ()}
+    Parity.EVEN: ("u_r",), Parity.ODD: ("u_z", "phi", "p", "u_s"), Parity.NONE: ()}
 
 
 def conditions_at_ends(

@@ -13,7 +13,7 @@ projection on a reduced basis, the derivative of the spectrum, and the map of it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -26,17 +26,19 @@ class ModelError(ValueError):
     """The terms do not make a solvable model (a missing unknown, electrode or boundary)."""
 
 
-#: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa).
-COMPONENTS = ("u_r", "u_z", "phi", "p")
+#: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa). Only fields that vary along the third
+#: direction have a displacement ``u_s`` along it (`workbench.physics.orders`).
+COMPONENTS = ("u_r", "u_z", "phi", "p", "u_s")
 
-#: One part of an operator: (component, operation, factor). Operation: ``value``, ``d_r``, ``d_z`` or ``over_r`` (value
-#: / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent in the section,
+#: One part of an operator: (component, operation, factor). Operation: ``value``, ``d_r``, ``d_z``, ``over_r`` (value
+#: / r) or ``turned`` (value / r, in a straight section value); ``less_over_r`` and ``less_turned`` are their negatives. Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent in the section,
 #: ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_opposite`` after both,
 #: the part is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
 #: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz); in a straight
-#: section r is x, and value / r is zero.
+#: section r is x, and value / r is zero. Operators along s, the third direction, are those of fields that vary along
+#: it, without the parts of :data:`TURNED`.
 _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_r": (("u_r", "value", ""),),
     "u_z": (("u_z", "value", ""),),
@@ -58,6 +60,24 @@ _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_t_opposite": (("u_r", "value_opposite", "t_r_opposite"), ("u_z", "value_opposite", "t_z_opposite")),
     "u_z_t_opposite": (("u_z", "d_r_opposite", "t_r_opposite"), ("u_z", "d_z_opposite", "t_z_opposite")),
     "grad_p_t_opposite": (("p", "d_r_opposite", "t_r_opposite"), ("p", "d_z_opposite", "t_z_opposite")),
+    "u_s": (("u_s", "value", ""),),
+    "u_s_opposite": (("u_s", "value_opposite", ""),),
+    "strain_rs": (("u_s", "d_r", ""), ("u_s", "less_over_r", "")),
+    "strain_sz": (("u_s", "d_z", ""),),
+}
+
+#: Parts of operators that the order of the fields multiplies, for u_r, u_z, phi and p as cos(m t) and u_s as sin(m t).
+TURNED: Mapping[str, tuple[Part, ...]] = {
+    "strain_tt": (("u_s", "turned", ""),),
+    "strain_plane": (("u_s", "turned", ""),),
+    "dilatation": (("u_s", "turned", ""),),
+    "strain_rs": (("u_r", "less_turned", ""),),
+    "strain_sz": (("u_z", "less_turned", ""),),
+    "grad_phi_s": (("phi", "less_turned", ""),),
+    "grad_p_s": (("p", "less_turned", ""),),
+    "grad_p_s_opposite": (("p", "less_turned_opposite", ""),),
+    "u_z_s": (("u_z", "less_turned", ""),),
+    "u_z_s_opposite": (("u_z", "less_turned_opposite", ""),),
 }
 
 #: Suffix of the parts of an operator that is taken on the opposite boundary.
@@ -86,9 +106,18 @@ def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
     return {kind: f"{operator}, {'+'.join(sorted({part[1] for part in own}))}" for kind, own in kinds.items()}
 
 
-#: Every operator, with those of :func:`parts_by_stretch`.
+def by_order(operator: str) -> Iterator[tuple[int, str]]:
+    """Pairs of a power of the order and the name of the operator's part with that power."""
+    if operator in _WRITTEN:
+        yield 0, operator
+    if operator in TURNED:
+        yield 1, f"{operator}, turned"
+
+
+#: Every operator, with those of :func:`parts_by_stretch` and of :func:`by_order`.
 OPERATORS: Mapping[str, tuple[Part, ...]] = {
     **_WRITTEN,
+    **{f"{operator}, turned": parts for operator, parts in TURNED.items()},
     **{name: tuple(part for part in parts if _kind(part, radially=radially) == kind)
        for operator, parts in _WRITTEN.items() for radially in (False, True)
        for kind, name in parts_by_stretch(operator, radially=radially).items() if name != operator},
@@ -397,11 +426,13 @@ class Integral:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on an unknown: `component` on `boundary` is `share` times the voltage of the live electrode."""
+    """A condition on an unknown: `component` on `boundary` is `share` times the voltage of the live electrode, or times
+    the component `of` there."""
 
     component: str
     boundary: str
     share: float = 0.0
+    of: str = ""
 
 
 class Term:

@@ -1,0 +1,313 @@
+"""Complex eigenfrequencies and mode shapes of a model with its electrodes short-circuited: the poles of its admittance.
+
+The matrix A(w) of a model has any powers of w in it (fluids, boundary layers, laws of loss), so its modes are solutions
+of a nonlinear eigenvalue problem A(w) x = 0. With its rows of the pressure times w^2, the matrix of lossy solids and
+ideal fluids is linear in w^2, so Arnoldi iterations with one factorisation at a real frequency give all modes within a
+circle about it, all but for boundary layers and laws of loss. The problem projected on these vectors is solved
+exactly by Newton's method, and the vectors are extended by residual inverse iteration (Neumaier 1985, SIAM J. Numer.
+Anal. 22, 914) until the frequencies stay. Coefficients are continued from the real axis to complex frequencies by
+Chebyshev polynomials. Circles are added until they cover the band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from workbench.fem.coefficients import Groups
+from workbench.fem.operators import FullOperators
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.solve import Factor, System, one_thread
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Angular frequencies (n,) in rad/s and states (size - 1, n) without voltage, or (r, n) on a basis.
+Pairs = tuple[Complex, Complex]
+
+#: Relative change of an eigenfrequency at which it is converged: a hundredth of a width at Q = 5000. The
+#: error is smaller by another round.
+TOLERANCE = 1e-6
+
+#: Degree of the polynomials that continue the coefficients: their powers of w are then exact to 1e-12 over an octave.
+DEGREE = 14
+
+#: Modes sought about a frequency, vectors of the Arnoldi iteration for each, and its relative tolerance. Twice as many
+#: modes take three times as long and half as many factorisations.
+EACH, VECTORS, ROUGH = 32, 2.0, 1e-6
+
+#: Relative step of frequency over which the matrix is taken to be linear in w^2 for starting values.
+STEP = 0.01
+
+#: Most rounds of extensions of the basis, and most Newton steps of a mode, which converge quadratically.
+ROUNDS, NEWTON = 8, 12
+
+#: Relative difference of frequencies below which two searches may have found one mode.
+SAME = 1e-9
+
+#: Part of the states outside a basis that is left out: an eigenfrequency is off by its square.
+DEPENDENT = 1e-5
+
+#: Least share of a circle's radius that lies on the band for the modes that are wanted. Where it is less, more modes
+#: are sought about that frequency.
+COVERED = 0.5
+
+#: Smallest quality factor of the modes sought by default. Modes of less are no peaks of a spectrum.
+LEAST_Q = 20.0
+
+
+class ModesNotConverged(RuntimeError):
+    """Eigenfrequencies that still changed after the last round: these (n,) in Hz, with their relative changes (n,)."""
+
+    def __init__(self, frequencies: Complex, changes: Real) -> None:
+        worst = int(np.argmax(changes))
+        super().__init__(f"the mode at {frequencies[worst].real:.6g} Hz still moves by {changes[worst]:.1e} (relative) "
+                         f"after {ROUNDS} rounds, above {TOLERANCE:.0e}; narrow the band")
+        self.frequencies, self.changes = frequencies, changes
+
+    def __reduce__(self) -> tuple[type[ModesNotConverged], tuple[Complex, Real]]:
+        return ModesNotConverged, (self.frequencies, self.changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Eigenmodes:
+    """Modes of a model: ``omega`` (n,) rad/s, complex, e^{-i w t}, by ascending real part, and ``states`` (size, n).
+
+    States have no voltage and x^T (dA/dw) x = -2 w, that is x^T M x = 1 where A = K - w^2 M. ``changes`` (n,) is the
+    relative change of each frequency in the last round.
+    """
+
+    operators: FullOperators
+    omega: Complex
+    states: Complex
+    changes: Real
+
+    @property
+    def frequency(self) -> Real:
+        """Real parts of the eigenfrequencies (n,) in Hz."""
+        return np.asarray(self.omega.real / (2.0 * np.pi))
+
+    @property
+    def q(self) -> Real:
+        """Quality factors (n,); infinite without loss."""
+        return _quality(self.omega)
+
+
+def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LEAST_Q) -> Eigenmodes:
+    """All modes of a model of at least some quality factor, with real parts of their frequencies in a band.
+
+    Parameters
+    ----------
+    system : the model with its values.
+    band : lowest and highest frequency (Hz).
+    least_q : smallest quality factor.
+
+    Raises
+    ------
+    NotConverged : the model is singular at a frequency of the band.
+    ModesNotConverged : a mode still moves after the last round.
+    """
+    low, high = band
+    model = _Continued.of(system, (0.6 * 2.0 * np.pi * low, 1.4 * 2.0 * np.pi * high))
+    middle = 0.5 * (low + high)
+    with one_thread():
+        parts, half = [], 0.0
+        below = above = middle
+        for centre, part, half in _windows(model, middle, (low, high), least_q):
+            parts.append(part)
+            below, above = min(below, centre - half), max(above, centre + half)
+    omega = np.concatenate([part.omega for part in parts])
+    order = np.argsort(omega.real)
+    return Eigenmodes(system.operators, omega[order], np.hstack([part.states for part in parts])[:, order],
+                      np.concatenate([part.changes for part in parts])[order])
+
+
+def _windows(
+    model: _Continued, middle: float, band: tuple[float, float], least_q: float
+) -> Iterator[tuple[float, Eigenmodes, float]]:
+    """Modes about frequencies that together cover the band, each once: (centre, modes, half width covered), Hz."""
+    low, high = band
+    factor, starts, first = _starts(model.system, middle, least_q)
+    yield middle, _refined(model, factor, starts, (max(low, middle - first), min(high, middle + first)), least_q), first
+    for direction in (-1.0, 1.0):
+        edge, half = middle + direction * first, first
+        while (edge < high) if direction > 0.0 else (edge > low):
+            # The circle ends at the edge of the band, or begins at the one before it.
+            centre = edge + direction * min(0.9 * half, 0.6 * abs((high if direction > 0.0 else low) - edge))
+            factor, starts, half = _starts(model.system, centre, least_q)
+            further = centre + direction * half
+            own = tuple(sorted((edge, min(high, further) if direction > 0.0 else max(low, further))))
+            if (further - edge) * direction > 0.0:
+                yield centre, _refined(model, factor, starts, (own[0], own[1]), least_q), half
+                edge = further
+
+
+def _starts(system: System, frequency: float, least_q: float) -> tuple[Factor, Pairs, float]:
+    """The model factorised at a frequency (Hz), approximate modes about it, and the half width (Hz) of the band in
+    which they are all of the wanted quality."""
+    factor = system.factored(frequency)[1]
+    further = frequency * (1.0 + STEP)
+    change, free, growth = system.change(frequency, further), factor.scale.size, (1.0 + STEP) ** 2
+    rows = np.unique(system.operators.numbering["p"])
+    rows = rows[rows >= 0]
+    of_pressure = (growth - 1.0) * system.matrix(further)[rows]
+    state = np.zeros(free + 1, dtype=complex)
+
+    def inverse(right: Complex) -> Complex:
+        state[:free] = factor.scale * right.ravel()
+        image = change.times(state)
+        image[rows] += of_pressure @ state
+        return factor.solve_scaled(factor.scale * image[:free])
+
+    count = EACH
+    while True:
+        count = min(count, free - 2)
+        start = np.random.default_rng(0).standard_normal(free).astype(complex)
+        sizes, vectors = eigs(LinearOperator((free, free), matvec=inverse, dtype=complex), k=count, v0=start,
+                              ncv=min(free, int(VECTORS * count)), tol=ROUGH)
+        # The circle about w^2 that holds all of them, and one about w within it.
+        squares = (1.0 - growth) / sizes
+        radius = frequency * (np.sqrt(1.0 + float(np.abs(squares).max())) - 1.0)
+        half = np.sqrt(max(radius**2 - (0.5 * frequency / least_q) ** 2, 0.0))
+        if half >= COVERED * radius or count == free - 2:
+            omegas = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares)
+            return factor, (omegas, factor.scale[:, None] * vectors), half if count < free - 2 else np.inf
+        count *= 2
+
+
+def _refined(
+    model: _Continued, factor: Factor, starts: Pairs, band: tuple[float, float], least_q: float
+) -> Eigenmodes:
+    """The modes in a `band` (Hz) that are reached from approximate ones."""
+    scale = factor.scale[:, None]
+    omegas, full = starts
+    basis = _orthonormal(_parts(full / scale), np.zeros((scale.size, 0)))
+    for _ in range(ROUNDS):
+        projected = model.on(np.vstack([scale * basis, np.zeros(basis.shape[1])]))
+        previous, coordinates = omegas, basis.T @ (full / scale)
+        modes = [projected.mode_near(*pair) for pair in zip(omegas, coordinates.T, strict=True)]
+        omegas, states = projected.distinct(modes)
+        changes = np.array([abs(previous / omega - 1.0).min() for omega in omegas])
+        full = scale * (basis @ states)
+        inside = _inside(omegas, band, least_q)
+        if not inside.any() or changes[inside].max() <= TOLERANCE:
+            states = np.vstack([full[:, inside], np.zeros(int(inside.sum()))])
+            return Eigenmodes(model.system.operators, omegas[inside], states, changes[inside])
+        # A mode near the edge may yet move into the band.
+        moving = np.flatnonzero((changes > 0.01 * TOLERANCE) & _inside(omegas, band, 0.5 * least_q, margin=0.1))
+        steps = np.stack([factor.solve_scaled(factor.scale * model.image(omegas[k], full[:, k]))
+                          for k in moving], axis=1)
+        basis = np.hstack([basis, _orthonormal(_parts(steps), basis)])
+    raise ModesNotConverged(omegas[inside] / (2.0 * np.pi), changes[inside])
+
+
+def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: float = 0.0) -> NDArray[np.bool_]:
+    """Mask (n,) of the modes in a `band` (Hz), widened by a share of it, of at least a quality factor."""
+    low, high = (2.0 * np.pi * each for each in band)
+    wider = margin * (high - low)
+    return (omegas.real >= low - wider) & (omegas.real < high + wider) & (_quality(omegas) >= least_q)
+
+
+@dataclass(frozen=True, eq=False)
+class _Continued:
+    """The full model at complex frequencies: A(w) = sum_g h_g(w) B_g, with polynomials h_g."""
+
+    system: System
+    laws: list[Chebyshev]
+    groups: Groups
+
+    @classmethod
+    def of(cls, system: System, band: tuple[float, float]) -> _Continued:
+        """A model continued from the frequencies of a `band` (rad/s)."""
+        nodes = 0.5 * (band[0] + band[1]) + 0.5 * (band[1] - band[0]) * np.cos(
+            np.pi * (np.arange(2 * DEGREE) + 0.5) / (2 * DEGREE))
+        groups = system.operators.coefficients.groups(nodes, system.values)
+        return cls(system, [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups)
+
+    def image(self, omega: complex, state: Complex) -> Complex:
+        """The product A(w) x (size - 1,) for a state (size - 1,) without voltage."""
+        state = np.append(state, 0.0)
+        return np.asarray(sum(law(omega) * matrix.times(state)
+                              for law, matrix in zip(self.laws, self.system.groups, strict=True)))[:-1]
+
+    def on(self, basis: Real) -> _Projected:
+        """The model on a basis (size, r)."""
+        operators = self.system.operators
+        reduced = ReducedOperators(operators.integrals, operators.coefficients, operators.project(basis),
+                                   operators.forms)
+        return _Projected(self.laws, reduced.combinations(np.array([constants for _, constants in self.groups])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Projected:
+    """A model on a small basis at complex frequencies; ``matrices`` (groups, r, r)."""
+
+    laws: list[Chebyshev]
+    matrices: Complex
+
+    def at(self, omega: complex) -> tuple[Complex, Complex]:
+        """The matrix (r, r) and its derivative by w at a complex angular frequency."""
+        factors = np.array([[law(omega) for law in laws] for laws in (self.laws, self._slopes)])
+        matrix, slope = np.tensordot(factors, self.matrices, axes=1)
+        return matrix, slope
+
+    @cached_property
+    def _slopes(self) -> list[Chebyshev]:
+        return [law.deriv() for law in self.laws]
+
+    def mode_near(self, omega: complex, state: Complex) -> tuple[complex, Complex] | None:
+        """The mode that Newton's method reaches from a frequency and a `state` (r,) close to it."""
+        for _ in range(NEWTON):
+            matrix, slope = self.at(omega)
+            left = slope @ state
+            step = np.linalg.solve(matrix, left)
+            change = -complex(left @ state) / complex(left @ step)
+            state = step / np.linalg.norm(step)
+            omega += change
+            if abs(change) <= 1e-13 * abs(omega):
+                return omega, state
+        return None
+
+    def distinct(self, modes: Iterable[tuple[complex, Complex] | None]) -> Pairs:
+        """The distinct ones of some modes, with states of the norm of :class:`Eigenmodes`."""
+        found: list[tuple[complex, Complex]] = []
+        for mode in modes:
+            if mode is None:
+                continue
+            slope = self.at(mode[0])[1]
+            state = mode[1] * np.sqrt(-2.0 * mode[0] / complex(mode[1] @ slope @ mode[1]))
+            # Two modes may have one frequency; their states are then orthogonal.
+            if not any(abs(mode[0] / omega - 1.0) < SAME and abs(state @ slope @ other) > abs(mode[0])
+                       for omega, other in found):
+                found.append((mode[0], state))
+        return (np.array([omega for omega, _ in found], dtype=complex), np.stack([state for _, state in found], axis=1))
+
+
+def _quality(omega: NDArray[np.complexfloating] | complex) -> Real:
+    """Quality factors of complex angular frequencies, e^{-i w t}; infinite without loss."""
+    omega = np.asarray(omega)
+    loss = -2.0 * omega.imag
+    return np.divide(omega.real, loss, out=np.full(loss.shape, np.inf), where=loss > 0.0)
+
+
+def _parts(states: Complex) -> Real:
+    """Real and imaginary parts (m, 2 n) of states (m, n) of unit length, turned so that the real part is the largest.
+    """
+    turned = states / np.linalg.norm(states, axis=0)
+    turned = turned * np.exp(-0.5j * np.angle(np.sum(turned**2, axis=0)))
+    return np.asarray(np.hstack([turned.real, turned.imag]))
+
+
+def _orthonormal(vectors: Real, basis: Real) -> Real:
+    """Orthonormal directions (m, k) of `vectors` (m, n) outside an orthonormal `basis` (m, r), small ones left out."""
+    for _ in range(2):
+        vectors = vectors - basis @ (basis.T @ vectors)
+    columns, triangle, _ = qr(vectors, mode="economic", pivoting=True)
+    return np.asarray(columns[:, np.abs(np.diag(triangle)) > DEPENDENT])
