@@ -28,8 +28,8 @@ from workbench.diagnosis.description import (
     RemainderBand,
     StateRemainder,
     Taker,
-    energy_shares,
     modes_of_spectrum,
+    regions_by_energy,
     remainder_bands,
     remainder_description,
     states_that_show,
@@ -107,7 +107,7 @@ def model(*held_out: Any) -> Any:
 @pytest.fixture
 def without_a_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(description, "_solved", lambda *_of: (None, None))
-    monkeypatch.setattr(description, "energy_shares", lambda *_of: (("transducer", 0.9), ("bond", 0.1)))
+    monkeypatch.setattr(description, "regions_by_energy", lambda *_of: (("transducer", 0.9), ("bond", 0.1)))
 
 
 def concluded(
@@ -157,7 +157,7 @@ def test_modes_of_a_spectrum_are_its_resonance_and_its_antiresonance() -> None:
 
 def test_energies_by_region_are_those_of_the_fields(filled: Problem, filled_operators: FullOperators) -> None:
     solution = solve_full(filled_operators, np.array([345e3]), filled.values)
-    shares = dict(energy_shares(filled, solution))
+    shares = dict(regions_by_energy(filled, solution))
     assert sum(shares.values()) == pytest.approx(1.0)
     assert list(shares.values()) == sorted(shares.values(), reverse=True)
     found = fields(filled, filled_operators, solution, VoltageDrive(1.0))

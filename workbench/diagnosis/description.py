@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from geometry.names import parent_place
 from workbench.campaign.state import DeviceState, data_rows, state_fit
 from workbench.diagnosis.conclusion import unexplained_states
 from workbench.diagnosis.decision import Decision
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Refitted
-from workbench.diagnosis.inhomogeneity import MASS, STIFFNESS, cell_forms
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import recorded_next
 from workbench.diagnosis.odds import Criteria, odds_text
+from workbench.fem.energy import energy_shares
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution, solve_full
 from workbench.fitting.measurement_model import log_ratio
@@ -224,7 +223,7 @@ def _with_modes(model: Model, best: Explanation, bands: Sequence[RemainderBand])
                    key=lambda each: abs(each.frequency - band.peak))
         place = index, band.peak if mode is None else mode.frequency
         if place not in known:
-            known[place] = energy_shares(*_solved(model, best, *place))
+            known[place] = regions_by_energy(*_solved(model, best, *place))
         yield replace(band, mode=mode, regions=known[place])
 
 
@@ -236,17 +235,13 @@ def _solved(model: Model, explanation: Explanation, index: int, frequency: float
     return problem, solve_full(objective.predictors[index].every, np.array([frequency]), values)
 
 
-def energy_shares(problem: Problem, solution: Solution) -> tuple[tuple[str, float], ...]:
+def regions_by_energy(problem: Problem, solution: Solution) -> tuple[tuple[str, float], ...]:
     """The share of the mechanical energy in each region, largest first."""
-    operators, states = solution.operators, solution.states
+    operators = solution.operators
     assert isinstance(operators, FullOperators)
-    stored = solution.coefficients.real.astype(np.complex128)
-    cells = cell_forms(operators, np.conj(states), states, stored)[[STIFFNESS, MASS], :, 0].real
-    energy = {region: float(np.abs(cells[:, own].sum(axis=1)).sum())
-              for region, own in operators.mesh.mesh.subdomains.items()
-              if parent_place(region) == region and region in problem.materials}
-    whole = sum(energy.values())
-    return tuple(sorted(((region, each / whole) for region, each in energy.items()), key=lambda both: -both[1]))
+    shares = energy_shares(operators, solution.states, solution.coefficients)
+    return tuple(sorted(((region, float(shares[region][0])) for region in shares if region in problem.materials),
+                        key=lambda both: -both[1]))
 
 
 def _takers(results: Found, refit: Refitted, decision: Decision) -> tuple[Taker, ...]:

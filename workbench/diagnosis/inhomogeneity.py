@@ -25,19 +25,17 @@ from skfem import MeshQuad
 
 from geometry.names import TRANSDUCER, parent_place
 from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.fem.operators import FullOperators, pair_of
+from workbench.fem.energy import LOSS, MASS, STIFFNESS, cell_forms
+from workbench.fem.operators import FullOperators
 from workbench.fitting.objective import Objective
 from workbench.model.problem import Problem
 from workbench.physics.piezoelectric import PiezoelectricSolid
-from workbench.physics.term import OPERATORS, Integral
 from workbench.physics.uneven import UnevenProperty, UnevenSolid
 from workbench.reduced.predictor import Prediction
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Rows of :func:`changes`.
-STIFFNESS, MASS, LOSS = range(3)
 
 #: Points of a recording with solved states; a spline gives the points between. A resonance of a free disc is a
 #: thirtieth of its band wide: with 121, splines missed a fifth of its changes.
@@ -203,45 +201,3 @@ def changes(operators: FullOperators, states: Complex, coefficients: Complex, ch
     integrals) and `charge` (n,) C.
     """
     return cell_forms(operators, states, states, coefficients) / charge
-
-
-def cell_forms(operators: FullOperators, left: Complex, right: Complex, coefficients_of: Complex) -> Complex:
-    """Forms left^T A right (3, cells, n) of every cell.
-
-    A is the stiffness, the mass and the loss, for columns (size, n) and coefficients (n, integrals) of the integrals.
-    """
-    kinds = [_kind(integral) for integral in operators.integrals]
-    used = [q for q, kind in enumerate(kinds) if kind is not None and coefficients_of[:, q].any()]
-    part, count = operators.of(np.array(used, dtype=int)), right.shape[1]
-    known = {id(integral): q for q, integral in zip(used, part.integrals, strict=True)}
-    result = np.zeros((3, operators.mesh.mesh.t.shape[1], count), dtype=complex)
-    for place, forms in part.pair_forms(left, right):
-        # The coefficients of all integrals of the place are summed first.
-        weights = {pair: np.zeros((3, count), dtype=complex) for pair in forms}
-        for integral in part.by_place[place]:
-            q = known[id(integral)]
-            g, kind = coefficients_of[:, q], kinds[q]
-            for product in integral.products:
-                weight = weights[*pair_of(product), integral.radial]
-                weight[kind] += product.weight * g
-                if kind == STIFFNESS:
-                    weight[LOSS] += 1j * product.weight * g.imag
-        cells = part.places[place].elements
-        for pair, form in forms.items():
-            for row in np.flatnonzero(weights[pair].any(axis=1)):
-                result[row, cells] += weights[pair][row] * form
-    return result
-
-
-def _kind(integral: Integral) -> int | None:
-    """The kind, stiffness or mass, of a cell integral; None for others."""
-    if integral.on_boundary:
-        return None
-    taken = {(component.partition("_")[0], kind == "value") for product in integral.products
-             for name in (product.row, product.column) for component, kind, _ in OPERATORS[name]}
-    components = {component for component, _ in taken}
-    if components == {"u"}:
-        return MASS if all(value for _, value in taken) else STIFFNESS
-    if components == {"p"}:
-        return STIFFNESS if all(value for _, value in taken) else MASS
-    return None

@@ -1,0 +1,251 @@
+"""The modes of a chip in one of its states: what each peak of a spectrum is, and which modes a section cannot show.
+
+Electrodes are short-circuited, so the frequencies are those of the poles of the admittance: the dips of |Z|. A whole
+electrode drives the modes of order 0 alone; those of higher orders are seen where something is not round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.measure import Straight
+from geometry.names import CAVITY, parent_place
+from materials.registry import Registry
+from workbench.acoustics.fields import section_nodes
+from workbench.fem.energy import energy_shares
+from workbench.fem.modes import LEAST_Q, Eigenmodes, eigenmodes
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import System
+from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.numbers import plain_words
+from workbench.model.problem import Problem, build, fill, registry_of
+from workbench.physics.orders import ORDER, of_order
+from workbench.results.brief import Brief
+from workbench.results.notebook import Shown, Summary
+from workbench.simulation.solved_spectrum import band_of
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Least amplitude beside a zero, as a share of the largest: less is the shape of another mode.
+SEEN = 0.05
+
+#: Distance from the highest point of a region, as a share of its height, within which a node is on its upper face.
+AT_FACE = 1e-6
+
+#: Regions that the words of a mode name, and the least share of its energy that they hold.
+NAMED, LEAST_SHARE = 2, 0.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mode(Brief):
+    """A mode with short-circuited electrodes, at ``frequency`` Hz with quality factor ``q``.
+
+    ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
+    channel, infinite for none. ``k_eff`` is the effective coupling factor without the other modes of the band, 0 for
+    a mode that the electrodes do not drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its
+    boundary. ``crossings`` counts zeros of the leading displacement across the section, in the region of most energy.
+    """
+
+    order: float
+    wavelength: float
+    frequency: float
+    q: float
+    k_eff: float
+    energy: Mapping[str, float]
+    loss: Mapping[str, float]
+    crossings: int
+
+    @property
+    def liquid(self) -> float:
+        """The share of the energy in the cavity."""
+        return self.energy.get(CAVITY, 0.0)
+
+    @property
+    def words(self) -> str:
+        """The mode in words, without its frequency."""
+        leading = [f"{100.0 * share:.0f} % in the {plain_words(region)}" for region, share in self.energy.items()
+                   if share >= LEAST_SHARE][:NAMED]
+        zeros = f"{self.crossings} zero{'' if self.crossings == 1 else 's'} across the {next(iter(self.energy))}"
+        around = "" if math.isfinite(self.wavelength) else f"order {self.order:g}, "
+        along = f"wavelength {1e3 * self.wavelength:.3g} mm, " if math.isfinite(self.wavelength) else ""
+        coupling = f", k_eff {self.k_eff:.3f}" if self.k_eff > 0.0 else ", not driven by the electrodes"
+        return f"{along or around}{zeros}, {', '.join(leading)}{coupling}"
+
+    def __str__(self) -> str:
+        return f"{self.frequency / 1e6:.6f} MHz, Q {self.q:.4g}: {self.words}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Shown):
+    """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency, of at least the quality factor ``least_q``."""
+
+    chip: Chip
+    state: str
+    band: tuple[float, float]
+    least_q: float
+    modes: tuple[Mode, ...]
+
+    def near(self, frequency: float) -> Mode | None:
+        """The mode that a peak at a `frequency` (Hz) is: of those driven within a half width, the most coupled one.
+
+        Without any, it is the nearest driven one; None if none is driven.
+        """
+        driven = [mode for mode in self.modes if mode.k_eff > 0.0]
+        close = [mode for mode in driven if abs(mode.frequency - frequency) <= 0.5 * mode.frequency / mode.q]
+        if close:
+            return max(close, key=lambda mode: mode.k_eff)
+        return min(driven, key=lambda mode: abs(mode.frequency - frequency), default=None)
+
+    def summary(self) -> Summary:
+        """The modes, one a row."""
+        return Summary(f"{self.chip.name}, {self.state}: modes", tuple(
+            (f"{mode.frequency / 1e6:.6f} MHz", f"Q {mode.q:.4g}", mode.words) for mode in self.modes))
+
+
+def modes(
+    chip: Chip,
+    state: str | None = None,
+    *,
+    orders: Sequence[int] = (0,),
+    wavelengths: Sequence[float] = (),
+    band: tuple[float, float] | None = None,
+    least_q: float = LEAST_Q,
+    accuracy: float | Discretisation = ACCURACY,
+    registry: Registry | None = None,
+    progress: Progress = no_progress,
+) -> Modes:
+    """The modes of a chip in one of its states.
+
+    Parameters
+    ----------
+    state : name of the state; the last one of the file if not given.
+    orders : numbers of waves around the axis of a round chip; 0 is the mode of a section.
+    wavelengths : along a straight chip (m), beside the uniform modes.
+    band : two frequencies (Hz); the chip's own if not given.
+    least_q : smallest quality factor.
+    accuracy : relative error of Z that the mesh is made for, or a discretisation.
+
+    Raises
+    ------
+    InputError : a mistake in the chip, its materials or the arguments.
+    ModelError : a term of the model has no other orders.
+    NotConverged, ModesNotConverged : the model is singular in the band, or a mode still moves after the last round.
+    """
+    is_straight = isinstance(chip.measure, Straight)
+    numbers = _checked(orders, wavelengths, is_straight, least_q)
+    device = fill(chip, state, registry_of(chip, registry))
+    span = band_of(chip, band)
+    posed = build(device, band=span, accuracy=accuracy)
+    found: list[Mode] = []
+    for k, number in enumerate(numbers):
+        progress("modes", k / len(numbers))
+        terms = posed.terms if number == 0.0 else of_order(posed.terms, is_first=not is_straight and number == 1.0)
+        system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
+        found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight, span)
+    progress("modes", 1.0)
+    return Modes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)))
+
+
+def _checked(
+    orders: Sequence[int], wavelengths: Sequence[float], is_straight: bool, least_q: float
+) -> tuple[float, ...]:
+    """The orders, or wave numbers (1/m), to solve."""
+    for order in orders:
+        if isinstance(order, bool) or order != int(order) or order < 0:
+            raise InputError("modes", "orders", order, "whole numbers of waves around the axis, 0 or more")
+    if is_straight and any(orders):
+        raise InputError("modes", "orders", max(orders), "wavelengths along a straight chip, which has no axis")
+    if wavelengths and not is_straight:
+        raise InputError("modes", "wavelengths", wavelengths[0], "orders around the axis of a round chip")
+    for length in wavelengths:
+        if not 0.0 < length < math.inf:
+            raise InputError("modes", "wavelengths", length, "lengths above zero (m)")
+    if not 0.5 <= least_q < math.inf:
+        raise InputError("modes", "least_q", least_q, "a quality factor of a half or more")
+    return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
+
+
+def _described(
+    posed: Problem, system: System, found: Eigenmodes, number: float, is_straight: bool, band: tuple[float, float]
+) -> list[Mode]:
+    """The modes of one order with their energies, losses and couplings."""
+    if not found.omega.size:
+        return []
+    operators, real = found.operators, found.omega.real
+    coefficients = operators.coefficients(real, system.values)
+    energy = energy_shares(operators, found.states, coefficients)
+    loss = _loss_shares(operators, found.states, coefficients)
+    couplings = _couplings(system, found, band) if number == 0.0 else np.zeros(real.size)
+    wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
+    result = []
+    for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
+        own = _ordered({region: float(each[k]) for region, each in energy.items()})
+        result.append(Mode(0.0 if is_straight else number, wavelength, float(frequency), float(q), float(couplings[k]),
+                           own, _ordered({place: float(each[k]) for place, each in loss.items()}),
+                           _crossings(operators, found.states[:, k], next(iter(own)))))
+    return result
+
+
+def _ordered(shares: Mapping[str, float]) -> dict[str, float]:
+    return dict(sorted(shares.items(), key=lambda both: -both[1]))
+
+
+def _loss_shares(operators: FullOperators, states: Complex, coefficients: Complex) -> dict[str, Real]:
+    """The share (n,) of the loss of every region and boundary, for `states` (size, n)."""
+    forms = operators.quadratic(np.conj(states), states).real
+    lost: dict[str, Real] = {}
+    for q, integral in enumerate(operators.integrals):
+        place = parent_place(integral.place)
+        lost[place] = lost.get(place, 0.0) - coefficients[:, q].imag * forms[:, q]
+    whole = sum(lost.values(), np.zeros(states.shape[1]))
+    return {place: np.divide(each, whole, out=np.zeros(each.shape), where=whole > 0.0)
+            for place, each in lost.items() if each.any()}
+
+
+def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> Real:
+    """Effective coupling factors (n,): k^2 = C_n / (C_b + C_n), C_b the capacitance without the modes of the band.
+
+    The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
+    """
+    operators, omega = found.operators, found.omega
+    electrode = np.zeros((operators.size, omega.size), dtype=complex)
+    electrode[-1] = 1.0
+    forms = operators.quadratic(electrode, found.states)
+    drives = (operators.coefficients(omega.real, system.values) * forms).sum(axis=1)
+    capacitances = (drives / omega) ** 2
+
+    # The modes outside of the band make the rest of the charge, which is smooth over it.
+    middle, half = np.pi * (band[0] + band[1]), np.pi * (band[1] - band[0])
+    nodes = middle + half * np.array([-0.8, 0.0, 0.8])
+    poles = (capacitances * omega**2 / (omega**2 - nodes[:, None] ** 2)).sum(axis=1)
+    rest = np.polyfit((nodes - middle) / half, (system.solutions(nodes / (2.0 * np.pi)).charge - poles).real, 2)
+    background, own = np.polyval(rest, (omega.real - middle) / half), capacitances.real
+    return np.sqrt(np.clip(np.where(background > 0.0, own / (background + own), 0.0), 0.0, 1.0))
+
+
+def _crossings(operators: FullOperators, state: Complex, region: str) -> int:
+    """Number of zeros of the leading component along the upper face of a region."""
+    nodal, dofs = section_nodes(operators.mesh)
+    nodes = nodal.nodes_of([region])
+    points = nodal.points[nodes]
+    top = points[:, 1] >= points[:, 1].max() - AT_FACE * np.ptp(points[:, 1])
+    nodes = nodes[top][np.argsort(points[top, 0])]
+    padded, lines = np.append(state, 0.0), []
+    for component, rows in operators.numbering.items():
+        if component != "phi" and (rows[dofs[nodes]] >= 0).any():
+            values = padded[rows[dofs[nodes]]]
+            lines.append(values * operators.shares[component][dofs[nodes]] if component in operators.shares else values)
+    leading = max(lines, key=lambda values: float(np.sum(np.abs(values) ** 2)))
+    # Losses leave a small part in quadrature.
+    real = (leading * np.exp(-0.5j * np.angle(np.sum(leading**2)))).real
+    seen = real[np.abs(real) > SEEN * np.abs(real).max()]
+    return int(np.sum(seen[1:] * seen[:-1] < 0.0))
