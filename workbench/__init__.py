@@ -92,6 +92,9 @@ if TYPE_CHECKING:
     from workbench.simulation.heating import thermal_resistances as thermal_resistances
     from workbench.simulation.liquid_motion import LiquidMotion as LiquidMotion
     from workbench.simulation.liquid_motion import liquid_motion as liquid_motion
+    from workbench.simulation.modes import Mode as Mode
+    from workbench.simulation.modes import Modes as Modes
+    from workbench.simulation.modes import modes as modes
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import energy_spectrum as energy_spectrum
@@ -121,6 +124,8 @@ PUBLIC = {
     "LiquidMotion": "workbench.simulation.liquid_motion",
     "LiquidWarming": "workbench.simulation.heating",
     "MaterialFit": "workbench.fitting.recordings",
+    "Mode": "workbench.simulation.modes",
+    "Modes": "workbench.simulation.modes",
     "Operation": "workbench.design.evaluation",
     "Posterior": "workbench.diagnosis.posterior",
     "RangeModel": "workbench.reduced.ranges",
@@ -158,6 +163,7 @@ PUBLIC = {
     "liquid_motion": "workbench.simulation.liquid_motion",
     "liquid_warming": "workbench.simulation.heating",
     "measure": "workbench.bench.sweep",
+    "modes": "workbench.simulation.modes",
     "optimise": "workbench.design.optimisation",
     "parse_drive": "workbench.model.drive",
     "range_model": "workbench.reduced.ranges",

@@ -160,6 +160,21 @@ def _mesh(sub: argparse.ArgumentParser) -> None:
                      help="folder for the report of the convergence (default: none is written)")
 
 
+def _modes(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--orders", default="0", metavar="LIST",
+                     help='numbers of waves around the axis of a round chip, such as "0,1,2" (default 0)')
+    sub.add_argument("--wavelengths", default="", metavar="LIST",
+                     help='wavelengths along a straight chip, such as "5 mm,2 mm" (default: uniform modes alone)')
+    sub.add_argument("--least-q", type=float, default=20.0, metavar="Q",
+                     help="smallest quality factor of a mode (default 20)")
+    sub.add_argument("--draw", type=int, default=6, metavar="N", help="modes to draw, those of the largest coupling or "
+                     "energy in the liquid (default 6)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_scripts(sub)
@@ -485,6 +500,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "compare": ("compare a recorded impedance, or focusing over frequency, with a simulated chip", _compare),
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
+    "modes": ("the modes of a chip: what each peak of its spectrum is", _modes),
     "render": ("draw the fields of a chip at one frequency", _render),
     "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
     "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),

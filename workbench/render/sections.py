@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from workbench.acoustics.fields import Fields
+    from workbench.simulation.modes import Mode
 
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
@@ -82,6 +83,16 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
         fields.mesh, values, path, unit="m", label="axial displacement u_z",
         window=_window(fields.mesh.points, fields.mesh.measure), title=phase_title(fields, phase),
     )
+
+
+def draw_mode(mesh: NodalMesh, mode: Mode, path: Path) -> Path:
+    """Draw the leading displacement of a `mode` in the solids of its section, in units of the largest. Writes `path`."""
+    squares = np.nansum(mode.shape**2, axis=1)
+    leading = int(np.argmax(squares))
+    name = (f"along {mesh.measure.symbol}", "along z", "along the third direction")[leading]
+    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}",
+                        window=_window(mesh.points, mesh.measure),
+                        title=f"{mode.frequency / 1e6:.4f} MHz, Q {mode.q:.3g}\n{mode.words}")
 
 
 def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> Path:

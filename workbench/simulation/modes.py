@@ -18,6 +18,7 @@ from geometry.measure import Straight
 from geometry.names import CAVITY, parent_place
 from materials.registry import Registry
 from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.nodal import NodalMesh
 from workbench.fem.energy import energy_shares
 from workbench.fem.modes import LEAST_Q, Eigenmodes, eigenmodes
 from workbench.fem.operators import FullOperators, assemble
@@ -52,7 +53,9 @@ class Mode(Brief):
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
     channel, infinite for none. ``k_eff`` is the effective coupling factor without the other modes of the band, 0 for
     a mode that the electrodes do not drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its
-    boundary. ``crossings`` counts zeros of the leading displacement across the section, in the region of most energy.
+    boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy.
+    ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`Modes.nodes`, real, at the phase of the largest one, in
+    units of it; NaN in fluids.
     """
 
     order: float
@@ -63,6 +66,7 @@ class Mode(Brief):
     energy: Mapping[str, float]
     loss: Mapping[str, float]
     crossings: int
+    shape: Real
 
     @property
     def liquid(self) -> float:
@@ -86,13 +90,17 @@ class Mode(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Modes(Shown):
-    """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency, of at least the quality factor ``least_q``."""
+    """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency, of at least the quality factor ``least_q``.
+
+    Their shapes are on ``nodes``.
+    """
 
     chip: Chip
     state: str
     band: tuple[float, float]
     least_q: float
     modes: tuple[Mode, ...]
+    nodes: NodalMesh
 
     def near(self, frequency: float) -> Mode | None:
         """The mode that a peak at a `frequency` (Hz) is: of those driven within a half width, the most coupled one.
@@ -152,7 +160,8 @@ def modes(
         system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
         found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight, span)
     progress("modes", 1.0)
-    return Modes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)))
+    return Modes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
+                 section_nodes(posed.mesh)[0])
 
 
 def _checked(
@@ -186,12 +195,14 @@ def _described(
     loss = _loss_shares(operators, found.states, coefficients)
     couplings = _couplings(system, found, band) if number == 0.0 else np.zeros(real.size)
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
+    nodal, dofs = section_nodes(operators.mesh)
     result = []
     for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
+        fields = _nodal(operators, posed, found.states[:, k], nodal, dofs)
         result.append(Mode(0.0 if is_straight else number, wavelength, float(frequency), float(q), float(couplings[k]),
                            own, _ordered({place: float(each[k]) for place, each in loss.items()}),
-                           _crossings(operators, found.states[:, k], next(iter(own)))))
+                           _crossings(fields, nodal, next(iter(own))), _shape(fields)))
     return result
 
 
@@ -232,18 +243,37 @@ def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> 
     return np.sqrt(np.clip(np.where(background > 0.0, own / (background + own), 0.0), 0.0, 1.0))
 
 
-def _crossings(operators: FullOperators, state: Complex, region: str) -> int:
+def _nodal(
+    operators: FullOperators, posed: Problem, state: Complex, nodal: NodalMesh, dofs: NDArray[np.int64]
+) -> dict[str, Complex]:
+    """The components of a state at the nodes (N,); NaN where a region does not have them."""
+    padded = np.append(state, 0.0)
+    result = {}
+    for component, rows in operators.numbering.items():
+        values = np.full(len(dofs), np.nan + 0j)
+        for region in {region for term in posed.terms for each, region in term.unknowns
+                       if each == ("u_r" if component == "u_s" else component)}:
+            nodes = nodal.nodes_of([region])
+            values[nodes] = padded[rows[dofs[nodes]]] * operators.shares.get(component, np.ones(rows.size))[dofs[nodes]]
+        result[component] = values
+    return result
+
+
+def _shape(fields: Mapping[str, Complex]) -> Real:
+    """Displacement (3, N) at the phase of its largest component, in units of that."""
+    count = len(fields["u_r"])
+    moved = np.stack([fields.get(name, np.zeros(count)) for name in ("u_r", "u_z", "u_s")])
+    largest = moved.ravel()[np.nanargmax(np.abs(moved))]
+    return np.asarray((moved / largest).real)
+
+
+def _crossings(fields: Mapping[str, Complex], nodal: NodalMesh, region: str) -> int:
     """Number of zeros of the leading component along the upper face of a region."""
-    nodal, dofs = section_nodes(operators.mesh)
     nodes = nodal.nodes_of([region])
     points = nodal.points[nodes]
     top = points[:, 1] >= points[:, 1].max() - AT_FACE * np.ptp(points[:, 1])
     nodes = nodes[top][np.argsort(points[top, 0])]
-    padded, lines = np.append(state, 0.0), []
-    for component, rows in operators.numbering.items():
-        if component != "phi" and (rows[dofs[nodes]] >= 0).any():
-            values = padded[rows[dofs[nodes]]]
-            lines.append(values * operators.shares[component][dofs[nodes]] if component in operators.shares else values)
+    lines = [values[nodes] for name, values in fields.items() if name != "phi" and np.isfinite(values[nodes]).all()]
     leading = max(lines, key=lambda values: float(np.sum(np.abs(values) ** 2)))
     # Losses leave a small part in quadrature.
     real = (leading * np.exp(-0.5j * np.angle(np.sum(leading**2)))).real

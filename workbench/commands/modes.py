@@ -1,0 +1,65 @@
+"""``workbench modes``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geometry.chip import read_chip
+from workbench.commands.parsed_options import model_options, output_folder
+from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.files.errors import InputError
+from workbench.files.ownership import Outputs
+from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
+from workbench.render.sections import draw_mode
+from workbench.report.modes import modes_record, modes_table
+from workbench.simulation.modes import Modes, modes
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Files of a run.
+OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png"))
+
+
+def run_modes(options: argparse.Namespace, console: Console) -> int:
+    """``workbench modes``: the modes of a chip, what each peak of its spectrum is."""
+    chip = read_chip(options.chip)
+    model, name = model_options(options, chip), chip.state(options.state).name
+    orders = [_order(each) for each in options.orders.split(",") if each.strip()]
+    wavelengths = [parse_quantity(each, "length", source="command line", field="--wavelengths")
+                   for each in options.wavelengths.split(",") if each.strip()]
+    folder = output_folder(options, OUTPUTS)
+    with progress_bars(console) as show:
+        found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=model.band, least_q=options.least_q,
+                      accuracy=model.accuracy, registry=model.registry, progress=partial(show, name))
+        show(name, "pictures", 1.0)
+        paths = [write_json(folder / "modes.json", modes_record(found)), *_drawn(found, options.draw, folder)]
+        show(name, "done", 1.0)
+    print_table(f"{chip.name}, {name}: {len(found.modes)} modes", modes_table(found))
+    for path in paths:
+        print_line(str(path))
+    return 0
+
+
+def _order(text: str) -> int:
+    """An order of the command line.
+
+    Raises:
+        InputError: no whole number, or one below 0.
+    """
+    if not text.strip().isdigit():
+        raise InputError("command line", "--orders", text.strip(), "whole numbers of waves around the axis, such as "
+                         '"0,1,2"')
+    return int(text)
+
+
+def _drawn(found: Modes, most: int, folder: Path) -> Iterator[Path]:
+    """Pictures of the modes with the largest coupling to the electrodes, or energy in the liquid."""
+    leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
+    for mode in sorted(leading, key=lambda mode: mode.frequency):
+        yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz.png")
