@@ -301,7 +301,7 @@ def _parts(states: Complex) -> Real:
     """Real and imaginary parts (m, 2 n) of states (m, n) of unit length, turned so that the real part is the largest.
     """
     turned = states / np.linalg.norm(states, axis=0)
-    turned = turned * np.exp(-0.5j * np.angle(np.sum(turned**2, axis=0)))
+    turned *= np.exp(-0.5j * np.angle(np.sum(turned**2, axis=0)))
     return np.asarray(np.hstack([turned.real, turned.imag]))
 
 

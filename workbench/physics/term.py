@@ -33,8 +33,8 @@ COMPONENTS = ("u_r", "u_z", "phi", "p", "u_s")
 #: One part of an operator: (component, operation, factor). Operation: ``value``, ``d_r``, ``d_z``, ``over_r`` (value
 #: / r) or ``turned`` (value / r, in a straight section value); ``less_over_r`` and ``less_turned`` are their negatives.
 #: Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent in the section, ``t_r``,
-#: ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_opposite`` after both, the part is
-#: taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
+#: ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_opposite`` after both, the part
+#: is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
 #: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz); in a straight

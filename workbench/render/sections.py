@@ -86,11 +86,11 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 
 def draw_mode(mesh: NodalMesh, mode: Mode, path: Path) -> Path:
-    """Draw the leading displacement of a `mode` in the solids of its section, in units of the largest. Writes `path`."""
+    """Draw the leading displacement of a `mode` in the solids of its section. Writes `path`."""
     squares = np.nansum(mode.shape**2, axis=1)
     leading = int(np.argmax(squares))
     name = (f"along {mesh.measure.symbol}", "along z", "along the third direction")[leading]
-    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}",
+    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}, of the largest",
                         window=_window(mesh.points, mesh.measure),
                         title=f"{mode.frequency / 1e6:.4f} MHz, Q {mode.q:.3g}\n{mode.words}")
 
@@ -253,7 +253,8 @@ def _draw_signed(
     figure, axes, bar = _frame(window, title=title)
     _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS, signed=True)
     _outline(axes, mesh)
-    _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=f"{label} ({shown_unit})")
+    label = f"{label} ({shown_unit})" if shown_unit else label
+    _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=label)
     return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 

@@ -21,5 +21,5 @@ def modes_record(found: Modes) -> dict[str, Any]:
     return {"chip": found.chip.name, "state": found.state, "band_hz": list(found.band), "least_q": found.least_q,
             "modes": [{"order": mode.order, "wavelength": mode.wavelength if math.isfinite(mode.wavelength) else None,
                        "frequency": mode.frequency, "q": mode.q if math.isfinite(mode.q) else None,
-                       "k_eff": mode.k_eff, "energy": dict(mode.energy), "loss": dict(mode.loss),
-                       "zeros": mode.crossings} for mode in found.modes]}
+                       "capacitance": mode.capacitance, "k_eff": mode.k_eff,
+                       "energy": dict(mode.energy), "loss": dict(mode.loss), "zeros": mode.crossings} for mode in found.modes]}

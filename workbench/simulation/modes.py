@@ -39,6 +39,9 @@ Complex = NDArray[np.complex128]
 #: Least amplitude beside a zero, as a share of the largest: less is the shape of another mode.
 SEEN = 0.05
 
+#: Frequencies across the band at which the charge without its modes is computed. Doubled, coupling factors stay to 1 %.
+NODES = 9
+
 #: Distance from the highest point of a region, as a share of its height, within which a node is on its upper face.
 AT_FACE = 1e-6
 
@@ -51,17 +54,19 @@ class Mode(Brief):
     """A mode with short-circuited electrodes, at ``frequency`` Hz with quality factor ``q``.
 
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
-    channel, infinite for none. ``k_eff`` is the effective coupling factor without the other modes of the band, 0 for
-    a mode that the electrodes do not drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its
-    boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy.
-    ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`Modes.nodes`, real, at the phase of the largest one, in
-    units of it; NaN in fluids.
+    channel, infinite for none. ``capacitance`` (F) is that of its branch in the equivalent circuit, and ``k_eff`` its
+    effective coupling factor without the other modes of the band; both are 0 for a mode that the electrodes do not
+    drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
+    ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
+    N) are u_r, u_z and u_s at the nodes of :attr:`Modes.nodes`, real, at the phase of the largest one, in units of it;
+    NaN in fluids.
     """
 
     order: float
     wavelength: float
     frequency: float
     q: float
+    capacitance: float
     k_eff: float
     energy: Mapping[str, float]
     loss: Mapping[str, float]
@@ -193,15 +198,16 @@ def _described(
     coefficients = operators.coefficients(real, system.values)
     energy = energy_shares(operators, found.states, coefficients)
     loss = _loss_shares(operators, found.states, coefficients)
-    couplings = _couplings(system, found, band) if number == 0.0 else np.zeros(real.size)
+    capacitances, couplings = _couplings(system, found, band) if number == 0.0 else np.zeros((2, real.size))
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
     nodal, dofs = section_nodes(operators.mesh)
     result = []
     for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
         fields = _nodal(operators, posed, found.states[:, k], nodal, dofs)
-        result.append(Mode(0.0 if is_straight else number, wavelength, float(frequency), float(q), float(couplings[k]),
-                           own, _ordered({place: float(each[k]) for place, each in loss.items()}),
+        lost = _ordered({place: float(each[k]) for place, each in loss.items()})
+        result.append(Mode(0.0 if is_straight else number, wavelength, float(frequency), float(q),
+                           float(capacitances[k]), float(couplings[k]), own, lost,
                            _crossings(fields, nodal, next(iter(own))), _shape(fields)))
     return result
 
@@ -222,8 +228,10 @@ def _loss_shares(operators: FullOperators, states: Complex, coefficients: Comple
             for place, each in lost.items() if each.any()}
 
 
-def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> Real:
-    """Effective coupling factors (n,): k^2 = C_n / (C_b + C_n), C_b the capacitance without the modes of the band.
+def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> tuple[Real, Real]:
+    """Capacitances C_n (n,) in F and effective coupling factors (n,) of modes: k^2 = C_n / (C_b + C_n).
+
+    C_b is the capacitance at the mode without the modes of the band.
 
     The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
     """
@@ -235,12 +243,11 @@ def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> 
     capacitances = (drives / omega) ** 2
 
     # The modes outside of the band make the rest of the charge, which is smooth over it.
-    middle, half = np.pi * (band[0] + band[1]), np.pi * (band[1] - band[0])
-    nodes = middle + half * np.array([-0.8, 0.0, 0.8])
+    nodes = np.pi * np.linspace(2.0 * band[0], 2.0 * band[1], NODES)
     poles = (capacitances * omega**2 / (omega**2 - nodes[:, None] ** 2)).sum(axis=1)
-    rest = np.polyfit((nodes - middle) / half, (system.solutions(nodes / (2.0 * np.pi)).charge - poles).real, 2)
-    background, own = np.polyval(rest, (omega.real - middle) / half), capacitances.real
-    return np.sqrt(np.clip(np.where(background > 0.0, own / (background + own), 0.0), 0.0, 1.0))
+    rest = (system.solutions(nodes / (2.0 * np.pi)).charge - poles).real
+    background, own = np.interp(omega.real, nodes, rest), capacitances.real
+    return own, np.sqrt(np.clip(np.where(background > 0.0, own / (background + own), 0.0), 0.0, 1.0))
 
 
 def _nodal(
