@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,14 @@ from workbench.design.search import Optimum
 from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
 from workbench.render.plots import draw_spectra
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
+from workbench.report.page import Note, Picture, TextTable, Value, number_text, table, with_unit, write_report
+from workbench.report.record import record, records
 
 #: Optima of one choice that a report lists.
 LISTED = 8
+
+#: Keys of a candidate in ``design.json``.
+_CANDIDATE = "lengths_m materials=selection.materials model=point.evaluation.figures keeps_constraints=holds"
 
 _TOLERANCE = Figure(TOLERANCE, "1", "dimensionless", "common factor of all tolerances that the constraints allow", "")
 
@@ -37,8 +41,9 @@ def reported_figure(name: str) -> Figure:
 
 
 def figure_in_unit(name: str, value: float, digits: int = 5) -> str:
-    """A figure (SI) in the unit it is shown in."""
-    return f"{number_text(value / reported_figure(name).factor, digits)} {reported_figure(name).shown}".strip()
+    """A figure (SI) in the unit it is shown in, "none" if it does not exist."""
+    figure = reported_figure(name)
+    return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip() if math.isfinite(value) else "none"
 
 
 def programme_figure(objective: DesignObjective, number_to_be_small: float) -> float:
@@ -46,25 +51,27 @@ def programme_figure(objective: DesignObjective, number_to_be_small: float) -> f
     return math.exp(-number_to_be_small if objective.maximise else number_to_be_small)
 
 
+def _reached(objective: DesignObjective, number_to_be_small: float) -> str:
+    """The figure of an objective in a programme, in the unit it is shown in."""
+    return figure_in_unit(objective.figure, programme_figure(objective, number_to_be_small))
+
+
+def _candidate_of(each: Confirmed | RoundedDesign) -> RoundedDesign:
+    return each.candidate if isinstance(each, Confirmed) else each
+
+
 def before_after_table(design: Design) -> TextTable:
     """Every figure of the goal before and after, by full solves, with that of the model and its bounds."""
-    goal, after = design.goal, None if design.best is None else design.best.after
-    model = None if design.best is None else design.best.candidate.point.evaluation
-    rows = []
+    goal, best, rows = design.goal, design.best, list[tuple[Value, ...]]()
     for name in goal.figures:
-        old = design.before.figures[name]
-        new = math.nan if after is None else after.figures[name]
-        rows.append((name, _or_none(name, old), _or_none(name, new),
-                     "" if model is None else _or_none(name, model.figures[name]), _change(name, old, new),
-                     _wanted(goal, name, design.before, after)))
-    if goal.objectives[0].figure == TOLERANCE and design.best is not None:
-        factor = programme_figure(goal.objectives[0], design.best.candidate.point.objective)
-        rows.append((TOLERANCE, "", "", figure_in_unit(TOLERANCE, factor), "", str(goal.objectives[0])))
-    return TextTable(("figure", "before", "after", "after, by the model", "change", "asked for"), tuple(rows))
-
-
-def _or_none(name: str, value: float) -> str:
-    return figure_in_unit(name, value) if math.isfinite(value) else "none"
+        old, new = design.before.figures[name], math.nan if best is None else best.after.figures[name]
+        rows.append((name, figure_in_unit(name, old), figure_in_unit(name, new),
+                     best and figure_in_unit(name, best.candidate.point.evaluation.figures[name]),
+                     _change(name, old, new), _wanted(goal, name, design.before)))
+    if goal.objectives[0].figure == TOLERANCE and best is not None:
+        factor = _reached(goal.objectives[0], best.candidate.point.objective)
+        rows.append((TOLERANCE, None, None, factor, None, str(goal.objectives[0])))
+    return table("figure | before | after | after, by the model | change | asked for", rows)
 
 
 def _change(name: str, old: float, new: float) -> str:
@@ -75,7 +82,7 @@ def _change(name: str, old: float, new: float) -> str:
     return f"{100.0 * (new / old - 1.0):+.3g} %"
 
 
-def _wanted(goal: Goal, name: str, before: Evaluation, after: Evaluation | None) -> str:
+def _wanted(goal: Goal, name: str, before: Evaluation) -> str:
     words = [str(each) for each in goal.objectives if each.figure == name]
     for bound in goal.bounds:
         if bound.of_lengths or bound.figure != name or bound.text in words:
@@ -88,13 +95,13 @@ def _wanted(goal: Goal, name: str, before: Evaluation, after: Evaluation | None)
 
 def lengths_table(design: Design, chosen: Confirmed | RoundedDesign) -> TextTable:
     """Every variable before and after."""
-    candidate = chosen.candidate if isinstance(chosen, Confirmed) else chosen
+    candidate = _candidate_of(chosen)
     old, new = design.goal.chip.dimensions(), candidate.chip.dimensions()
     rows = [(name, f"{1e3 * old[name].value:.6g} mm", f"{1e3 * new[name].value:.6g} mm",
              f"{1e6 * (new[name].value - old[name].value):+.4g} um") for name in candidate.lengths]
     rows += [(f"{region}.material", design.goal.chip.layer(region).material, material, "")
              for region, material in candidate.selection.materials.items()]
-    return TextTable(("variable", "before", "after", "change"), tuple(rows))
+    return table("variable | before | after | change", rows)
 
 
 def active_table(candidate: RoundedDesign, objective: DesignObjective) -> TextTable:
@@ -108,19 +115,15 @@ def optima_table(design: Design, searched: ChoiceResult) -> TextTable:
     """The distinct optima of a choice between the steps, the best first, and how many starts found each."""
     objective = design.goal.objectives[0]
     names = [each.name for each in searched.modelling.programme.variables]
+    factor = reported_figure(objective.figure).factor
     rows = []
     for each in searched.optima[:LISTED]:
-        rows.append((f"{len(each.starts)} of {len(searched.attempts)}", _figure_of(objective, each),
+        value = programme_figure(objective, each.point.objective) / factor if each.point.exists else None
+        rows.append((f"{len(each.starts)} of {len(searched.attempts)}",
+                     "none" if value is None else number_text(value, 5),
                      *(f"{1e3 * each.point.lengths[name]:.5g}" for name in names), _remark(each)))
-    return TextTable(("found by starts", f"{objective.figure} ({reported_figure(objective.figure).shown})",
-                      *(f"{name} (mm)" for name in names), "remark"), tuple(rows))
-
-
-def _figure_of(objective: DesignObjective, optimum: Optimum) -> str:
-    if not optimum.point.exists:
-        return "none"
-    return number_text(programme_figure(objective, optimum.point.objective) / reported_figure(objective.figure).factor,
-                       5)
+    return TextTable(("found by starts", _label(objective), *(f"{name} (mm)" for name in names), "remark"),
+                     tuple(rows))
 
 
 def _remark(optimum: Optimum) -> str:
@@ -134,13 +137,11 @@ def _remark(optimum: Optimum) -> str:
 
 def choices_table(design: Design) -> TextTable:
     """The best chip of every choice of stock lengths and materials, on the model."""
-    objective = design.goal.objectives[0]
-    rows = []
+    objective, rows = design.goal.objectives[0], []
     for one in design.searched:
         best = one.candidates[0] if one.candidates else None
-        value = "none" if best is None else figure_in_unit(objective.figure,
-                                                           programme_figure(objective, best.point.objective))
-        rows.append((str(one.selection) or "as the chip has them", value,
+        rows.append((str(one.selection) or "as the chip has them",
+                     "none" if best is None else _reached(objective, best.point.objective),
                      "" if best is None or best.holds else f"breaks {', '.join(best.broken)}",
                      f"{one.at_best} of {len(one.attempts)}" if one.attempts else ""))
     return TextTable(("choice", objective.figure, "remark", "starts at its best"), tuple(rows))
@@ -148,19 +149,16 @@ def choices_table(design: Design) -> TextTable:
 
 def front_table(design: Design, *, confirmed_only: bool = False) -> TextTable:
     """The chips between two objectives, or those of them that a full solve was made of."""
-    names = [each.name for each in design.goal.unknowns]
+    names, objectives = [each.name for each in design.goal.unknowns], design.goal.objectives
     rows = []
     for each in design.front:
-        if confirmed_only and not isinstance(each, Confirmed):
+        candidate = _candidate_of(each)
+        if candidate is each and confirmed_only:
             continue
-        candidate = each.candidate if isinstance(each, Confirmed) else each
-        values = [figure_in_unit(o.figure, programme_figure(o, v)) for o,
-                  v in zip(design.goal.objectives, candidate.objectives,
-                                                                                   strict=True)]
-        rows.append((*values, *(f"{1e3 * candidate.lengths[name]:.5g}" for name in names),
+        rows.append((*map(_reached, objectives, candidate.objectives),
+                     *(f"{1e3 * candidate.lengths[name]:.5g}" for name in names),
                      each.statement if isinstance(each, Confirmed) else ""))
-    return TextTable((*(str(o) for o in design.goal.objectives), *(f"{name} (mm)" for name in names), "full solve"),
-                     tuple(rows))
+    return TextTable((*map(str, objectives), *(f"{name} (mm)" for name in names), "full solve"), tuple(rows))
 
 
 def models_table(design: Design) -> TextTable:
@@ -170,10 +168,9 @@ def models_table(design: Design) -> TextTable:
         facts = one.modelling.facts
         box = ", ".join(f"{name} {1e3 * low:.4g} to {1e3 * high:.4g} mm"
                         for name, (low, high) in one.modelling.box.items())
-        rows.append((str(one.selection) or "all", box, str(one.models), number_text(facts.get("rank", math.nan)),
-                     number_text(facts.get("full_solves", math.nan)), f"{100.0 * facts.get('error', math.nan):.2g} %",
-                     f"{one.modelling.seconds:.1f}"))
-    return TextTable(("choice", "last model", "models", "rank", "full solves", "error of Z", "time (s)"), tuple(rows))
+        rows.append((str(one.selection) or "all", box, one.models, facts.get("rank"), facts.get("full_solves"),
+                     f"{100.0 * facts.get('error', math.nan):.2g} %", one.modelling.seconds))
+    return table("choice | last model | models | rank | full solves | error of Z | time (s):.1f", rows)
 
 
 def starts_text(searched: ChoiceResult) -> str:
@@ -255,15 +252,12 @@ def _front(found: Design, folder: Path) -> Picture:
     objectives = found.goal.objectives
     factors = np.array([reported_figure(each.figure).factor for each in objectives])
 
-    def figures(each: Confirmed | RoundedDesign) -> list[float]:
-        candidate = each.candidate if isinstance(each, Confirmed) else each
-        return [programme_figure(o, v) for o, v in zip(objectives, candidate.objectives, strict=True)]
-
+    values = [list(map(programme_figure, objectives, _candidate_of(each).objectives)) for each in found.front]
     confirmed = [[each.after.figures[o.figure] for o in objectives] for each in found.front
                  if isinstance(each, Confirmed)]
     present = np.array([found.before.figures[each.figure] for each in objectives])
-    path = draw_front(np.array([figures(each) for each in found.front]) / factors, np.array(confirmed) / factors,
-                      present / factors, folder / "front.png", labels=(_label(objectives[0]), _label(objectives[1])),
+    path = draw_front(np.array(values) / factors, np.array(confirmed) / factors, present / factors,
+                      folder / "front.png", labels=(_label(objectives[0]), _label(objectives[1])),
                       title=found.goal.chip.name)
     return Picture(path, "chips of which none is better in both")
 
@@ -275,29 +269,15 @@ def _label(objective: DesignObjective) -> str:
 def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:
     """``report.html`` of an outcome with its :func:`draw_design` pictures."""
     goal, chosen, best = found.goal, found.chosen, found.best
-    objectives = " and ".join(str(each) for each in goal.objectives)
-    outcome: list[Block] = [f"Asked for: {objectives} at {goal.operation.drive}, state {goal.state}."]
-    outcome += [Note(line) if found.best is None else line for line in summary_lines(found)]
-    outcome += [Note(each.statement) for each in found.rejected]
-    outcome.append(before_after_table(found))
-    if best is not None:
-        outcome.append(lengths_table(found, best))
-    outcome += [*pictures["spectra"], *pictures["fields"]]
-    sections: list[tuple[str, list[Block]]] = [("Before and after", outcome)]
-    if best is not None and best.candidate.optimum is not None:
-        held = active_table(best.candidate, goal.objectives[0])
-        sections.append(("What holds the optimum", [
-            "At the optimum between the steps that lengths come in; by the multipliers of the bounds, to first order.",
-            held if held.rows else "Nothing: it lies within all bounds."]))
-    if found.front:
-        sections.append(("Between the objectives", [*pictures["front"], front_table(found)]))
-    if chosen.optima:
-        sections.append(("Starts and runners-up", [starts_text(chosen) + ".", *pictures["search"],
-                                                   optima_table(found, chosen)]))
-    if len(found.searched) > 1:
-        sections.append(("Stock and materials", [choices_table(found)]))
-    sections += [("The chip", list(pictures["solids"])), ("The models", [models_table(found)])]
-    return write_report(folder / "report.html", f"Design: {goal.chip.name}", [each for each in sections if each[1]])
+    return write_report(folder / "report.html", f"Design: {goal.chip.name}", template="design.html", values={
+        "goal": goal, "pictures": pictures, "summary": [Note(line) if best is None else line
+                                                        for line in summary_lines(found)],
+        "rejected": [Note(each.statement) for each in found.rejected], "figures": before_after_table(found),
+        "lengths": best and lengths_table(found, best),
+        "active": best and best.candidate.optimum and active_table(best.candidate, goal.objectives[0]),
+        "front": found.front and front_table(found), "starts": starts_text(chosen),
+        "optima": chosen.optima and optima_table(found, chosen),
+        "choices": choices_table(found) if len(found.searched) > 1 else None, "models": models_table(found)})
 
 
 def design_record(design: Design) -> dict[str, Any]:
@@ -305,45 +285,27 @@ def design_record(design: Design) -> dict[str, Any]:
     goal, best = design.goal, design.best
     return {
         "goal": goal.source, "chip": goal.chip.file, "state": goal.state, "drive": str(goal.operation.drive),
-        "objectives": [{"figure": each.figure, "maximise": each.maximise} for each in goal.objectives],
+        "objectives": records(goal.objectives, "figure maximise"),
         "constraints": list(dict.fromkeys(each.text for each in goal.bounds)),
         "confirmed": best is not None, "statement": best.statement if best else design.why_not,
-        "before": _figures(design.before.figures),
-        "after": None if best is None else {
-            **_candidate(best.candidate), "figures": _figures(best.after.figures), "differences": _figures(
-                best.differences), "active": [{"bound": a.text, "step": a.step, "relative_gain": a.gain}
-                                              for a in best.candidate.active]},
-        "rejected": [_member(each) for each in design.rejected],
-        "front": [_member(each) for each in design.front],
-        "choices": [_choice(each) for each in design.searched],
-        "seconds": dict(design.seconds),
-    }
-
-
-def _figures(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
-
-
-def _candidate(candidate: RoundedDesign) -> dict[str, Any]:
-    return {"lengths_m": dict(candidate.lengths), "materials": dict(candidate.selection.materials),
-            "model": _figures(candidate.point.evaluation.figures), "keeps_constraints": candidate.holds}
+        "after": best and record(best.candidate, _CANDIDATE) | record(best, "figures=after.figures differences") | {
+            "active": records(best.candidate.active, "bound=text step relative_gain=gain")},
+        "rejected": list(map(_member, design.rejected)), "front": list(map(_member, design.front)),
+        "choices": list(map(_choice, design.searched)), **record(design, "before=before.figures seconds")}
 
 
 def _member(each: Confirmed | RoundedDesign) -> dict[str, Any]:
+    found = record(_candidate_of(each), _CANDIDATE)
     if isinstance(each, RoundedDesign):
-        return {**_candidate(each), "statement": ""}
-    return {**_candidate(each.candidate), "figures": _figures(each.after.figures), "statement": each.statement}
+        return found | {"statement": ""}
+    return found | record(each, "figures=after.figures statement")
 
 
 def _choice(one: ChoiceResult) -> dict[str, Any]:
-    return {
-        "stock_m": dict(one.selection.stock), "materials": dict(one.selection.materials), "models": one.models,
-        "model": {**one.modelling.facts, "seconds": one.modelling.seconds, "box_m": {
-            name: list(ends) for name, ends in one.modelling.box.items()}},
-        "starts": len(one.attempts), "starts_at_best": one.at_best, "open_sides": list(one.open_sides),
+    return record(one, "stock_m=selection.stock materials=selection.materials models starts_at_best=at_best "
+                       "open_sides") | {
+        "model": {**one.modelling.facts, **record(one.modelling, "seconds box_m")}, "starts": len(one.attempts),
         "evaluations": sum(len(d.path) for a in one.attempts for d in a.descents),
-        "optima": [{"starts": list(each.starts), "lengths_m": dict(each.point.lengths),
-                    "figures": _figures(each.point.evaluation.figures), "stationary": each.descent.stationary,
-                    "keeps_constraints": each.descent.feasible} for each in one.optima],
-        "candidates": [_candidate(each) for each in one.candidates],
-    }
+        "optima": records(one.optima, "starts lengths_m=point.lengths figures=point.evaluation.figures "
+                                      "stationary=descent.stationary keeps_constraints=descent.feasible"),
+        "candidates": records(one.candidates, _CANDIDATE)}

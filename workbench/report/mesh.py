@@ -13,7 +13,7 @@ import numpy as np
 from geometry.mesh import elements_per_wavelength
 from workbench.model.problem import Problem
 from workbench.render.plots import draw_convergence
-from workbench.report.page import Picture, TextTable, number_text, write_report
+from workbench.report.page import Picture, TextTable, table, write_report
 from workbench.simulation.run import Simulation
 
 #: The columns of ``convergence.json``.
@@ -25,9 +25,8 @@ def cells_table(problem: Problem, highest: float) -> TextTable:
     mesh = problem.mesh
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(mesh, speeds, highest)
-    return TextTable(("region", "cells", "elements per wavelength"), tuple(
-        (region, str(len(mesh.mesh.subdomains[region])), f"{counts[region]:.1f}" if region in counts else "empty")
-        for region in mesh.section.regions))
+    return table("region | cells | elements per wavelength:.1f", (
+        (region, len(mesh.mesh.subdomains[region]), counts.get(region, "empty")) for region in mesh.section.regions))
 
 
 @dataclass(frozen=True)
@@ -61,10 +60,9 @@ class MeshRow:
 
 def convergence_table(rows: Sequence[MeshRow]) -> TextTable:
     """Every mesh with its figures of merit, its error against the finest, and that estimated on it."""
-    return TextTable(("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate"), tuple(
-        ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", str(row.unknowns), f"{row.f0 / 1e6:.5f}",
-         number_text(row.z_min), number_text(row.q), "" if row.accuracy is None else f"{100.0 * row.error:.4f}",
-         f"{100.0 * row.estimated:.4f}") for row in rows))
+    return table("accuracy | unknowns | f0 (MHz):.5f | Z_min (ohm) | Q | error (%):.4f | estimate (%):.4f", (
+        ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", row.unknowns, row.f0, row.z_min, row.q,
+         None if row.accuracy is None else row.error, row.estimated) for row in rows))
 
 
 def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:
