@@ -1,4 +1,4 @@
-"""A recording beside the simulation of its chip, as tables, as a record and as a page."""
+"""A recording beside the simulation of its chip: tables, record and page."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def distance_table(comparison: Comparison) -> TextTable:
 
 
 def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -> str:
-    """The next step after a comparison: none, or the commands that find where the difference comes from."""
+    """The commands that find the cause of a difference, if there is one."""
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")
-    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the numbers that move this spectrum. "
-            f"`workbench diagnose {recording} --chip {chip} --state {state} -o out/diagnosis` finds which of them, or "
-            "which physics that the model lacks, explain the difference; several states of one device tell more, in a "
-            "campaign file (docs/diagnosis.md has one). Of a bare transducer or a polymer on one, `workbench fit` "
-            "finds the material.")
+    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the parameters that move this spectrum. "
+            f"`workbench diagnose {recording} --chip {chip} --state {state} -o out/diagnosis` finds the parameters, or "
+            "the physics missing in the model, that explain the difference. Several states of one device give more "
+            "evidence, in a campaign file (docs/diagnosis.md has one). `workbench fit` finds the material of a bare "
+            "transducer, or of a polymer on one.")
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:
@@ -65,8 +65,9 @@ def write_comparison_report(
     measured: Spectrum, run: Simulation, comparison: Comparison, folder: Path, *, findings: Sequence[str],
     next_step: str, resonances: Mapping[str, CircuitFit | None],
 ) -> Path:
-    """``report.html``: how far apart, where in frequency, and of what; `findings` are those of the recording's reader,
-    `resonances` those of both spectra.
+    """Write ``report.html``: the differences, as numbers and over frequency.
+
+    `findings` are those of the recording's reader, `resonances` those of both spectra.
     """
     title, residual = run.chip.name, comparison.log_residual
     spectra = draw_spectra({"measured": measured, "simulated": run.spectrum}, folder / "impedance.png",
@@ -80,9 +81,9 @@ def write_comparison_report(
         folder / "report.html", f"{title}: measured and simulated", template="comparison.html", values={
             "notes": [Note(text) for text in (*findings, *run.findings, *missing)],
             "figures": compared_figures_table(comparison), "distances": distance_table(comparison),
-            "materials": run.problem.materials, "next_step": next_step,
-            "spectra": Picture(spectra, "impedance, measured and simulated"),
-            "residuals": Picture(residuals,
-                                 "residual: relative error of |Z| in per cent and error of phase in degrees"),
-            "resonances": resonances_table(resonances), "resonance_notes": resonance_notes(resonances),
-            "origin": origin_table(measured.origin), "model": model_table([run])})
+            "materials": run.problem.materials, "next_step": next_step, "resonances": resonances_table(resonances),
+            "pictures": [
+                Picture(spectra, "impedance, measured and simulated"),
+                Picture(residuals, "residual: relative error of |Z| in per cent and error of phase in degrees")],
+            "resonance_notes": resonance_notes(resonances), "origin": origin_table(measured.origin),
+            "model": model_table([run])})

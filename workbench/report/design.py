@@ -1,4 +1,4 @@
-"""The outcome of a goal as tables, as pictures, as a page and as a record."""
+"""The outcome of a goal: tables, pictures, page and record."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
 from workbench.render.plots import draw_spectra
 from workbench.report.page import Note, Picture, TextTable, Value, number_text, table, with_unit, write_report
-from workbench.report.record import record, records
+from workbench.report.record import record
 
 #: Optima of one choice that a report lists.
 LISTED = 8
@@ -41,7 +41,7 @@ def reported_figure(name: str) -> Figure:
 
 
 def figure_in_unit(name: str, value: float, digits: int = 5) -> str:
-    """A figure (SI) in the unit it is shown in, "none" if it does not exist."""
+    """A figure (SI) with its shown unit; "none" if it does not exist."""
     figure = reported_figure(name)
     return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip() if math.isfinite(value) else "none"
 
@@ -52,7 +52,7 @@ def programme_figure(objective: DesignObjective, number_to_be_small: float) -> f
 
 
 def _reached(objective: DesignObjective, number_to_be_small: float) -> str:
-    """The figure of an objective in a programme, in the unit it is shown in."""
+    """The figure of an objective in a programme, with its shown unit."""
     return figure_in_unit(objective.figure, programme_figure(objective, number_to_be_small))
 
 
@@ -61,7 +61,7 @@ def _candidate_of(each: Confirmed | RoundedDesign) -> RoundedDesign:
 
 
 def before_after_table(design: Design) -> TextTable:
-    """Every figure of the goal before and after, by full solves, with that of the model and its bounds."""
+    """Every figure of the goal before and after, of the model, and required."""
     goal, best, rows = design.goal, design.best, list[tuple[Value, ...]]()
     for name in goal.figures:
         old, new = design.before.figures[name], math.nan if best is None else best.after.figures[name]
@@ -71,7 +71,7 @@ def before_after_table(design: Design) -> TextTable:
     if goal.objectives[0].figure == TOLERANCE and best is not None:
         factor = _reached(goal.objectives[0], best.candidate.point.objective)
         rows.append((TOLERANCE, None, None, factor, None, str(goal.objectives[0])))
-    return table("figure | before | after | after, by the model | change | asked for", rows)
+    return table("figure | before | after | after, by the model | change | required", rows)
 
 
 def _change(name: str, old: float, new: float) -> str:
@@ -105,14 +105,14 @@ def lengths_table(design: Design, chosen: Confirmed | RoundedDesign) -> TextTabl
 
 
 def active_table(candidate: RoundedDesign, objective: DesignObjective) -> TextTable:
-    """The bounds that hold the optimum, and the gain from moving each."""
+    """The active bounds of the optimum, and the gain from moving each."""
     verb = "more" if objective.maximise else "less"
-    return TextTable(("held by", "moved outwards by", objective.figure), tuple(
+    return TextTable(("active bound", "moved outwards by", objective.figure), tuple(
         (each.text, each.step, f"{100.0 * each.gain:.3g} % {verb}") for each in candidate.active))
 
 
 def optima_table(design: Design, searched: ChoiceResult) -> TextTable:
-    """The distinct optima of a choice between the steps, the best first, and how many starts found each."""
+    """The distinct optima of a choice, the best first, with their starts."""
     objective = design.goal.objectives[0]
     names = [each.name for each in searched.modelling.programme.variables]
     factor = reported_figure(objective.figure).factor
@@ -136,7 +136,7 @@ def _remark(optimum: Optimum) -> str:
 
 
 def choices_table(design: Design) -> TextTable:
-    """The best chip of every choice of stock lengths and materials, on the model."""
+    """The best chip of every choice of stock and materials, on the model."""
     objective, rows = design.goal.objectives[0], []
     for one in design.searched:
         best = one.candidates[0] if one.candidates else None
@@ -148,7 +148,7 @@ def choices_table(design: Design) -> TextTable:
 
 
 def front_table(design: Design, *, confirmed_only: bool = False) -> TextTable:
-    """The chips between two objectives, or those of them that a full solve was made of."""
+    """The chips between two objectives, or only those solved in full."""
     names, objectives = [each.name for each in design.goal.unknowns], design.goal.objectives
     rows = []
     for each in design.front:
@@ -174,7 +174,7 @@ def models_table(design: Design) -> TextTable:
 
 
 def starts_text(searched: ChoiceResult) -> str:
-    """The number of starts that ended at the best optimum, in a sentence."""
+    """A sentence on the starts that ended at the best optimum."""
     if not searched.attempts:
         return "an evolutionary search: one population"
     descents, ends = sum(len(each.descents) for each in searched.attempts), len(searched.optima)
@@ -183,7 +183,7 @@ def starts_text(searched: ChoiceResult) -> str:
 
 
 def summary_lines(design: Design) -> Sequence[str]:
-    """The outcome in sentences: confirmed or not, the starts, and sides of the model that the optimum lies at."""
+    """The outcome in sentences: confirmation, starts, and sides of the model."""
     chosen = design.chosen
     lines = [design.best.statement if design.best else design.why_not, starts_text(chosen)]
     if chosen.open_sides:
@@ -197,7 +197,7 @@ def summary_lines(design: Design) -> Sequence[str]:
 
 
 def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool) -> dict[str, list[Picture]]:
-    """Pictures by section; the solids of the best chip are written on the way."""
+    """Draw the pictures by section, and write the solids of the best chip."""
     pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
     if found.best is not None:
         spectra = {"before": solver.spectrum(found.goal.chip), "after": solver.spectrum(found.best.chip)}
@@ -216,9 +216,9 @@ def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bo
 
 
 def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder: Path) -> list[Picture]:
-    """The potential of the particles in the cavity, or else the pressure there, at the frequency of the chip's figures.
+    """The potential of the particles, or the pressure without any, at a frequency.
 
-    None without a fluid in it, or without a frequency.
+    Empty without a fluid in the cavity, or without a frequency.
     """
     shot = solver.snapshot(chip, frequency) if math.isfinite(frequency) else None
     if shot is None:
@@ -267,7 +267,7 @@ def _label(objective: DesignObjective) -> str:
 
 
 def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:
-    """``report.html`` of an outcome with its :func:`draw_design` pictures."""
+    """Write ``report.html`` with the pictures of :func:`draw_design`."""
     goal, chosen, best = found.goal, found.chosen, found.best
     return write_report(folder / "report.html", f"Design: {goal.chip.name}", template="design.html", values={
         "goal": goal, "pictures": pictures, "summary": [Note(line) if best is None else line
@@ -281,31 +281,27 @@ def write_design_report(found: Design, pictures: dict[str, list[Picture]], folde
 
 
 def design_record(design: Design) -> dict[str, Any]:
-    """Everything of an outcome, for a JSON file: SI, by name; None for figures that do not exist."""
+    """An outcome for a JSON file, in SI; None for figures that do not exist."""
     goal, best = design.goal, design.best
-    return {
-        "goal": goal.source, "chip": goal.chip.file, "state": goal.state, "drive": str(goal.operation.drive),
-        "objectives": records(goal.objectives, "figure maximise"),
-        "constraints": list(dict.fromkeys(each.text for each in goal.bounds)),
+    return record(design, "goal=goal.source chip=goal.chip.file state=goal.state before=before.figures seconds "
+                          "objectives=goal.objectives { figure maximise }") | {
+        "drive": str(goal.operation.drive), "constraints": list(dict.fromkeys(each.text for each in goal.bounds)),
         "confirmed": best is not None, "statement": best.statement if best else design.why_not,
-        "after": best and record(best.candidate, _CANDIDATE) | record(best, "figures=after.figures differences") | {
-            "active": records(best.candidate.active, "bound=text step relative_gain=gain")},
+        "after": best and record(best.candidate, f"{_CANDIDATE} active {{ bound=text step relative_gain=gain }}")
+        | record(best, "figures=after.figures differences"),
         "rejected": list(map(_member, design.rejected)), "front": list(map(_member, design.front)),
-        "choices": list(map(_choice, design.searched)), **record(design, "before=before.figures seconds")}
+        "choices": list(map(_choice, design.searched))}
 
 
 def _member(each: Confirmed | RoundedDesign) -> dict[str, Any]:
-    found = record(_candidate_of(each), _CANDIDATE)
-    if isinstance(each, RoundedDesign):
-        return found | {"statement": ""}
-    return found | record(each, "figures=after.figures statement")
+    found: dict[str, Any] = record(_candidate_of(each), _CANDIDATE) | {"statement": ""}
+    return found if isinstance(each, RoundedDesign) else found | record(each, "figures=after.figures statement")
 
 
 def _choice(one: ChoiceResult) -> dict[str, Any]:
-    return record(one, "stock_m=selection.stock materials=selection.materials models starts_at_best=at_best "
-                       "open_sides") | {
+    return record(one, "stock_m=selection.stock materials=selection.materials models starts_at_best=at_best open_sides "
+                       "optima { starts lengths_m=point.lengths figures=point.evaluation.figures "
+                       "stationary=descent.stationary keeps_constraints=descent.feasible } "
+                       f"candidates {{ {_CANDIDATE} }}") | {
         "model": {**one.modelling.facts, **record(one.modelling, "seconds box_m")}, "starts": len(one.attempts),
-        "evaluations": sum(len(d.path) for a in one.attempts for d in a.descents),
-        "optima": records(one.optima, "starts lengths_m=point.lengths figures=point.evaluation.figures "
-                                      "stationary=descent.stationary keeps_constraints=descent.feasible"),
-        "candidates": records(one.candidates, _CANDIDATE)}
+        "evaluations": sum(len(d.path) for a in one.attempts for d in a.descents)}

@@ -1,4 +1,4 @@
-"""A diagnosis as tables, as the record of ``diagnosis.json``, and as a page."""
+"""A diagnosis: tables, record of ``diagnosis.json``, and page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
 from workbench.render.sections import draw_marked
 from workbench.report.figures import origin_table
 from workbench.report.page import Block, Note, Picture, TextTable, Value, number_text, table, write_report
-from workbench.report.record import record, records
+from workbench.report.record import record
 from workbench.results.comparison import compare
 from workbench.results.merit import measured_figures
 
@@ -47,7 +47,7 @@ _KNOWN = "name uncertainty=deviation unit source=origin"
 DETECTED = 5.0
 
 def established_table(found: Diagnosis) -> TextTable:
-    """Effects with the share of each group that belongs together, and their parameters with intervals."""
+    """Effects with the share of each group, and parameters with intervals."""
     rows = []
     for group, share in found.shares:
         cell = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
@@ -62,8 +62,10 @@ def established_table(found: Diagnosis) -> TextTable:
 
 
 def remainder_table(found: Diagnosis) -> TextTable:
-    """Rms of ln(Z / Z_measured) of every state (%): of noise alone, as stated, with the known parameters fitted, and
-    with the effects; those held out last."""
+    """Rms of ln(Z / Z_measured) (%) of every state, the states held out last.
+
+    Its columns are the noise alone, the model as stated, with fitted known parameters, and with the effects.
+    """
     rows = []
     for state, *fits in zip(found.states, *_stages(found).values(), strict=True):
         noise = math.sqrt(state.data * float((state.noise**2).mean()))
@@ -75,7 +77,7 @@ def remainder_table(found: Diagnosis) -> TextTable:
 
 
 def _stages(found: Diagnosis) -> dict[str, tuple[StateFit, ...]]:
-    """All states as stated, with the known parameters fitted, and with the effects if any are established."""
+    """All states as stated, with fitted known parameters, and with any effects."""
     effects = {"with the effects": found.best} if found.established else {}
     return {"as stated": found.stated, "known parameters": found.base, **effects}
 
@@ -90,7 +92,7 @@ def observations_table(found: Diagnosis) -> TextTable:
 
 
 def unexplained_tables(found: Description) -> list[Block]:
-    """A residual that nothing explains: its states, its bands, and the hypotheses that would explain most of it."""
+    """An unexplained residual: its states, its bands, and the nearest hypotheses."""
     states = table("state | residual of Z (%):.3g | times the noise:.3g | share of the residual (%):.0f", (
         (each.name, each.rms, each.times, "held out" if each.share is None else each.share) for each in found.states))
     bands = table(
@@ -116,7 +118,7 @@ def _state_name(found: Diagnosis, state: DeviceState) -> str:
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
-    """``report.html``: the answer first, a residual that nothing explains, the fit before and after, then evidence."""
+    """Write ``report.html``: answer, unexplained residual, fits, then evidence."""
     so_far = found.provisional
     recorded = [state for state in found.states if state.observation is None]
     title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
@@ -134,7 +136,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
 
 
 def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
-    """``diagnosis.json`` and ``report.html`` of a diagnosis that was stopped before its first result: its input."""
+    """Write record and page of a diagnosis without a result: its input."""
     content = stopped_record(campaign, seconds)
     write_json(folder / "diagnosis.json", content)
     states = table("state | points | from (MHz) | to (MHz) | held out", (
@@ -143,13 +145,12 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
     write_report(folder / "report.html", f"Diagnosis, not finished: {campaign.name}", [
         ("Not finished", [Note(content["headline"]), "Verdict: not finished."]),
         ("The recordings that were read", [states]),
-        ("What was taken as known", ["Standard uncertainties and their sources; all that is not listed is exact.",
+        ("Stated uncertainties", ["Standard uncertainties and their sources; all that is not listed is exact.",
                                      _taken(campaign)])])
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
-    """Every state before and after, a bar of shares, and the section with the suspect places marked and the states that
-    show them."""
+    """Draw states before and after, shares, and the section with suspect places."""
     first, last = list(_stages(found).items())[-2:]
     states = [StatePicture(_state_name(found, state), state.measured.frequency, state.measured.impedance,
                            before.impedance, after.impedance, state.noise)
@@ -160,7 +161,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
         "Every state as recorded, before and after, and below the residual, |ln(Z_model / Z_measured)|")]
     if found.established:
         shares = {word_list([plain_words(each.effect.name) for each in group]): share for group, share in found.shares}
-        pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="What explains the residual"),
+        pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="Explained shares of the residual"),
                                 "Of the residual as stated, beyond noise"))
     mesh = max((recording.problem.mesh for recording in found.model.fitted.recordings),
                key=lambda each: each.mesh.t.shape[1])
@@ -178,7 +179,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
 
 
 def _shown_by(found: Diagnosis) -> str:
-    """The states that show what is established, or the region that there is evidence for."""
+    """The states that show the established effects, or the suspect region."""
     outside = None if found.established else next(
         (each for each in found.found.final if each.hypothesis.region == found.suspect_region), None)
     shares = states_that_show(found.model, found.chosen.explanation, outside)
@@ -218,12 +219,12 @@ def _location(found: Diagnosis) -> TextTable:
 
 
 def _scores(found: Diagnosis) -> TextTable:
-    return table("hypothesis | region | kind | fall of chi-square:.1f | evidence predicted:.1f", (
-        (s.effect.name, s.effect.region, s.effect.kind, s.gain, s.evidence) for s in found.found.base.scores[:LISTED]))
+    return table("hypothesis=effect.name | region=effect.region | kind=effect.kind | fall of chi-square:.1f=gain | "
+                 "evidence predicted:.1f=evidence", found.found.base.scores[:LISTED])
 
 
 def _known(found: Diagnosis) -> TextTable:
-    """The known parameters with their pulls, with the established effects and without, largest first."""
+    """The known parameters with their pulls, the largest first."""
     alone = pulls(found.model, found.found.base.explanation) if found.established else {}
     rows = [(each.name, each.shown[3], each.shown[0], shown_unit(each.unit), each.sigmas or 0.0,
              *([alone.get(each.name, 0.0)] if alone else []))
@@ -258,13 +259,13 @@ def _merit(found: Diagnosis) -> TextTable:
 
 
 def detection_limits(found: Diagnosis) -> dict[str, float]:
-    """The smallest value (SI, from its start) of every hypothesis' first parameter that this campaign would detect."""
+    """The smallest detectable value (SI) of the first parameter of each hypothesis."""
     return {s.effect.name: float(DETECTED * s.error[0]) for s in found.found.base.scores
             if s.error.size and np.isfinite(s.error[0])}
 
 
 def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
-    """The content of ``diagnosis.json``, but for what effects with known constants contribute."""
+    """The content of ``diagnosis.json`` without effects of known constants."""
     decision, base, states = found.decision, found.found.base, found.states
     odds, count = decision.log_odds, len(found.campaign.fitted)
     before, alone, after = ({fit.name: _state_record(fit, state) for fit, state in zip(fits, states, strict=True)}
@@ -272,10 +273,11 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
     predicted = {each.state.name: each.reduced for each in found.chosen.predicted}
     return {
         **record(found, "campaign=campaign.name verdict headline explained=decision.is_explained next_measurement "
-                        "findings seconds undone=found.undone"),
+                        "findings seconds undone=found.undone "
+                        "moved_parameters=known { name from=stated to=value unit sigmas } "
+                        f"taken=campaign.taken {{ {_KNOWN} }}"),
         "effects": _effects(found), "alike": [list(e.effects) for e in decision.alike],
         "left": asdict(found.remainder),
-        "moved_parameters": records(found.known, "name from=stated to=value unit sigmas"),
         "rivals": [record(e, "effects name") | {
             "behind": odds[decision.chosen.name] - odds[e.name], "parameters": {
                 p.name: [p.value, p.low, p.high] for p in found.estimates_of(found.found.refit(e.name))}}
@@ -296,7 +298,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
             "evidence": e.log_evidence - base.explanation.log_evidence, "held_out": refit.held_out - base.held_out,
             "log_odds": odds[e.hypothesis.name], "reduced_chi_square": e.chi_square / e.local.residual.size}
             for refit in found.found.final for e in [refit.explanation]],
-        "taken": records(found.campaign.taken, _KNOWN), "not_tried": [asdict(each) for each in found.found.not_tried],
+        "not_tried": [asdict(each) for each in found.found.not_tried],
         # Of a search that was cut short: its best explanation so far.
         "provisional": found.provisional and {"effects": _effects(found.provisional)},
         "reader_findings": {s.name: list(s.findings) for s in states if s.findings}}
@@ -316,15 +318,14 @@ def _state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
 
 
 def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
-    """The content of ``diagnosis.json`` where a diagnosis was stopped after so many `seconds`, before its first result.
-    """
+    """The content of ``diagnosis.json`` without a result, after so many `seconds`."""
     return {
         "campaign": campaign.name, "verdict": NOT_FINISHED,
         "headline": "Not finished: it was stopped before its first result, and nothing can be said of any hypothesis.",
         "effects": [], "rivals": [], "provisional": None, "undone": ["everything"], "not_tried": [], "findings": [],
         "read": {state.name: record(state, "recording=measured.origin.source points=measured.frequency.size held_out")
                  for state in campaign.states},
-        "taken": records(campaign.taken, _KNOWN), "seconds": seconds}
+        "taken": record(campaign.taken, _KNOWN), "seconds": seconds}
 
 
 def _effects(found: Diagnosis) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Recorded focusing over frequency beside the simulated energy, as a table, as a record and as a page."""
+"""Recorded focusing beside the simulated energy: tables, record and page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from workbench.simulation.run import Simulation
 
 
 def compared_peaks_table(compared: EnergyComparison) -> TextTable:
-    """Every peak with its frequency, Q and, if they are absolute, energies: recorded, simulated, differences."""
+    """Frequency and Q of every peak, recorded and simulated; energies if absolute."""
     rows = []
     for number, pair in enumerate(compared.peaks, 1):
         recorded, simulated = pair.recorded, pair.simulated
@@ -37,7 +37,7 @@ def _interval(interval: tuple[float, float] | None, unit: str, form: str) -> str
 
 
 def recording_table(compared: EnergyComparison) -> TextTable:
-    """The recording and its fit: file, columns, points, scatter, and the evidence for two peaks."""
+    """The recording, its scatter, and the evidence for two peaks."""
     recording, fit = compared.recording, compared.fit
     low, high = recording.frequency[[0, -1]] / 1e6
     return table("recording | value:.3g", (
@@ -53,21 +53,19 @@ def recording_table(compared: EnergyComparison) -> TextTable:
 
 def energy_comparison_record(compared: EnergyComparison) -> dict[str, Any]:
     """A comparison for a JSON file."""
-    return record(compared, "kind=recording.kind absolute=recording.is_absolute points=recording.frequency.size "
-                            "recorded_over_simulated=factor rms_log_residual noise_of_a_point=fit.noise "
-                            "noise_is_stated=fit.is_noise_stated preference_for_two_peaks=fit.preference") | {
-        "points_compared": int(compared.inside.sum()),
-        "peaks": [{
-            "recorded": pair.recorded and record(
-                pair.recorded, "frequency_hz frequency_95_hz=frequency_interval q q_95=q_interval height "
-                               "points_within_half_power=points"),
-            "simulated": pair.simulated and record(
-                pair.simulated, "frequency_hz q mean_energy_density_j_m3_per_vpp2=per_square_volt"),
-            **record(pair, "difference difference_in_recorded_widths=widths q_difference")} for pair in compared.peaks]}
+    return record(
+        compared, "kind=recording.kind absolute=recording.is_absolute points=recording.frequency.size "
+                  "recorded_over_simulated=factor rms_log_residual noise_of_a_point=fit.noise "
+                  "noise_is_stated=fit.is_noise_stated preference_for_two_peaks=fit.preference peaks { "
+                  "recorded { frequency_hz frequency_95_hz=frequency_interval q q_95=q_interval height "
+                  "points_within_half_power=points } "
+                  "simulated { frequency_hz q mean_energy_density_j_m3_per_vpp2=per_square_volt } "
+                  "difference difference_in_recorded_widths=widths q_difference }") | {
+        "points_compared": int(compared.inside.sum())}
 
 
 def write_energy_comparison(compared: EnergyComparison, run: Simulation, folder: Path) -> Path:
-    """``report.html``: the peaks side by side, the curves, the recording and the model."""
+    """Write ``report.html``: peaks, curves, recording and model."""
     picture = draw_recorded_energy(compared, folder / ENERGY_PICTURE, title=run.chip.name)
     return write_report(
         folder / "report.html", f"{run.chip.name}, {run.state}: focusing recorded and simulated",

@@ -1,4 +1,4 @@
-"""Spectra as rows of tables and as records: figures of merit, and where a recording comes from."""
+"""Figures of merit and origins of spectra, as tables and as records."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ FigureRows = list[tuple[tuple[str, ...], dict[str, str]]]
 
 
 def figures_rows(label: str, merit: Figures | None) -> FigureRows:
-    """The cells of :data:`FIGURE_COLUMNS` and the named coupling factors: one row, of a weak resonance two, the right
-    one first."""
+    """The cells of :data:`FIGURE_COLUMNS` and the named coupling factors.
+
+    A weak resonance has two rows, the correct one first.
+    """
     if merit is None:
         return [((label, "none", "", "", ""), {})]
     anti, right = merit.antiresonance, merit.conductance
@@ -39,7 +41,7 @@ def figures_rows(label: str, merit: Figures | None) -> FigureRows:
 
 
 def figures_table(rows: FigureRows, further: Sequence[str] = ()) -> TextTable:
-    """The rows as a table with the columns of the coupling factors that any row has, and with `further` columns."""
+    """The rows as a table, with their coupling factors and `further` columns."""
     columns = [*(name for name in NAMED_COUPLINGS if any(name in extra for _, extra in rows)), *further]
     return TextTable((*FIGURE_COLUMNS, *columns), tuple(
         (*cells, *(extra.get(name, "") for name in columns)) for cells, extra in rows))
@@ -55,10 +57,9 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
     """Figures of merit for a JSON file, SI units in the names."""
     if merit is None:
         return {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
-    found = record(merit, "f0_hz z_min_ohm q") | {"half_power_hz": [merit.f1, merit.f2]}
+    found: dict[str, Any] = record(merit, "f0_hz z_min_ohm q") | {"half_power_hz": [merit.f1, merit.f2]}
     if merit.conductance is not None:
-        found |= record(merit, "is_weak figure_of_merit=conductance.merit")
-        found["conductance"] = record(merit.conductance, "frequency_hz q parallel_hz")
+        found |= record(merit, "is_weak figure_of_merit=conductance.merit conductance { frequency_hz q parallel_hz }")
     if merit.antiresonance is not None:
         found |= record(merit.antiresonance, "antiresonance_hz=frequency z_max_ohm k_effective")
         named = record(merit.antiresonance, " ".join(NAMED_COUPLINGS))

@@ -1,4 +1,4 @@
-"""A fit as tables, as pictures, as a page and as the record of ``fit.json``."""
+"""A fit: tables, record of ``fit.json``, and page."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from workbench.fitting.uncertainty import CONFIDENCE, DEVIATIONS, ParameterEstim
 from workbench.render.fits import Interval, draw_correlation, draw_fit, draw_gel_study, draw_intervals
 from workbench.report.figures import figures_record, origin_table
 from workbench.report.page import Note, Picture, TextTable, Value, number_text, table, write_report
-from workbench.report.record import plain, record, records
+from workbench.report.record import plain, record
 from workbench.results.merit import measured_figures
 
 
 def number_in_unit(value: float, unit: str, *, digits: int = 5) -> str:
-    """A number in the unit it is shown in, without the unit; nothing for NaN."""
+    """A number (SI) in the shown unit, without the unit; empty for NaN."""
     return number_text(value * shown_factor(unit), digits) if np.isfinite(value) else ""
 
 
 def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[str, str]:
-    """An estimate and its interval, without the unit, with digits enough to show two of the interval's width."""
+    """An estimate and its interval without unit, to two digits of the interval's width."""
     if not np.isfinite(low):
         return number_in_unit(value, unit), ""
     digits = 5
@@ -48,7 +48,7 @@ def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[st
 
 
 def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
-    """The name of a parameter: without the freed material's, with the recording if it is its own."""
+    """The name of a parameter without that of its material, with its own recordings."""
     p = estimate.parameter
     text = p.parsed.within(prepared.material.name)
     return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
@@ -59,8 +59,8 @@ def parameter_table(result: FitResult, prepared: Prepared) -> TextTable:
     rows = []
     for e in result.estimates:
         p = e.parameter
-        held = e.at_bound.removesuffix(f" of {prepared.material.name}")
-        remarks = [f"held by {held}" if held else "",
+        bound = e.at_bound.removesuffix(f" of {prepared.material.name}")
+        remarks = [f"at its bound: {bound}" if bound else "",
                    "of all points together" if p.nuisance else "" if e.determined else "not determined",
                    "by profile" if e.method == "profile" else ""]
         spread = "" if p.prior is None else number_in_unit(p.prior, p.unit, digits=2)
@@ -69,32 +69,28 @@ def parameter_table(result: FitResult, prepared: Prepared) -> TextTable:
                      *shown_estimate(e.value, e.low, e.high, p.unit), part and f"± {part}", shown_unit(p.unit),
                      e.value / p.start - 1.0 if p.start else None,
                      spread and f"± {spread}{' (assumed)' if p.assumed else ''}", "; ".join(filter(None, remarks))))
-    return table(f"parameter | start | fitted | 95 % interval | {OF_HELD} | unit | change (%):+.2f | known before | "
+    return table(f"parameter | start | fitted | 95 % interval | {OF_FIXED} | unit | change (%):+.2f | prior | "
                  "remark", rows)
 
 
-#: Heading of the part of an interval that comes of the numbers that a fit holds.
-OF_HELD = "of which held constants"
+#: Heading of the part of an interval that comes from the fixed constants.
+OF_FIXED = "of which fixed constants"
 
 
-def for_terminal(table: TextTable) -> TextTable:
-    """The table of parameters for a terminal of 80 columns: without what was known before, the change in per cent, and
-    the part of the held constants if there is none."""
-    left_out = {"known before", "change (%)"}
-    where = table.columns.index(OF_HELD)
-    if not any(row[where] for row in table.rows):
-        left_out.add(OF_HELD)
-    kept = [i for i, head in enumerate(table.columns) if head not in left_out]
-    heads, *rows = (tuple(row[i] for i in kept) for row in (table.columns, *table.rows))
+def for_terminal(shown: TextTable) -> TextTable:
+    """The table of parameters in 80 columns, without prior, change and empty columns."""
+    cells = [column for column in zip(shown.columns, *shown.rows, strict=True)
+             if column[0] not in ("prior", "change (%)") and (column[0] != OF_FIXED or any(column[1:]))]
+    heads, *rows = zip(*cells, strict=True)
     return TextTable(heads, tuple(rows))
 
 
 def held_table(result: FitResult) -> TextTable | None:
-    """The numbers that the fit held although they are uncertain; None if there are none."""
+    """The fixed parameters that are uncertain; None if there are none."""
     if not result.held:
         return None
     errors = {e.parameter.name: e for e in result.estimates}
-    return table("held | value | known to | unit | moves most | would take of the residual's square (%):.2g", (
+    return table("fixed | value | known to | unit | moves most | would explain of the residual's square (%):.2g", (
         (name_in_fit(h.parameter, result), number_in_unit(h.parameter.value, h.parameter.unit),
          f"± {number_in_unit(h.parameter.scale, h.parameter.unit, digits=2)}", shown_unit(h.parameter.unit),
          f"{name_in_fit(errors[h.moved].parameter, result)}, by {h.part:.2g} of its error" if h.part >= 0.01 else None,
@@ -102,9 +98,12 @@ def held_table(result: FitResult) -> TextTable | None:
 
 
 def derived_table(result: FitResult, prepared: Prepared) -> TextTable | None:
-    """Wave speeds and moduli that follow from the fit, as in Table 4 of the paper; None for a transducer."""
+    """Wave speeds and moduli from the fit; None for a transducer.
+
+    The paper has them in its Table 4.
+    """
     found = derived_quantities(result, prepared)
-    return None if not found else table("follows from it | value | 95 % interval | unit", (
+    return None if not found else table("derived quantity | value | 95 % interval | unit", (
         (d.name, *shown_estimate(d.value, d.low, d.high, d.unit), shown_unit(d.unit)) for d in found))
 
 
@@ -121,7 +120,7 @@ def match_table(result: FitResult) -> TextTable:
 
 
 def gel_table(cases: Sequence[GelCase]) -> TextTable:
-    """Errors for every thickness of the gel, as in section 4.3 of the paper."""
+    """Errors for every thickness of the gel (section 4.3 of the paper)."""
     published = (_published(c.thickness) for c in cases)
     return table("gel (um):g | MAPE of |Z| (%) | rms of ln(Z / Z_measured) | MAPE in the paper (%):g", (
         (c.thickness, c.comparison.mape_percent / 100.0, c.comparison.rms_log_residual, error and error / 100.0)
@@ -136,7 +135,7 @@ def write_fit_report(
     folder: Path, title: str, result: FitResult, prepared: Prepared, sources: Sequence[Source], *,
     gel: Sequence[GelCase], saved_as: str | None,
 ) -> Path:
-    """Pictures and ``report.html``: first what was found, then pictures, starts, bands, noise, provenance."""
+    """Write ``report.html``: result, pictures, starts, bands, noise and recordings."""
     cases = {f"{1e6 * c.thickness:g} µm": (c.spectrum, c.comparison.mape_percent) for c in gel}
     difference, where = result.check
     return write_report(
@@ -149,8 +148,7 @@ def write_fit_report(
             "gel": [] if not gel else [gel_table(gel), Picture(draw_gel_study(
                 result.recordings[0].measured, cases, folder / "gel.png", resonance=reference_frequency(result),
                 title="thickness of the gel"), "impedance predicted for several thicknesses of the gel")],
-            "starts": table("start | rms of ln(Z / Z_measured) | outcome | steps", (
-                (s.label, s.rms, s.outcome, s.steps) for s in result.starts)),
+            "starts": table("start=label | rms of ln(Z / Z_measured)=rms | outcome=outcome | steps=steps", result.starts),
             "effort": table("algorithm | wall time (s):.1f | full solves | steps | difference from full solves", [
                 (result.algorithm, result.seconds, result.full_solves, result.iterations,
                  f"{difference:.1e} at {where / 1e3:.1f} kHz" if np.isfinite(difference) else None)]),
@@ -161,7 +159,7 @@ def write_fit_report(
                 (", ".join(f"{share:+.2f} {name}" for name, share in d.shares[:6]), d.narrowing, d.symmetry)
                 for d in result.undetermined)),
             "noise": table(
-                "recording | relative deviation of a point (%):.3g | points that say as much as one:.1f | stated", (
+                "recording | relative deviation of a point (%):.3g | correlation length (points):.1f | stated", (
                     (m.name, m.noise.deviation, m.noise.correlation,
                      f"yes, residual {m.noise.ratio:.2f} times as large" if m.noise.stated else "no")
                     for m in result.recordings)),
@@ -174,7 +172,7 @@ def write_fit_report(
 def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Picture]:
     """The spectra, and the estimates with their correlations if these are known."""
     pictures = [Picture(draw_fit(m.measured, m.start, m.fitted, folder / f"fit_{m.name}.png", title=m.name),
-                        f"{m.name}: impedance as measured, at the start and fitted, and what the fit leaves")
+                        f"{m.name}: impedance as measured, at the start and fitted, and the residual of the fit")
                 for m in result.recordings]
     if not np.isfinite(result.covariance).all():
         return pictures
@@ -184,7 +182,7 @@ def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Pictu
         "; ".join(filter(None, ("at bound" if e.at_bound else "", "" if e.determined else "not determined"))))
         for name, e in zip(names, result.estimates, strict=True)]
     pictures.append(Picture(draw_intervals(intervals, folder / "intervals.png", title="parameters"),
-                            "fitted values with their 95 % intervals, and what was known before"))
+                            "fitted values with their 95 % intervals, and the prior"))
     if len(names) > 1:
         pictures.append(Picture(draw_correlation(names, result.correlation, folder / "correlation.png",
                                                  title="correlation of the estimates"), "correlations"))
@@ -194,34 +192,35 @@ def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Pictu
 def fit_record(
     result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime, saved_as: str | None = None
 ) -> dict[str, Any]:
-    """Everything of a fit for a JSON file: SI units in the names, or beside the numbers where they differ."""
+    """All of a fit for a JSON file, in SI, with other units beside the numbers."""
     refused = refusals(result)
     return {
         **record(prepared, "kind chip=chip.name state material=material.name"),
-        **record(result, "algorithm findings converged improved iterations wall_seconds=seconds full_solves"),
+        **record(result, "algorithm findings converged improved iterations wall_seconds=seconds full_solves "
+                         "held { name=parameter.name value=parameter.value unit=parameter.unit "
+                         "standard_uncertainty=parameter.scale moves=moved by_standard_errors=part "
+                         "share_of_residual=share taken_if_proposed=taken } "
+                         "entries_tried=entries { name rms_log_residual=rms } "
+                         "starts { label rms_log_residual=rms outcome steps begin end } "
+                         "bands_left_out=bands { recording low_hz high_hz fitted_rms predicted_rms }"),
         "software": software(), "date": date.isoformat(), "accepted": not refused, "refusals": list(refused),
         "saved_as": saved_as, "mape_percent": float(np.mean([m.after.mape_percent for m in result.recordings])),
         "rms_log_residual": rms_log_residual(result), "confidence": CONFIDENCE,
         "parameters": list(map(parameter_record, result.estimates)),
-        "derived": records(derived_quantities(result, prepared), "name value unit low high standard_error"),
+        "derived": record(derived_quantities(result, prepared), "name value unit low high standard_error"),
         "derived_frequency_hz": reference_frequency(result),
         "recordings": list(map(_match_record, result.recordings, sources)),
         "correlation": {"names": [e.parameter.name for e in result.estimates], "rows": plain(result.correlation)},
-        "held": records(result.held, "name=parameter.name value=parameter.value unit=parameter.unit "
-                                     "standard_uncertainty=parameter.scale moves=moved by_standard_errors=part "
-                                     "share_of_residual=share taken_if_proposed=taken"),
-        "entries_tried": records(result.entries, "name rms_log_residual=rms"),
         "undetermined": [record(d, "narrowing symmetry") | {"shares": dict(d.shares)} for d in result.undetermined],
-        "starts": records(result.starts, "label rms_log_residual=rms outcome steps begin end"),
-        "bands_left_out": records(result.bands, "recording low_hz high_hz fitted_rms predicted_rms"),
         "check_against_full_solves": plain(
             dict(zip(("relative_difference", "frequency_hz"), result.check, strict=True)))}
 
 
 def parameter_record(estimate: ParameterEstimate) -> dict[str, Any]:
     """One row of the parameter table."""
-    return record(estimate.parameter, "name recordings unit prior start") | record(
-        estimate, "value low high standard_error numerical at_bound determined narrowing method of_held=held")
+    return record(estimate, "name=parameter.name recordings=parameter.recordings value unit=parameter.unit low high "
+                            "standard_error numerical prior=parameter.prior start=parameter.start at_bound determined "
+                            "narrowing method of_held=held")
 
 
 def gel_record(cases: Sequence[GelCase]) -> list[dict[str, Any]]:
@@ -233,12 +232,12 @@ def gel_record(cases: Sequence[GelCase]) -> list[dict[str, Any]]:
 def _match_record(match: Match, files: Source) -> dict[str, Any]:
     measured = match.measured
     return {
-        **record(match, "name start_mape_percent=before.mape_percent start_rms_log_residual=before.rms_log_residual"),
+        **record(match, "name start_mape_percent=before.mape_percent start_rms_log_residual=before.rms_log_residual "
+                        "noise { relative_deviation=deviation correlated_points=correlation stated "
+                        "ratio_to_stated=ratio }"),
         **record(match.after, "mape_percent rms_log_residual worst_percent worst_frequency_hz phase_mean_deg "
                               "phase_max_deg"),
         **record(files, "file=recording sha256 chip_file=chip chip_sha256 reader_findings=findings"),
         "band_hz": plain(measured.frequency[[0, -1]]), "points": measured.frequency.size,
         "figures": {label: figures_record(*measured_figures(s)) for label, s in
-                    (("measured", measured), ("start", match.start), ("fitted", match.fitted))},
-        "noise": record(match.noise, "relative_deviation=deviation correlated_points=correlation stated "
-                                     "ratio_to_stated=ratio")}
+                    (("measured", measured), ("start", match.start), ("fitted", match.fitted))}}

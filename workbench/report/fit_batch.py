@@ -1,4 +1,4 @@
-"""A batch of fits as tables, as a page and as the record of ``summary.json``."""
+"""A batch of fits: tables, record of ``summary.json``, and page."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from workbench.report.record import record
 
 
 def devices_table(records: Mapping[str, Mapping[str, Any]]) -> TextTable:
-    """Every fit, by its ``fit.json``: its residual, whether it is accepted, and the name it is saved under."""
+    """Residual, verdict and saved name of every fit, from its ``fit.json``."""
     return table("device | MAPE of |Z| (%) | rms of ln(Z / Z_measured) | accepted | saved as | time (s):.1f", (
         (name, r["mape_percent"] / 100.0, r["rms_log_residual"], "yes" if r["accepted"] else "NO", r["saved_as"],
          r["wall_seconds"]) for name, r in records.items()))
 
 
 def batch_columns_table(columns: Sequence[BatchColumn]) -> TextTable:
-    """Every quantity that two devices or more have, over the devices."""
+    """Every quantity of two devices or more, over the devices."""
     return table("quantity | unit | devices | mean | standard deviation | range over mean (%):.3g | outliers", (
         (c.name, shown_unit(c.unit), len(c.devices), number_in_unit(c.mean, c.unit),
          number_in_unit(c.deviation, c.unit, digits=3), c.dispersion_percent / 100.0, ", ".join(c.outliers))
@@ -49,7 +49,7 @@ def write_batch_report(
     folder: Path, title: str, columns: Sequence[BatchColumn], records: Mapping[str, Mapping[str, Any]],
     failed: Mapping[str, str]
 ) -> Path:
-    """``report.html``: the fits, their statistics, and their findings."""
+    """Write ``report.html``: the fits, their statistics and their findings."""
     return write_report(folder / "report.html", title, template="fit_batch.html", values={
         "notes": [*(Note(f"{name}: {words}") for name, words in failed.items()),
                   *(Note(f"{name}: {text}") for name, r in records.items() for text in r["refusals"])],

@@ -1,4 +1,4 @@
-"""Materials of a registry, versions of a saved fit, and differences of two materials as tables."""
+"""Tables of materials, of versions of a fit, and of differences."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _material_row(registry: Registry, name: str) -> tuple[Value, ...]:
 
 
 def versions_table(versions: Iterable[Version]) -> TextTable:
-    """The versions of a saved fit, with their dates and what each leaves."""
+    """The versions of a saved fit, with their dates and residuals."""
     rows: list[tuple[Value, ...]] = []
     for version in versions:
         fit = None if version.material is None else version.material.fit

@@ -1,4 +1,4 @@
-"""A run of the bench as tables and as a page; imported pairs of waveforms as a table."""
+"""Tables and page of a run of the bench; table of imported waveforms."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def weak_resonances(levels: Sequence[LevelSpectrum]) -> list[str]:
 
 
 def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectrum], path: Path) -> Path:
-    """The report of a run: spectrum, uncertainty, doubtful points, and the settings."""
+    """Write the report of a run: spectrum, uncertainty, doubtful points, settings."""
     title = setup.metadata.get("name", path.stem)
-    events = table("time (UTC) | what happened", (
+    events = table("time (UTC) | event", (
         (datetime.fromtimestamp(event.time, tz=UTC).isoformat(sep=" ", timespec="seconds"), event.text)
         for event in run.events))
     with tempfile.TemporaryDirectory() as temporary:
@@ -45,7 +45,7 @@ def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectru
                                measured=[f"{found.level:g} Vpp" for found in levels], title=title)
         flags = [Note(f"{found.level:g} Vpp: {flag}") for found in levels for flag in found.flags]
         return write_report(path, title, [
-            ("What was measured", [*flags, *map(Note, weak_resonances(levels)), measured_figures_table(levels),
+            ("Measurement", [*flags, *map(Note, weak_resonances(levels)), measured_figures_table(levels),
                                    Picture(spectra, "impedance")]),
             *((f"Uncertainty at {found.level:g} Vpp", _uncertainty(found, folder)) for found in levels),
             ("The recording", [origin_table(levels[0].spectrum.origin), events]),
@@ -53,11 +53,11 @@ def write_measurement(setup: BenchSetup, run: Run, levels: Sequence[LevelSpectru
 
 
 def _uncertainty(found: LevelSpectrum, folder: Path) -> list[Block]:
-    """The uncertainty at one level of drive as a table and a picture, and the doubtful points."""
+    """The uncertainty at one level of drive, and the doubtful points."""
     relative, whole = 100.0 * found.noise / found.spectrum.magnitude, found.spectrum.uncertainty
     curves = {"noise": relative}
     if whole is not None:
-        curves["with what all points share"] = 100.0 * whole / found.spectrum.magnitude
+        curves["with the part common to all points"] = 100.0 * whole / found.spectrum.magnitude
     rows: list[tuple[str, Value]] = [
         ("points", len(found.spectrum.frequency)),
         ("noise, median and largest (% of |Z|)", f"{np.median(relative):.2g}, {np.max(relative):.2g}"),
@@ -72,7 +72,7 @@ def _uncertainty(found: LevelSpectrum, folder: Path) -> list[Block]:
 
 
 def pairs_table(pairs: Sequence[WaveformPair], values: Sequence[PointImpedance] | None) -> TextTable:
-    """The ratio of every pair of waveforms, and the impedance where a resistor gives one."""
+    """The ratio of every pair of waveforms, and the impedance if known."""
     columns = "pair | frequency (Hz):.6g | ratio:.5g | phase (degrees):.2f | uncertainty (%):.2g"
     rows: list[tuple[Value, ...]] = [
         (p.name, p.fit.frequency, abs(p.ratio), degrees(p.ratio), p.relative) for p in pairs]

@@ -1,4 +1,4 @@
-"""The mesh of a chip as a table; meshes of several accuracies beside a finer one as a table, a record and a page."""
+"""Meshes of a chip and their convergence: tables, record and page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RECORDED = ("accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_er
 
 
 def cells_table(problem: Problem, highest: float) -> TextTable:
-    """Cells of every region, and how many of them lie on a wavelength at the `highest` frequency (Hz)."""
+    """Cells of every region, and elements per wavelength at the `highest` frequency (Hz)."""
     mesh = problem.mesh
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(mesh, speeds, highest)
@@ -31,9 +31,11 @@ def cells_table(problem: Problem, highest: float) -> TextTable:
 
 @dataclass(frozen=True)
 class MeshRow:
-    """One mesh: the ``accuracy`` it was made for (None: the finest), its ``unknowns``, figures of merit (Hz, ohm, 1),
-    the rms error of ln Z as ``estimated`` on it (NaN: not) and against the finest, and the ``size`` of its elements
-    (root of their mean area, m)."""
+    """One mesh of a given ``accuracy`` (None: the finest).
+
+    It has its ``unknowns``, figures of merit (Hz, ohm, 1), the rms error of ln Z as ``estimated`` on it (NaN: not) and
+    against the finest, and the ``size`` of its elements (root of their mean area, m).
+    """
 
     accuracy: float | None
     unknowns: int
@@ -46,7 +48,7 @@ class MeshRow:
 
     @classmethod
     def of(cls, accuracy: float | None, run: Simulation, finest: Simulation) -> MeshRow:
-        """From a run that has figures of merit, and that of the finest mesh at the same frequencies."""
+        """From a run with figures of merit, and one of the finest mesh."""
         mesh = run.problem.mesh
         area = sum(mesh.section.area(region) for region in mesh.section.regions)
         # Complex division does not give exactly one of equal numbers.
@@ -59,7 +61,7 @@ class MeshRow:
 
 
 def convergence_table(rows: Sequence[MeshRow]) -> TextTable:
-    """Every mesh with its figures of merit, its error against the finest, and that estimated on it."""
+    """Figures of merit, error and estimated error of every mesh."""
     return table("accuracy | unknowns | f0 (MHz):.5f | Z_min (ohm) | Q | error (%):.4f | estimate (%):.4f", (
         ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", row.unknowns, row.f0, row.z_min, row.q,
          None if row.accuracy is None else row.error, row.estimated) for row in rows))
@@ -72,7 +74,7 @@ def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:
 
 
 def write_convergence_report(title: str, rows: Sequence[MeshRow], folder: Path) -> Path:
-    """``report.html``: the table, and the differences from the finest mesh, the last of the rows, over the size."""
+    """Write ``report.html``: table and differences from the finest mesh, the last row."""
     *others, finest = rows
     errors = {"f0": [abs(row.f0 / finest.f0 - 1.0) for row in others],
               "Z_min": [abs(row.z_min / finest.z_min - 1.0) for row in others],

@@ -1,4 +1,4 @@
-"""The tables of all results, and the page of all reports: one HTML file that opens offline."""
+"""The tables of all results, and the page of all reports."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
 from workbench.render.canvas import Picture
 from workbench.report.definitions import defined, definition
+from workbench.report.record import attribute
 
 #: Cells of a table with more characters than this are text, aligned left; shorter ones are numbers.
 _WORDS = 24
@@ -26,7 +27,7 @@ _FACTORS = {unit: factor for units in UNITS.values() for unit, factor in units.i
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text: a heading for every column, and rows of as many cells.
+    """A table of text with a heading for every column.
 
     Headings of columns and rows that `definitions` has show their meaning, and a legend below the first table of a page
     with such a heading lists it.
@@ -50,30 +51,33 @@ class TextTable:
 Value = str | float | None
 
 
-def table(columns: str, rows: Iterable[Sequence[Value]]) -> TextTable:
-    """A table of text and numbers (SI), each number in the unit and format of its column.
+def table(columns: str, rows: Iterable[Any]) -> TextTable:
+    """A table of text and numbers (SI) in the units of their columns.
 
-    `columns` are separated by " | ", each "heading", "heading (unit)" or "heading (unit):format", such as
-    "p0 (kPa):.3f"; the format is ".4g" if not stated. A number that does not exist, None or NaN, is an empty cell.
+    `columns` are separated by " | ". "p0 (kPa):.3f=field.amplitude" has a heading, a format (".4g" if not stated), and
+    the attribute of each row that its cells show; without attributes each row has its cells. None and NaN are empty.
     """
-    heads = [column.partition(":") for column in columns.split(" | ")]
-    units = [re.search(r"\(([^()]*(?:\([^()]*\))?)\)$", head) for head, _, _ in heads]
-    formats = [(unit[1] if unit else "", form or ".4g") for unit, (_, _, form) in zip(units, heads, strict=True)]
-    return TextTable(tuple(head for head, _, _ in heads), tuple(
-        tuple(in_unit(value, *form) for value, form in zip(row, formats, strict=True)) for row in rows))
+    heads, units, formats, paths = list[str](), list[str](), list[str](), list[str]()
+    for column in columns.split(" | "):
+        shown, _, path = column.partition("=")
+        head, _, form = shown.partition(":")
+        heads.append(head)
+        units.append(head.rpartition(" (")[2].removesuffix(")"))
+        formats.append(form)
+        paths.append(path)
+    cells = ([attribute(row, path) for path in paths] for row in rows) if any(paths) else rows
+    return TextTable(tuple(heads), tuple(tuple(map(in_unit, row, units, formats)) for row in cells))
 
 
-def in_unit(value: Value, unit: str, form: str = ".4g") -> str:
-    """A number (SI) as text in a unit, without it; text and integers stay, None and NaN are empty."""
+def in_unit(value: Value, unit: str, form: str = "") -> str:
+    """A number (SI) in a unit; text and integers stay, None and NaN are empty."""
     match value:
-        case str():
-            return value
-        case Integral():
+        case str() | Integral():
             return str(value)
         case None:
             return ""
         case _:
-            return "" if math.isnan(value) else format(value / _FACTORS.get(unit, 1.0), form)
+            return "" if math.isnan(value) else format(value / _FACTORS.get(unit, 1.0), form or ".4g")
 
 
 def number_text(value: float, digits: int = 4) -> str:
@@ -82,7 +86,7 @@ def number_text(value: float, digits: int = 4) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A heading: the name with its unit in brackets, if it has one."""
+    """A heading: the name with its unit in brackets, if any."""
     return f"{name} ({unit})" if unit else name
 
 

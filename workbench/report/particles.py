@@ -1,4 +1,4 @@
-"""Trajectories of particles as tables, a page, a record, and files to go on with."""
+"""Trajectories of particles: tables, record, data files and page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from workbench.acoustics.trajectories import Fate, Trajectories
 from workbench.files.writing import replacing, write_atomic
 from workbench.model.particles import drag_coefficient, net_weight
 from workbench.report.page import Answer, Note, Picture, TextTable, table, write_report
-from workbench.report.record import record, records
+from workbench.report.record import record
 from workbench.report.simulation import field_table, gathering_record
 from workbench.report.warm import warm_blocks
 from workbench.simulation.gathering import Gathering
@@ -30,7 +30,7 @@ from workbench.simulation.run import Snapshot
 
 
 def captures_table(statistics: Sequence[CaptureStatistics]) -> TextTable:
-    """Particles by the way they end, with the times of arrival and their spread over start points."""
+    """Particles by final place, with times of arrival and their spread."""
     def seconds(each: float | None) -> str:
         return "" if each is None else f"{float(f'{each:.3g}'):g}"
 
@@ -49,7 +49,7 @@ def _spread(value: float | None, spread: float | None) -> str:
 
 
 def rest_table(found: Trajectories) -> TextTable:
-    """Traps of the sound alone, and the places next to them where the particle rests with its weight and the flow."""
+    """Traps of the sound alone, and the nearest place of rest with weight and flow."""
     rows, measure = [], found.report.forces.mesh.measure
     symbol, digits = measure.symbol, measure.decimals + 1
     for number, (trap, rest) in enumerate(zip(found.report.traps, found.rest, strict=True), start=1):
@@ -62,7 +62,7 @@ def rest_table(found: Trajectories) -> TextTable:
 
 
 def motion_record(found: Trajectories, window: Window, answer: Gathering) -> dict[str, Any]:
-    """Everything about the motion that particles.json holds."""
+    """The motion of the particles in particles.json."""
     forces, curve = found.forces, light_curve(found, window)
     return record(
         found, "particle=forces.particle.name radius_m=forces.particle.radius particles=count "
@@ -73,7 +73,7 @@ def motion_record(found: Trajectories, window: Window, answer: Gathering) -> dic
         "settling_speed_m_s": net_weight(forces.particle, forces.fluid) / drag_coefficient(
             forces.particle, forces.fluid),
         "fate": {fate.words: int((found.fate == fate).sum()) for fate in Fate},
-        "captures": records(
+        "captures": record(
             capture_statistics(found), "name count share share_spread ten_percent_s=ten half_s ninety_percent_s=ninety "
                                        "focusing_time_s focusing_spread_s"),
         "gathering": gathering_record([answer])[answer.state],
@@ -83,7 +83,7 @@ def motion_record(found: Trajectories, window: Window, answer: Gathering) -> dic
 
 
 def write_trajectories(found: Trajectories, path: Path) -> Path:
-    """Write times, positions and fates as an npz archive (numpy), SI units in the names of its arrays."""
+    """Write times, positions and fates as an npz archive, in SI."""
     with replacing(path) as whole:
         np.savez_compressed(
             whole, times_s=found.times, positions_m=found.positions, azimuths_rad=found.azimuths, fate=found.fate,
@@ -118,7 +118,7 @@ def flow_answer(moving: LiquidMotion) -> str:
 
 
 def flow_record(moving: LiquidMotion) -> dict[str, Any]:
-    """The motion of the liquid as particles.json holds it; empty at rest."""
+    """The motion of the liquid in particles.json; empty at rest."""
     flow, heat = moving.streaming, moving.heat
     found: dict[str, Any] = {}
     if flow is not None:
@@ -134,8 +134,10 @@ def write_particles_report(
     shot: Snapshot, found: Trajectories, moving: LiquidMotion, answer: Gathering, pictures: Sequence[Picture],
     files: Mapping[str, Path], folder: Path
 ) -> Path:
-    """``report.html``: the fate of the particles first, then how many, when and where, the pictures, what is left out.
-    `files` are further files by what they hold."""
+    """Write ``report.html``: answer, numbers, pictures, field and model.
+
+    `files` are further files by their content.
+    """
     return write_report(
         folder / "report.html", f"{shot.chip.name}: particles", template="particles.html", values={
             "shot": shot, "warm": warm_blocks(shot), "answer": Answer(answer), "flow": flow_answer(moving),

@@ -1,38 +1,65 @@
-"""Values of JSON files, in SI, from the attributes of results."""
+"""Values of JSON files and cells of tables, from the attributes of results."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from operator import attrgetter
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from workbench.results.circuit import FittedNumber
 
-#: The endings of keys that state a unit: that of the attribute, which has the rest of the key as its name.
-_UNIT = re.compile("_(?:hz|ohm|f|h|rad|m|s|k|v|vpp|w|j|n|pa|m_s|n_m|j_m3|m_pa|m3)$")
+#: The endings of keys that state a unit. The attribute has the rest of the key as its name.
+_UNIT = re.compile("_(?:hz|ohm|f|h|rad|m|s|k|v|vpp|w|j|n|pa|m_s|n_m|j_m3|m_pa)$")
+
+#: Attributes by key: the path of each, and the keys of its own record if it has one.
+_Keys = dict[str, tuple[str, Any]]
 
 
-def record(value: object, keys: str) -> dict[str, Any]:
+def record(value: object, keys: str) -> Any:
     """Attributes of a value by the keys of a JSON file.
 
-    `keys` are separated by blanks. "key=attribute" names the attribute, which may be one of an attribute, such as
-    "parameter.name". Without it the attribute has the name of the key without the unit at its end.
+    `keys` are separated by blanks: "frequency_hz" is the attribute "frequency", without the unit, and "chip=chip.name"
+    that of an attribute. "peaks { frequency_hz q }" is the record of an attribute. The record of a sequence is a list,
+    and that of None is None.
     """
-    pairs = (key.partition("=") for key in keys.split())
-    return {key: plain(attrgetter(path or _UNIT.sub("", key))(value)) for key, _, path in pairs}
+    return _selected(value, _parsed(iter(re.findall(r"[{}]|[^\s{}]+", keys))))
 
 
-def records(values: Iterable[object], keys: str) -> list[dict[str, Any]]:
-    """The :func:`record` of each value."""
-    return [record(value, keys) for value in values]
+def _parsed(words: Iterator[str]) -> _Keys:
+    """Keys up to the brace that ends them."""
+    found: _Keys = {}
+    last = ""
+    for word in words:
+        if word == "}":
+            break
+        if word == "{":
+            found[last] = found[last][0], _parsed(words)
+        else:
+            last, _, path = word.partition("=")
+            found[last] = path or _UNIT.sub("", last), None
+    return found
+
+
+def _selected(value: object, keys: _Keys | None) -> Any:
+    if value is None or keys is None:
+        return plain(value)
+    if isinstance(value, list | tuple):
+        return [_selected(each, keys) for each in value]
+    return {key: _selected(attribute(value, path), own) for key, (path, own) in keys.items()}
+
+
+def attribute(value: Any, path: str) -> Any:
+    """An attribute of an attribute, such as "parameter.name"; None if an attribute on the way is None."""
+    for name in path.split("."):
+        value = None if value is None else getattr(value, name)
+    return value
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: arrays and tuples as lists, infinite numbers and NaN as None.
+    """A value as JSON has it: lists for arrays and tuples, None for infinity and NaN.
 
     A fitted number is a list of its value and its standard error.
     """

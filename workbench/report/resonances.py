@@ -7,45 +7,39 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from workbench.report.page import TextTable, Value, number_text, table
-from workbench.report.record import plain, record, records
-from workbench.results.circuit import (
-    LARGE_CHI_SQUARE,
-    LARGE_RESIDUAL,
-    CircuitFit,
-    FittedNumber,
-    fit_circuit,
-)
+from workbench.report.page import TextTable, table
+from workbench.report.record import plain, record
+from workbench.results.circuit import LARGE_CHI_SQUARE, LARGE_RESIDUAL, CircuitFit, FittedNumber, fit_circuit
 from workbench.results.pole import PoleFit, fit_pole
 from workbench.results.spectrum import Spectrum
 
 RESONANCE_COLUMNS = ("resonances", "fitted f (MHz)", "fitted Q", "fitted k_eff", "M", "R1 (ohm)", "L1 (uH)", "C1 (pF)")
 
-#: Keys of a fitted resonance in JSON files.
-_KEYS = ("frequency_hz q k_effective=k_eff figure_of_merit=merit resistance_ohm inductance_h capacitance_f phase_rad")
-
 
 def resonances_table(found: Mapping[str, CircuitFit | None]) -> TextTable:
-    """The resonances of spectra by label, each with standard errors; "none" without a resonance."""
-    rows: list[tuple[Value, ...]] = []
+    """The resonances of spectra by label, with standard errors; "none" without one."""
+    rows: list[tuple[str | float | None, ...]] = []
     for label, fit in found.items():
         if fit is None:
             rows.append((label, "none", *[None] * (len(RESONANCE_COLUMNS) - 2)))
             continue
         rows += [(label, _with_error(each.frequency, 1e-6, 5), _with_error(each.q, 1.0, 1),
-                  _with_error(each.k_eff, 1.0, 4), number_text(each.merit, 2) if math.isfinite(each.merit) else None,
+                  _with_error(each.k_eff, 1.0, 4), f"{each.merit:.2g}" if math.isfinite(each.merit) else None,
                   each.resistance.value, each.inductance.value, each.capacitance.value) for each in fit.resonances]
     return table(" | ".join(RESONANCE_COLUMNS), rows)
 
 
 def resonance_notes(found: Mapping[str, CircuitFit | None]) -> tuple[str, ...]:
-    """The misfit of the circuits and whether it is large, and the resonances that they do not resolve."""
+    """The misfit of each circuit, and the resonances that it does not resolve."""
     return tuple(f"{label}: {text}" for label, fit in found.items() if fit is not None
                  for text in (misfit(fit), *fit.findings))
 
 
 def misfit(fit: CircuitFit) -> str:
-    """A sentence on the residual of a circuit: against the stated noise, or else against that of good fits."""
+    """A sentence on the residual of a circuit.
+
+    The residual is compared with the stated noise, or else with that of good fits.
+    """
     left = (f"the circuit of these resonances, beside a shunt of {1e12 * fit.static_capacitance.value:.4g} ± "
             f"{1e12 * fit.static_capacitance.standard_error:.2g} pF with a loss tangent of "
             f"{fit.loss_tangent.value + 0.0:.2g}, leaves {100.0 * fit.rms_residual:.2g} % of Z (rms)")
@@ -65,15 +59,16 @@ def _with_error(number: FittedNumber, factor: float, digits: int) -> str:
 
 
 def resonances_record(found: CircuitFit | None) -> dict[str, Any]:
-    """The resonances of a spectrum for a JSON file: every number with its standard error, SI units in the names."""
+    """The resonances of a spectrum for a JSON file, each number with its standard error."""
     if found is None:
         return {"resonances": []}
-    return {"resonances": records(found.resonances, _KEYS), "misfit": misfit(found),
-            **record(found, "static_capacitance_f loss_tangent rms_residual findings")}
+    return record(found, "resonances { frequency_hz q k_effective=k_eff figure_of_merit=merit resistance_ohm "
+                         "inductance_h capacitance_f phase_rad } static_capacitance_f loss_tangent rms_residual "
+                         "findings") | {"misfit": misfit(found)}
 
 
 def single_fits_record(spectrum: Spectrum) -> dict[str, Any]:
-    """The fits of the deepest resonance alone, by its pole and by its circuit, as far as they succeed."""
+    """The fits of the deepest resonance alone, by pole and by circuit, if they succeed."""
     found: dict[str, Any] = {}
     for method, fit in (("pole", fit_pole), ("bvd", fit_circuit)):
         with suppress(ValueError):
@@ -82,6 +77,6 @@ def single_fits_record(spectrum: Spectrum) -> dict[str, Any]:
 
 
 def single_fit_record(fit: PoleFit | CircuitFit) -> dict[str, Any]:
-    """The fit of one resonance for a JSON file: every number with its standard error."""
+    """The fit of one resonance for a JSON file, each number with its standard error."""
     one, parameters = (fit, {}) if isinstance(fit, PoleFit) else (fit.resonances[0], plain(fit.parameters))
-    return record(one, "frequency_hz q") | record(fit, "rms_residual") | parameters
+    return {**record(one, "frequency_hz q"), **record(fit, "rms_residual"), **parameters}

@@ -1,4 +1,4 @@
-"""The sensitivity of a spectrum to the coefficients of its transducer, as a table, as a record and as a page."""
+"""The sensitivity of a spectrum to its transducer: table, record and page."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def ranking_table(found: Sensitivity) -> TextTable:
 
 
 def write_sensitivity_report(title: str, found: Sensitivity, folder: Path) -> Path:
-    """``report.html``: the ranking with its pictures, and the effort."""
+    """Write ``report.html``: ranking, pictures and effort."""
     names = {name: local_name(name) for name in found.names if name not in found.undetermined}
     real, loss = ([(names[r.name], r.slope, TABLE_TWO.get(names[r.name])) for r in found.ranking()
                    if r.name in names and ParameterName.parse(r.name).is_loss == is_loss] for is_loss in (False, True))
     pictures = [Picture(draw_sensitivity(real, loss, folder / "ranking.png",
                                          thresholds=(REAL_THRESHOLD, LOSS_THRESHOLD), title=title),
-                        "ranking, with what Table 2 of the paper prints")]
+                        "ranking, beside Table 2 of the paper")]
     for is_loss, part in ((False, "real"), (True, "imaginary")):
         costs = {names[name]: row for name, row in zip(found.names, found.costs, strict=True)
                  if name in names and ParameterName.parse(name).is_loss == is_loss}
@@ -58,7 +58,7 @@ def write_sensitivity_report(title: str, found: Sensitivity, folder: Path) -> Pa
             drawn = draw_costs(found.scalings, costs, folder / f"costs_{part}.png", title=f"{part} parts")
             pictures.append(Picture(drawn, f"costs of the {part} parts"))
     return write_report(
-        folder / "report.html", f"{title}: what the spectrum depends on", template="sensitivity.html", values={
+        folder / "report.html", f"{title}: sensitivity of the spectrum", template="sensitivity.html", values={
             "undetermined": [local_name(name) for name in found.undetermined], "ranking": ranking_table(found),
             "pictures": pictures,
             "effort": table("spectra | full solves | wall time (s):.1f | largest estimated error of Z:.1e",

@@ -1,4 +1,4 @@
-"""Simulated states of a chip as tables, as a page and as records."""
+"""Simulated states of a chip: tables, record and page."""
 
 from __future__ import annotations
 
@@ -26,14 +26,9 @@ from workbench.report.figures import (
     figures_rows,
     figures_table,
 )
-from workbench.report.page import Answer, Block, Note, Picture, TextTable, Value, number_text, table, write_report
-from workbench.report.record import record, records
-from workbench.report.resonances import (
-    resonance_notes,
-    resonances_record,
-    resonances_table,
-    single_fits_record,
-)
+from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, table, write_report
+from workbench.report.record import record
+from workbench.report.resonances import resonance_notes, resonances_record, resonances_table, single_fits_record
 from workbench.report.warm import warm_record, warm_section
 from workbench.simulation.channel import ChannelFigures, channel_figures
 from workbench.simulation.gathering import Gathering
@@ -47,7 +42,7 @@ ENERGY_PICTURE = "energy.png"
 
 
 def field_table(report: TrapReport) -> TextTable:
-    """The field a particle is in, and its effect on the particle anywhere."""
+    """The field that acts on a particle, and its largest force."""
     forces, excitation = report.forces, report.excitation
     return table(
         "particle | contrast factor:.3g | net weight (pN):.3g | largest force (pN):.3g | p0 (kPa) | E_ac (J/m^3):.3g | "
@@ -58,35 +53,36 @@ def field_table(report: TrapReport) -> TextTable:
 
 
 def traps_table(report: TrapReport) -> TextTable:
-    """Every trap: where, how strong, how much of the cavity drains to it and how fast."""
+    """Every trap: its place, strength, share of the cavity and focusing time."""
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
     measure = report.forces.mesh.measure
     digits, (across, up) = f".{measure.decimals + 1}f", measure.directions
-
-    def barrier(energy: float | None) -> Value:
-        return "no way out" if energy is None else energy
-
+    rows: list[tuple[str | float | None, ...]] = []
+    for trap in report.traps:
+        place = f"{measure.symbol} {1e3 * trap.radius:{digits}}, z {1e3 * trap.height:{digits}}"
+        barriers = ("no way out" if each is None else each
+                    for each in (trap.barrier, trap.axial_barrier, trap.radial_barrier))
+        rows.append((f"{place}, on a wall" if trap.on_wall else place, trap.above_floor, *barriers,
+                     None if trap.lift is None or not weight else trap.lift / weight, trap.share,
+                     f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}", time_to(report, trap)))
     return table(
         f"trap (mm) | above the floor (mm):{digits} | barrier (fJ):.3g | {up} barrier (fJ):.3g | "
         f"{across} barrier (fJ):.3g | lift / weight:.3g | share (%):.0f | stiffness (pN/mm) | focusing time (s):.3g",
-        ((f"{measure.symbol} {1e3 * trap.radius:{digits}}, z {1e3 * trap.height:{digits}}"
-          f"{', on a wall' if trap.on_wall else ''}", trap.above_floor, barrier(trap.barrier),
-          barrier(trap.axial_barrier), barrier(trap.radial_barrier),
-          None if trap.lift is None or not weight else trap.lift / weight, trap.share,
-          f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}", time_to(report, trap))
-         for trap in report.traps))
+        rows)
 
 
 def _channel(shot: Snapshot) -> ChannelFigures | None:
-    """The figures of the channel of a straight chip; None for a round chip and for a state without liquid."""
+    """The figures of the channel; None for a round chip or without liquid."""
     if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
         return None
     return channel_figures(shot)
 
 
 def channel_tables(shot: Snapshot) -> list[TextTable]:
-    """Figures of the channel of a straight chip, and the lines that its particles focus to; nothing for a round chip
-    and for a state without liquid."""
+    """Figures of the channel of a straight chip, and its lines of focusing.
+
+    Empty for a round chip and for a state without liquid.
+    """
     found = _channel(shot)
     if found is None:
         return []
@@ -117,7 +113,7 @@ def model_table(runs: Sequence[Simulation]) -> TextTable:
 
 
 def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable:
-    """Figures of merit of every state as simulated, and as the chip file reports them."""
+    """Figures of merit of every state, simulated and stated in the chip file."""
     rows: FigureRows = []
     for run in runs:
         (first, named), *rest = figures_rows(f"{run.state}, simulated", run.figures)
@@ -134,7 +130,7 @@ def without_resonance(runs: Sequence[Simulation]) -> list[str]:
 
 
 def energy_table(runs: Sequence[Simulation]) -> TextTable:
-    """The peaks of the energy in the cavity, of every state with a liquid, under its drive."""
+    """The peaks of the energy in the cavity of every wet state."""
     return table(
         "state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g",
         ((run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
@@ -142,7 +138,7 @@ def energy_table(runs: Sequence[Simulation]) -> TextTable:
 
 
 def _findings(runs: Sequence[Simulation], first: Sequence[str]) -> list[Note]:
-    """Findings of all runs but the `first` ones, each once with the states that it holds in."""
+    """Findings of all runs but the `first` ones, each once with its states."""
     found: dict[str, list[str]] = {}
     for run in runs:
         for text in (text for text in run.findings if text not in first):
@@ -151,7 +147,7 @@ def _findings(runs: Sequence[Simulation], first: Sequence[str]) -> list[Note]:
 
 
 def _millimetres(name: str, value: float, factor: float) -> str:
-    """A dimension (m or rad) times a factor; an angle with its unit."""
+    """A dimension (m) times a factor; an angle (rad) in degrees."""
     if ParameterName.parse(name).quantity == "angle":
         return f"{math.degrees(value):.3g} deg"
     return f"{factor * value:.4g}"
@@ -161,9 +157,9 @@ def write_simulation_report(
     chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, Sequence[Picture]],
     solid_view: Sequence[Picture], folder: Path,
 ) -> Path:
-    """``report.html``: its purpose first, then figures of merit, every state with its pictures, chip and model.
+    """Write ``report.html``: answers, figures of merit, states, chip and model.
 
-    The last state is the first one answered: it is the one the device works in.
+    The last state is first in the answers, because the device works in it.
     """
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
     dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
@@ -186,7 +182,7 @@ def write_simulation_report(
 
 
 def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]:
-    """The operating points of states with a liquid, the peaks of their energy, and a picture; nothing without one."""
+    """The operating points and energy peaks of wet states; empty without one."""
     energy = {run.state: run.energy for run in runs if run.energy is not None}
     if not energy:
         return []
@@ -199,7 +195,7 @@ def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]
 
 
 def _resolution(runs: Sequence[Simulation]) -> str:
-    """The caption of the spectra: the number of points on each resonance, and the interpolation between them."""
+    """The caption of the spectra: interpolation, and points on each resonance."""
     resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
                 if run.figures is not None]
     words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
@@ -208,32 +204,28 @@ def _resolution(runs: Sequence[Simulation]) -> str:
     return f"{words}. Points within the half-power width of the resonance: {', '.join(resolved)}"
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# merit.json.
-
-
 def gathering_record(answers: Sequence[Gathering]) -> dict[str, Any]:
-    """Whether, where and when particles gather, by state."""
-    place = "words share half_s"
-    return {answer.state: record(answer, "gathers sentences critical_diameter_m=critical_diameters") | {
-        "first": answer.first and record(answer.first, place), "places": records(answer.places, place)}
-        for answer in answers}
+    """Places and times of gathering, by state."""
+    place = "{ words share half_s }"
+    return {answer.state: record(answer, f"gathers sentences first {place} places {place} "
+                                         "critical_diameter_m=critical_diameters") for answer in answers}
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
-    """Everything of a simulated state that merit.json holds."""
-    found = figures_record(run.figures, run.no_resonance) | {
-        "static_capacitance_f": record(run.capacitance, "clamped at_1_khz=low_frequency"),
-        "resonance_fits": single_fits_record(run.spectrum), "circuit": resonances_record(run.resonances),
-        "model": record(run, "unknowns full_solves=solves order=problem.mesh.order estimated_relative_error=error "
-                             "largest_residual=residual energy_closure=closure") | {
-            "cells": int(run.problem.mesh.mesh.t.shape[1]),
-            "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None},
-        "fields": record(run.fields, "frequency_hz drive power_w") | {"voltage_amplitude_v": abs(run.fields.voltage)},
-        "operating_point": {"frequency_hz": run.operating.frequency, "words": str(run.operating)},
-        "energy_peaks": records(run.operating.peaks,
-                                "frequency_hz q mean_energy_density_j_m3=energy_density "
-                                "per_square_vpp_j_m3_v2=per_square_volt per_watt_j_m3_w=per_watt")}
+    """The entry of a simulated state in merit.json."""
+    found: dict[str, Any] = figures_record(run.figures, run.no_resonance) | record(
+        run, "static_capacitance_f=capacitance { clamped at_1_khz=low_frequency } "
+             "fields { frequency_hz drive power_w } operating_point=operating { frequency_hz } "
+             "energy_peaks=operating.peaks { frequency_hz q mean_energy_density_j_m3=energy_density "
+             "per_square_vpp_j_m3_v2=per_square_volt per_watt_j_m3_w=per_watt } "
+             "losses_w findings left_out_hz=left_out seconds")
+    found["resonance_fits"], found["circuit"] = single_fits_record(run.spectrum), resonances_record(run.resonances)
+    found["model"] = record(
+        run, "unknowns cells=problem.mesh.mesh.nelements full_solves=solves order=problem.mesh.order "
+             "estimated_mesh_error_rms=mesh_error.rms estimated_relative_error=error largest_residual=residual "
+             "energy_closure=closure")
+    found["fields"]["voltage_amplitude_v"] = abs(run.fields.voltage)
+    found["operating_point"]["words"] = str(run.operating)
     if run.traps is not None:
         forces = run.traps.forces
         found["particles"] = record(
@@ -241,18 +233,14 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
                        "contrast_factor=forces.scattering.contrast_factor "
                        "pressure_amplitude_pa=excitation.pressure_amplitude "
                        "energy_density_j_m3=excitation.energy_density drive=excitation.description "
-                       "share_settled=settled") | {
-            "focus_time_s": focus_time(run.traps), "net_weight_n": net_weight(forces.particle, forces.fluid),
-            "traps": records(run.traps.traps,
-                             "r_m=radius z_m=height above_floor_m barrier_j axial_barrier_j radial_barrier_j depth_j "
-                             "lift_n share_of_cavity=share radial_stiffness_n_m axial_stiffness_n_m on_wall")}
-    channel = _channel(run)
-    if channel is not None:
-        found["channel"] = record(
-            channel, "mean_energy_density_j_m3=energy_density per_square_vpp_j_m3_v2=energy_per_square_volt "
-                     "per_watt_j_m3_w=energy_per_watt unevenness_over_height=unevenness across_m_pa=across up_m_pa=up "
-                     "critical_diameter_m focus_time_s") | {
-            "channels": records(channel.channels, "left_m right_m mean_energy_density_j_m3=energy_density"),
-            "lines": records(channel.lines, "x_m=place depth_j share_of_width=share at_side_wall=at_side "
-                                            "stiffness_n_m focus_time_s=time")}
-    return found | warm_record(run) | record(run, "losses_w findings left_out_hz=left_out seconds")
+                       "share_settled=settled traps { r_m=radius z_m=height above_floor_m barrier_j axial_barrier_j "
+                       "radial_barrier_j depth_j lift_n share_of_cavity=share radial_stiffness_n_m "
+                       "axial_stiffness_n_m on_wall }") | {
+            "focus_time_s": focus_time(run.traps), "net_weight_n": net_weight(forces.particle, forces.fluid)}
+    channel = record(
+        _channel(run), "mean_energy_density_j_m3=energy_density per_square_vpp_j_m3_v2=energy_per_square_volt "
+                       "per_watt_j_m3_w=energy_per_watt unevenness_over_height=unevenness "
+                       "channels { left_m right_m mean_energy_density_j_m3=energy_density } across_m_pa=across "
+                       "up_m_pa=up critical_diameter_m focus_time_s lines { x_m=place depth_j share_of_width=share "
+                       "at_side_wall=at_side stiffness_n_m focus_time_s=time }")
+    return found | ({} if channel is None else {"channel": channel}) | warm_record(run)

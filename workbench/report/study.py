@@ -1,5 +1,4 @@
-"""A study as tables (statistics of its figures, the points where they are extreme, full solves beside the reduced
-model), as pictures and as a page."""
+"""A study: tables, pictures and page."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ CONSTANT = 1e-6
 
 
 def statistics_table(result: StudyResult) -> TextTable:
-    """Every figure in every state: how many points have it, extremes, quantiles and mean."""
+    """Points, extremes, quantiles and mean of every figure in every state."""
     rows = []
     for each in result.statistics:
         shown = figure_named(each.figure)
@@ -56,7 +55,7 @@ def extremes_table(result: StudyResult) -> TextTable:
 
 
 def _place(result: StudyResult, row: int) -> str:
-    """The values of what varies, at one row of the table."""
+    """The values of the axes at one row of the table."""
     formatted = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
@@ -66,8 +65,10 @@ def _place(result: StudyResult, row: int) -> str:
 
 
 def confirmed_table(result: StudyResult) -> TextTable:
-    """Every figure at the points solved in full: the largest difference of the reduced model, there and relative to
-    the range that the figure has in the study."""
+    """The largest difference of the reduced model from full solves, by figure.
+
+    It is relative to the figure there, and to the range of the figure in the study.
+    """
     rows: list[tuple[Value, ...]] = []
     states = result.columns[STATE]
     for state, name in product(result.study.states, result.study.figures):
@@ -84,12 +85,12 @@ def confirmed_table(result: StudyResult) -> TextTable:
                 worst.reduced / shown.factor, worst.full / shown.factor,
                 abs(worst.difference / worst.full) if worst.full else None,
                 abs(worst.difference) / extent if extent > CONSTANT * size else None))))
-    return table("figure | state | solved in full | one of both lacks it | reduced, where it is off most:.5g | "
+    return table("figure | state | solved in full | one of both lacks it | reduced, at the largest difference:.5g | "
                  "full there:.5g | difference (%):.2g | of the range in the study (%):.2g", rows)
 
 
 def missing_table(result: StudyResult) -> TextTable | None:
-    """Reasons why figures are missing, with the number of points; None where none is."""
+    """Reasons for missing figures, with their points; None without any."""
     reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
     found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
                    reverse=True)
@@ -102,7 +103,7 @@ def missing_table(result: StudyResult) -> TextTable | None:
 
 
 def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
-    """Pictures of every state: parallel coordinates, and every figure over what varies."""
+    """Draw parallel coordinates, and every figure over the axes, by state."""
     pictures: list[Picture] = []
     for state in found.study.states:
         parameters, figures = study_columns(found, state)
@@ -126,7 +127,7 @@ def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
 
 
 def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
-    """Columns of what varies and of the figures, at the points of one state, in the units they are shown in."""
+    """Columns of axes and figures at the points of a state, in shown units."""
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
@@ -139,7 +140,7 @@ def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], li
 
 
 def write_study_report(found: StudyResult, pictures: list[Picture], folder: Path) -> Path:
-    """``report.html`` of a study with its :func:`draw_study` pictures."""
+    """Write ``report.html`` with the pictures of :func:`draw_study`."""
     plan = found.study
     return write_report(folder / "report.html", plan.name, template="study.html", values={
         "plan": plan, "pictures": pictures, "missing": missing_table(found), "extremes": extremes_table(found),

@@ -1,4 +1,4 @@
-"""The tolerances of a chip as tables, as a record, as samples in a file, and as a page."""
+"""The tolerances of a chip: tables, record, file of samples, and page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from workbench.files.writing import replacing
 from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
 from workbench.report.page import Note, TextTable, in_unit, number_text, table, with_unit, write_report
-from workbench.report.record import plain, record, records
+from workbench.report.record import plain, record
 
 
 def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
@@ -29,14 +29,14 @@ def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
 
 
 def law_in_words(each: Number) -> str:
-    """The uncertainty of a number in words: limits of a uniform law, or a standard uncertainty."""
+    """The uncertainty of a number in words: limits, or a standard uncertainty."""
     if each.law == "uniform":
         return f"within {amount(each.name, each.half_width)}"
     return f"standard uncertainty {amount(each.name, each.deviation)}"
 
 
 def uncertain_figures_table(found: Tolerance) -> TextTable:
-    """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
+    """Every figure as stated, its standard uncertainty, and 95 % of its samples."""
     sampled = found.outcomes
     rows = []
     for each in found.requested:
@@ -72,7 +72,7 @@ def yields_table(found: Tolerance) -> TextTable:
 
 
 def tightening_table(found: Tolerance) -> TextTable:
-    """The uncertainties of which half adds more to the yield than twice its standard error."""
+    """The gain in yield of each halved uncertainty, if it is clear."""
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
     return table("halve the uncertainty of | now | adds to the yield | standard error | linear estimate", (
@@ -81,16 +81,18 @@ def tightening_table(found: Tolerance) -> TextTable:
 
 
 def unclear_tightenings(found: Tolerance) -> str:
-    """The uncertainties of which it is not clear that half of them adds to the yield, in a sentence; empty if none."""
+    """The uncertainties whose gain in yield is not clear, in a sentence."""
     assert found.yields is not None
     names = [each.name for each in found.yields.tightenings if not each.is_clear]
-    return "" if not names else ("Not offered, because what half of the uncertainty adds is not more than twice its "
+    return "" if not names else ("Not proposed, because the gain of half the uncertainty is not more than twice its "
                                  f"standard error: {', '.join(names)}.")
 
 
 def sensitivities_table(found: Tolerance) -> TextTable:
-    """Changes of each figure as each number grows by its standard uncertainty or by one per cent, those that change the
-    first figure most first."""
+    """Changes of each figure if a number grows by its uncertainty, the largest first.
+
+    A number without a stated uncertainty grows by one per cent.
+    """
     known = found.sensitivities
     units = [change_unit(each.figure) for each in found.requested]
     changes = [known.changes(each.label) / factor for each, (_, factor) in zip(found.requested, units, strict=True)]
@@ -104,14 +106,14 @@ def sensitivities_table(found: Tolerance) -> TextTable:
 
 
 def inputs_table(found: Tolerance) -> TextTable:
-    """Every uncertain number, its law, and who states it."""
-    return table("number | mean | uncertainty | law | stated by", (
+    """Every uncertain number, its law and its source."""
+    return table("number | mean | uncertainty | law | source", (
         (each.name, f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip(), law_in_words(each),
          each.law, each.origin) for each in found.uncertainty.inputs))
 
 
 def sobol_table(found: Tolerance) -> TextTable:
-    """First and total order indices of every figure, with the ends of their intervals."""
+    """First and total order indices of every figure, with their intervals."""
     assert found.sobol is not None
     indices, rows = found.sobol, []
     for row, label in enumerate(indices.figures):
@@ -129,7 +131,7 @@ def sobol_table(found: Tolerance) -> TextTable:
 
 
 def drive_in_words(found: Tolerance) -> str:
-    """Which resonance the drive follows, or its frequency."""
+    """The resonance that the drive follows, or its frequency."""
     words = Operation(found.drive, found.frequency).words
     return f"the drive {words}" if isinstance(found.frequency, str) else f"driven at {words}"
 
@@ -161,19 +163,17 @@ def _model_table(found: Tolerance) -> TextTable:
 def tolerance_record(found: Tolerance) -> dict[str, Any]:
     """Everything but the samples, for a JSON file; SI."""
     known, follows = found.sensitivities, isinstance(found.frequency, str)
-    content: dict[str, Any] = {
-        "chip": found.chip.name, "state": found.state, "drive": str(found.drive),
-        "frequency_hz": None if follows else found.frequency, "follows": found.frequency if follows else None,
-        "uncertainty": record(found.uncertainty, "correlation notes") | {
-            "normal_laws_cut_at_standard_deviations": CUT,
-            "inputs": records(found.uncertainty.inputs,
-                              "name tied mean=value standard_uncertainty=deviation law low high origin")},
+    content: dict[str, Any] = record(
+        found, "chip=chip.name state seed findings wall_seconds=seconds sensitivities { names steps stated gradient } "
+               "uncertainty { inputs { name tied mean=value standard_uncertainty=deviation law low high origin } "
+               "correlation notes }") | {
+        "drive": str(found.drive), "frequency_hz": None if follows else found.frequency,
+        "follows": found.frequency if follows else None,
         "figures": {each.label: {
             "nominal": plain(known.figures[each.label]), "unit": each.figure.unit, "drive": str(each.drive),
             "standard_uncertainty": plain(known.deviation(each.label, found.uncertainty))
-            if found.uncertainty.inputs else None} for each in found.requested},
-        "sensitivities": record(known, "names steps stated gradient"),
-        **record(found, "seed findings wall_seconds=seconds")}
+            if found.uncertainty.inputs else None} for each in found.requested}}
+    content["uncertainty"]["normal_laws_cut_at_standard_deviations"] = CUT
     if found.model is not None:
         content["model"] = record(found.model, "unknowns=rank largest_relative_error=error wall_seconds=seconds "
                                                "relative_difference_from_full_solves=off")
@@ -184,7 +184,7 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
             "confidence": CONFIDENCE, "interval": "Clopper-Pearson",
             "requirements": list(map(_yield_record, found.yields.each)),
             "together": _yield_record(found.yields.together),
-            "half_the_uncertainty": records(found.yields.tightenings, "name gain standard_error=error linear")}
+            "half_the_uncertainty": record(found.yields.tightenings, "name gain standard_error=error linear")}
     if found.sobol is not None:
         content["sobol"] = record(found.sobol, "evaluations figures names first first_low first_high total total_low "
                                                "total_high")
@@ -192,15 +192,16 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
 
 
 def _yield_record(each: RequirementYield) -> dict[str, Any]:
-    limits = {} if each.bound is None else record(each.bound, "figure=label low high nominal")
-    return limits | record(
-        each, "requirement=name yield=sampled.value passed=sampled.passed samples=sampled.samples linear "
-              "sampled_less_linear=difference standard_error_of_that=difference_error without_figure=missing") | (
-        record(each.sampled, "low high"))
+    return (record(each.bound, "figure=label low high nominal") or {}) | record(
+        each, "requirement=name yield=sampled.value low=sampled.low high=sampled.high passed=sampled.passed "
+              "samples=sampled.samples linear sampled_less_linear=difference "
+              "standard_error_of_that=difference_error without_figure=missing")
 
 
 def write_samples(found: Tolerance, path: Path) -> Path:
-    """Every sample as a row of a Parquet file: numbers and figures (SI), and whether it met each requirement.
+    """Write every sample as a row of a Parquet file.
+
+    Columns are numbers and figures (SI), and whether the sample meets each requirement.
 
     Raises:
         ValueError: there are no samples.

@@ -8,7 +8,7 @@ from typing import Any
 
 from workbench.render.warmth import draw_warmth
 from workbench.report.page import Answer, Block, Picture, table
-from workbench.report.record import record, records
+from workbench.report.record import record
 from workbench.simulation.run import Snapshot
 
 #: Name of the picture of energy over drive and temperature, of the last state with a liquid.
@@ -16,7 +16,7 @@ WARMTH_PICTURE = "warmth.png"
 
 
 def warm_blocks(shot: Snapshot) -> list[Block]:
-    """Sentences on the warmth of a driven chip, and a table of its steady states; nothing where that is not known."""
+    """The warmth of a driven chip in sentences and its steady states; empty if unknown."""
     if shot.warm is None:
         return []
     steady = [("driven steadily" if number == 0 else "also steady" if point.stable else "unstable", point.rise, point)
@@ -29,7 +29,7 @@ def warm_blocks(shot: Snapshot) -> list[Block]:
 
 
 def warm_section(title: str, shots: Sequence[Snapshot], folder: Path) -> list[Block]:
-    """The blocks of all states, the last one first, and the picture of that."""
+    """The blocks of all states, the last state first, and its picture."""
     warm = [shot for shot in reversed(shots) if shot.warm is not None]
     blocks: list[Block] = [block for shot in warm for block in warm_blocks(shot)]
     if warm and warm[0].warm is not None:
@@ -41,13 +41,14 @@ def warm_section(title: str, shots: Sequence[Snapshot], folder: Path) -> list[Bl
 
 
 def warm_record(shot: Snapshot) -> dict[str, Any]:
-    """The warmth of a driven chip as merit.json and particles.json hold it; empty where that is not known."""
-    state, point = shot.warm, "rise_k frequency_hz mean_energy_density_j_m3=energy_density voltage_vpp power_w stable"
-    if state is None:
+    """The warmth of a driven chip in merit.json and particles.json; empty if unknown."""
+    if shot.warm is None:
         return {}
-    return {"warm": {
-        **record(state, "sentences fields_are_warm=matters liquid stated_temperature_k=stated law_ends_at_k=highest "
-                        "energy_per_kelvin peak_per_kelvin_hz highest_drive"),
-        "kept_at_stated_temperature": record(state.cold, point), "steady": records(state.points, point),
-        "largest_peak_when_warm": None if state.peak is None else {
-            "frequency_hz": state.peak[0], "mean_energy_density_j_m3": state.peak[1]}}}
+    point = "{ rise_k frequency_hz mean_energy_density_j_m3=energy_density voltage_vpp power_w stable }"
+    found = record(
+        shot.warm, "sentences fields_are_warm=matters liquid stated_temperature_k=stated law_ends_at_k=highest "
+                   f"kept_at_stated_temperature=cold {point} steady=points {point} energy_per_kelvin "
+                   "peak_per_kelvin_hz highest_drive")
+    peak = shot.warm.peak
+    return {"warm": found | {"largest_peak_when_warm": peak and {
+        "frequency_hz": peak[0], "mean_energy_density_j_m3": peak[1]}}}
