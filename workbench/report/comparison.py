@@ -10,7 +10,7 @@ import numpy as np
 
 from workbench.render.plots import draw_residuals, draw_spectra
 from workbench.report.figures import origin_table
-from workbench.report.page import Note, Picture, TextTable, table, write_report
+from workbench.report.page import Picture, TextTable, table, write_report
 from workbench.report.record import record
 from workbench.report.resonances import resonance_notes, resonances_table
 from workbench.report.simulation import model_table
@@ -76,14 +76,9 @@ def write_comparison_report(
         comparison.measured.frequency,
         {"magnitude (%)": 100.0 * np.expm1(residual.real), "phase (degrees)": np.degrees(residual.imag)},
         folder / "residual.png", label="simulated against measured", title=title)
-    missing = [comparison.rows_missing] if comparison.rows_missing else []
-    return write_report(
-        folder / "report.html", f"{title}: measured and simulated", template="comparison.html", values={
-            "notes": [Note(text) for text in (*findings, *run.findings, *missing)],
-            "figures": compared_figures_table(comparison), "distances": distance_table(comparison),
-            "materials": run.problem.materials, "next_step": next_step, "resonances": resonances_table(resonances),
-            "pictures": [
-                Picture(spectra, "impedance, measured and simulated"),
-                Picture(residuals, "residual: relative error of |Z| in per cent and error of phase in degrees")],
-            "resonance_notes": resonance_notes(resonances), "origin": origin_table(measured.origin),
-            "model": model_table([run])})
+    return write_report(folder / "report.html", f"{title}: measured and simulated", module=__name__, values={
+        "comparison": comparison, "run": run, "findings": findings, "next_step": next_step,
+        "resonances": [resonances_table(resonances), *resonance_notes(resonances)],
+        "origin": origin_table(measured.origin), "model": model_table([run]), "pictures": [
+            Picture(spectra, "impedance, measured and simulated"),
+            Picture(residuals, "residual: relative error of |Z| in per cent and error of phase in degrees")]})

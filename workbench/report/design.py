@@ -23,7 +23,7 @@ from workbench.design.search import Optimum
 from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
 from workbench.render.plots import draw_spectra
-from workbench.report.page import Note, Picture, TextTable, Value, number_text, table, with_unit, write_report
+from workbench.report.page import Picture, TextTable, Value, number_text, table, with_unit, write_report
 from workbench.report.record import record
 
 #: Optima of one choice that a report lists.
@@ -268,16 +268,8 @@ def _label(objective: DesignObjective) -> str:
 
 def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:
     """Write ``report.html`` with the pictures of :func:`draw_design`."""
-    goal, chosen, best = found.goal, found.chosen, found.best
-    return write_report(folder / "report.html", f"Design: {goal.chip.name}", template="design.html", values={
-        "goal": goal, "pictures": pictures, "summary": [Note(line) if best is None else line
-                                                        for line in summary_lines(found)],
-        "rejected": [Note(each.statement) for each in found.rejected], "figures": before_after_table(found),
-        "lengths": best and lengths_table(found, best),
-        "active": best and best.candidate.optimum and active_table(best.candidate, goal.objectives[0]),
-        "front": found.front and front_table(found), "starts": starts_text(chosen),
-        "optima": chosen.optima and optima_table(found, chosen),
-        "choices": choices_table(found) if len(found.searched) > 1 else None, "models": models_table(found)})
+    return write_report(folder / "report.html", f"Design: {found.goal.chip.name}", module=__name__,
+                        values={"found": found, "goal": found.goal, "pictures": pictures})
 
 
 def design_record(design: Design) -> dict[str, Any]:

@@ -119,20 +119,9 @@ def _state_name(found: Diagnosis, state: DeviceState) -> str:
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
     """Write ``report.html``: answer, unexplained residual, fits, then evidence."""
-    so_far = found.provisional
-    recorded = [state for state in found.states if state.observation is None]
-    title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
-    return write_report(folder / "report.html", f"{title}: {found.campaign.name}", template="diagnosis.html", values={
-        "found": found, "residual": f"{RESIDUAL[0].upper()}{RESIDUAL[1:]}.",
-        "established": found.established and established_table(found),
-        "unexplained": found.description and unexplained_tables(found.description),
-        "provisional": so_far and so_far.established and established_table(so_far), "remainder": remainder_table(found),
-        "pictures": _pictures(found, folder),
-        "observed": len(recorded) < len(found.states) and observations_table(found), "taken": _taken(found.campaign),
-        "odds": _odds(found), "given_up": _given_up(found), "location": _location(found), "scores": _scores(found),
-        "known": _known(found), "merit": _merit(found), "known_physics": _known_physics(known),
-        "recordings": [(state.name, list(map(Note, state.findings)), origin_table(state.measured.origin))
-                       for state in recorded]})
+    title = "Diagnosis" if found.provisional is None else "Diagnosis, not finished"
+    return write_report(folder / "report.html", f"{title}: {found.campaign.name}", module=__name__, values={
+        "found": found, "known": known, "pictures": _pictures(found, folder), "origin_table": origin_table})
 
 
 def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
@@ -146,7 +135,7 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
         ("Not finished", [Note(content["headline"]), "Verdict: not finished."]),
         ("The recordings that were read", [states]),
         ("Stated uncertainties", ["Standard uncertainties and their sources; all that is not listed is exact.",
-                                     _taken(campaign)])])
+                                     stated_table(campaign)])])
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
@@ -188,12 +177,12 @@ def _shown_by(found: Diagnosis) -> str:
     return "" if not shown else f"shown by {', '.join(shown)}" + (f", not by {', '.join(others)}" if others else "")
 
 
-def _taken(campaign: Campaign) -> TextTable:
+def stated_table(campaign: Campaign) -> TextTable:
     return table("parameter | standard uncertainty:.3g | unit | source", (
         (e.name, e.deviation * shown_factor(e.unit), shown_unit(e.unit), e.origin) for e in campaign.taken))
 
 
-def _odds(found: Diagnosis) -> TextTable:
+def odds_table(found: Diagnosis) -> TextTable:
     odds, base = found.decision.log_odds, found.found.base
     refits = sorted(found.found.final, key=lambda each: -odds[each.hypothesis.name])
     return table(
@@ -204,7 +193,7 @@ def _odds(found: Diagnosis) -> TextTable:
          for refit in refits))
 
 
-def _given_up(found: Diagnosis) -> TextTable:
+def not_refitted_table(found: Diagnosis) -> TextTable:
     refitted = {each.hypothesis.name for each in found.found.final}
     evidences = sorted(((each.log_evidence, each.hypothesis.name) for each in found.found.candidates), reverse=True)
     null = next((evidence for evidence, name in evidences if name == found.found.base.hypothesis.name), 0.0)
@@ -212,18 +201,13 @@ def _given_up(found: Diagnosis) -> TextTable:
         (name, evidence - null) for evidence, name in evidences if name not in refitted))
 
 
-def _location(found: Diagnosis) -> TextTable:
+def location_table(found: Diagnosis) -> TextTable:
     return table("region | evidence added:.1f | as sigmas:.1f | modes", (
         (place["region"], place["evidence"], place["sigmas"], "; ".join(place["modes"]))
         for place in (each.record for each in found.location)))
 
 
-def _scores(found: Diagnosis) -> TextTable:
-    return table("hypothesis=effect.name | region=effect.region | kind=effect.kind | fall of chi-square:.1f=gain | "
-                 "evidence predicted:.1f=evidence", found.found.base.scores[:LISTED])
-
-
-def _known(found: Diagnosis) -> TextTable:
+def known_table(found: Diagnosis) -> TextTable:
     """The known parameters with their pulls, the largest first."""
     alone = pulls(found.model, found.found.base.explanation) if found.established else {}
     rows = [(each.name, each.shown[3], each.shown[0], shown_unit(each.unit), each.sigmas or 0.0,
@@ -233,14 +217,14 @@ def _known(found: Diagnosis) -> TextTable:
                  + (" | without the effects (sigmas):+.2f" if alone else ""), rows)
 
 
-def _known_physics(known: Sequence[Contribution]) -> TextTable:
+def contributions_table(known: Sequence[Contribution]) -> TextTable:
     """Changes by every effect with known constants."""
     return table("effect | state | change of f0 (Hz):+.3g | change of Q:+.3g | change of ln Z, rms (%):.3g", (
         (row.effect, row.state, "none" if row.f0_change is None else row.f0_change,
          "none" if row.q_change is None else row.q_change, row.rms_log_change) for row in known))
 
 
-def _merit(found: Diagnosis) -> TextTable:
+def merit_table(found: Diagnosis) -> TextTable:
     rows, stages = list[tuple[Value, ...]](), _stages(found)
     for state, *fits in zip(found.states, *stages.values(), strict=True):
         if state.observation is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from workbench.render.recorded_energy import draw_recorded_energy
-from workbench.report.page import Answer, Note, Picture, TextTable, in_unit, table, write_report
+from workbench.report.page import Picture, TextTable, in_unit, table, write_report
 from workbench.report.record import record
 from workbench.report.simulation import ENERGY_PICTURE, model_table
 from workbench.simulation.energy_comparison import EnergyComparison
@@ -68,10 +68,7 @@ def write_energy_comparison(compared: EnergyComparison, run: Simulation, folder:
     """Write ``report.html``: peaks, curves, recording and model."""
     picture = draw_recorded_energy(compared, folder / ENERGY_PICTURE, title=run.chip.name)
     return write_report(
-        folder / "report.html", f"{run.chip.name}, {run.state}: focusing recorded and simulated",
-        template="energy_comparison.html", values={
-            "peaks": compared_peaks_table(compared), "basis": Answer(compared.basis),
-            "notes": [Note(text) for text in (*compared.findings, *run.findings)],
-            "materials": run.problem.materials, "recording": recording_table(compared), "model": model_table([run]),
-            "curves": Picture(picture, "recorded focusing over the simulated energy in the cavity, at a constant "
-                                       "voltage at the electrodes; dotted lines are the peaks")})
+        folder / "report.html", f"{run.chip.name}, {run.state}: focusing recorded and simulated", module=__name__,
+        values={"compared": compared, "run": run, "model": model_table([run]), "curves": Picture(
+            picture, "recorded focusing over the simulated energy in the cavity, at a constant voltage at the "
+                     "electrodes; dotted lines are the peaks")})

@@ -26,7 +26,7 @@ from workbench.fitting.record import (
 from workbench.fitting.uncertainty import CONFIDENCE, DEVIATIONS, ParameterEstimate
 from workbench.render.fits import Interval, draw_correlation, draw_fit, draw_gel_study, draw_intervals
 from workbench.report.figures import figures_record, origin_table
-from workbench.report.page import Note, Picture, TextTable, Value, number_text, table, write_report
+from workbench.report.page import Picture, TextTable, Value, number_text, table, write_report
 from workbench.report.record import plain, record
 from workbench.results.merit import measured_figures
 
@@ -136,37 +136,40 @@ def write_fit_report(
     gel: Sequence[GelCase], saved_as: str | None,
 ) -> Path:
     """Write ``report.html``: result, pictures, starts, bands, noise and recordings."""
+    return write_report(folder / "report.html", f"{title}: {prepared.material.name} fitted", module=__name__, values={
+        "result": result, "prepared": prepared, "sources": sources, "gel": gel, "saved_as": saved_as,
+        "origin_table": origin_table,
+        "pictures": _pictures(folder, result, prepared), "gel_picture": gel and _gel_picture(folder, result, gel)})
+
+
+def _gel_picture(folder: Path, result: FitResult, gel: Sequence[GelCase]) -> Picture:
     cases = {f"{1e6 * c.thickness:g} µm": (c.spectrum, c.comparison.mape_percent) for c in gel}
-    difference, where = result.check
-    return write_report(
-        folder / "report.html", f"{title}: {prepared.material.name} fitted", template="fit.html", values={
-            "result": result, "saved_as": saved_as, "frequency": reference_frequency(result),
-            "verdict": [*map(Note, refusals(result)),
-                        *(Note(f"{s.recording}: {text}") for s in sources for text in s.findings)],
-            "parameters": parameter_table(result, prepared), "held": held_table(result), "match": match_table(result),
-            "derived": derived_table(result, prepared), "pictures": _pictures(folder, result, prepared),
-            "gel": [] if not gel else [gel_table(gel), Picture(draw_gel_study(
-                result.recordings[0].measured, cases, folder / "gel.png", resonance=reference_frequency(result),
-                title="thickness of the gel"), "impedance predicted for several thicknesses of the gel")],
-            "starts": table("start=label | rms of ln(Z / Z_measured)=rms | outcome=outcome | steps=steps", result.starts),
-            "effort": table("algorithm | wall time (s):.1f | full solves | steps | difference from full solves", [
-                (result.algorithm, result.seconds, result.full_solves, result.iterations,
-                 f"{difference:.1e} at {where / 1e3:.1f} kHz" if np.isfinite(difference) else None)]),
-            "bands": table("recording | band (kHz) | rms when fitted:.3g | rms when left out:.3g", (
-                (b.recording, f"{b.low / 1e3:.1f} to {b.high / 1e3:.1f}", b.fitted_rms, b.predicted_rms)
-                for b in result.bands)),
-            "undetermined": table("combination | narrowed to:.0% | symmetry", (
-                (", ".join(f"{share:+.2f} {name}" for name, share in d.shares[:6]), d.narrowing, d.symmetry)
-                for d in result.undetermined)),
-            "noise": table(
-                "recording | relative deviation of a point (%):.3g | correlation length (points):.1f | stated", (
-                    (m.name, m.noise.deviation, m.noise.correlation,
-                     f"yes, residual {m.noise.ratio:.2f} times as large" if m.noise.stated else "no")
-                    for m in result.recordings)),
-            "provenance": [each for m, s in zip(result.recordings, sources, strict=True) for each in (
-                TextTable((m.name, "value"), (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
-                                              ("SHA-256 of the chip", s.chip_sha256))),
-                origin_table(m.measured.origin))]})
+    return Picture(draw_gel_study(result.recordings[0].measured, cases, folder / "gel.png",
+                                  resonance=reference_frequency(result), title="thickness of the gel"),
+                   "impedance predicted for several thicknesses of the gel")
+
+
+def undetermined_table(result: FitResult) -> TextTable:
+    """The combinations of parameters that the data do not determine."""
+    return table("combination | narrowed to:.0% | symmetry", (
+        (", ".join(f"{share:+.2f} {name}" for name, share in d.shares[:6]), d.narrowing, d.symmetry)
+        for d in result.undetermined))
+
+
+def noise_table(result: FitResult) -> TextTable:
+    """The noise of every recording, and whether it is the stated one."""
+    return table(
+        "recording | relative deviation of a point (%):.3g | correlation length (points):.1f | stated",
+        ((m.name, m.noise.deviation, m.noise.correlation,
+          f"yes, residual {m.noise.ratio:.2f} times as large" if m.noise.stated else "no") for m in result.recordings))
+
+
+def effort_table(result: FitResult) -> TextTable:
+    """Algorithm, time and steps of a fit, and its check by full solves."""
+    difference, frequency = result.check
+    check = f"{difference:.1e} at {frequency / 1e3:.1f} kHz" if np.isfinite(difference) else None
+    return table("algorithm | wall time (s):.1f | full solves | steps | difference from full solves", [
+        (result.algorithm, result.seconds, result.full_solves, result.iterations, check)])
 
 
 def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Picture]:

@@ -12,7 +12,7 @@ from workbench.files.quantities import shown_factor, shown_unit
 from workbench.fitting.batch import OUTLIER, BatchColumn
 from workbench.render.fits import draw_batch
 from workbench.report.fit import number_in_unit
-from workbench.report.page import Note, Picture, TextTable, table, with_unit, write_report
+from workbench.report.page import Picture, TextTable, table, with_unit, write_report
 from workbench.report.record import record
 
 
@@ -50,14 +50,14 @@ def write_batch_report(
     failed: Mapping[str, str]
 ) -> Path:
     """Write ``report.html``: the fits, their statistics and their findings."""
-    return write_report(folder / "report.html", title, template="fit_batch.html", values={
-        "notes": [*(Note(f"{name}: {words}") for name, words in failed.items()),
-                  *(Note(f"{name}: {text}") for name, r in records.items() for text in r["refusals"])],
-        "devices": devices_table(records), "outlier": OUTLIER,
-        "common": [batch_columns_table(columns), values_table(columns), _picture(columns, title, folder)]
-        if columns else [],
-        "findings": table("device | finding", (
-            (name, text) for name, r in records.items() for text in r["findings"]))})
+    return write_report(folder / "report.html", title, module=__name__, values={
+        "columns": columns, "records": records, "failed": failed, "outlier": OUTLIER,
+        "picture": columns and _picture(columns, title, folder)})
+
+
+def findings_table(records: Mapping[str, Mapping[str, Any]]) -> TextTable:
+    """The findings of every fit."""
+    return table("device | finding", ((name, text) for name, each in records.items() for text in each["findings"]))
 
 
 def _picture(columns: Sequence[BatchColumn], title: str, folder: Path) -> Picture:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -111,19 +112,19 @@ _MACROS: Mapping[type, str] = {
 
 
 def write_report(
-    path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]] = (), *, template: str = "page.html",
-    values: Mapping[str, Any] | None = None,
+    path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]] = (), *, module: str = "",
+    values: Mapping[str, object] | None = None,
 ) -> Path:
     """Write an HTML page with every picture inside it.
 
     Parameters
     ----------
     sections : sequence of (heading, blocks)
-        The content of ``page.html``.
-    template : str
-        A file of ``templates/``. ``{{ }}`` shows a :data:`Block` as HTML, and a list of them below one another.
+        The content of a page without a template of its own.
+    module : str
+        Full name of a module. Its template has its name, and calls its functions.
     values : mapping
-        Values of its names.
+        Further names of the template.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -158,8 +159,11 @@ def write_report(
     environment = Environment(loader=PackageLoader("workbench.report"), autoescape=True, undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True, finalize=shown)
     environment.globals |= {"definition": definition, "not_yet_explained": not_yet_explained, "words": _WORDS,
-                            "png": lambda picture: base64.b64encode(picture.read_bytes()).decode("ascii")}
+                            "table": table, "png": lambda file: base64.b64encode(file.read_bytes()).decode("ascii")}
+    environment.filters |= {"notes": lambda texts: [Note(text) for text in texts],
+                            "answers": lambda texts: [Answer(text) for text in texts]}
     blocks = environment.get_template("blocks.html").module
-    page = environment.get_template(template).render(title=title, sections=sections, **(values or {}))
+    page = environment.get_template(f"{module.rpartition('.')[2] or 'page'}.html").render(
+        {**(vars(sys.modules[module]) if module else {}), "title": title, "sections": sections, **(values or {})})
     write_atomic(path, page + "\n")
     return path

@@ -20,7 +20,7 @@ from workbench.acoustics.captures import (
 from workbench.acoustics.trajectories import Fate, Trajectories
 from workbench.files.writing import replacing, write_atomic
 from workbench.model.particles import drag_coefficient, net_weight
-from workbench.report.page import Answer, Note, Picture, TextTable, table, write_report
+from workbench.report.page import Picture, TextTable, table, write_report
 from workbench.report.record import record
 from workbench.report.simulation import field_table, gathering_record
 from workbench.report.warm import warm_blocks
@@ -138,9 +138,6 @@ def write_particles_report(
 
     `files` are further files by their content.
     """
-    return write_report(
-        folder / "report.html", f"{shot.chip.name}: particles", template="particles.html", values={
-            "shot": shot, "warm": warm_blocks(shot), "answer": Answer(answer), "flow": flow_answer(moving),
-            "findings": [Note(text) for text in shot.findings], "captures": captures_table(capture_statistics(found)),
-            "rest": rest_table(found), "pictures": pictures, "field": field_table(found.report),
-            "notes": moving.notes, "files": files})
+    return write_report(folder / "report.html", f"{shot.chip.name}: particles", module=__name__, values={
+        "shot": shot, "found": found, "moving": moving, "answer": answer, "pictures": pictures, "files": files,
+        "warm": warm_blocks(shot), "statistics": capture_statistics(found), "field": field_table(found.report)})

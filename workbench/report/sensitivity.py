@@ -57,12 +57,8 @@ def write_sensitivity_report(title: str, found: Sensitivity, folder: Path) -> Pa
         if costs:
             drawn = draw_costs(found.scalings, costs, folder / f"costs_{part}.png", title=f"{part} parts")
             pictures.append(Picture(drawn, f"costs of the {part} parts"))
-    return write_report(
-        folder / "report.html", f"{title}: sensitivity of the spectrum", template="sensitivity.html", values={
-            "undetermined": [local_name(name) for name in found.undetermined], "ranking": ranking_table(found),
-            "pictures": pictures,
-            "effort": table("spectra | full solves | wall time (s):.1f | largest estimated error of Z:.1e",
-                            [(found.spectra, found.solves, found.seconds, found.error)])})
+    return write_report(folder / "report.html", f"{title}: sensitivity of the spectrum", module=__name__,
+                        values={"found": found, "pictures": pictures})
 
 
 def sensitivity_record(found: Sensitivity) -> dict[str, Any]:

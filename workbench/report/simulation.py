@@ -26,7 +26,7 @@ from workbench.report.figures import (
     figures_rows,
     figures_table,
 )
-from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, table, write_report
+from workbench.report.page import Answer, Block, Picture, TextTable, number_text, table, write_report
 from workbench.report.record import record
 from workbench.report.resonances import resonance_notes, resonances_record, resonances_table, single_fits_record
 from workbench.report.warm import warm_record, warm_section
@@ -129,21 +129,13 @@ def without_resonance(runs: Sequence[Simulation]) -> list[str]:
     return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
 
 
-def energy_table(runs: Sequence[Simulation]) -> TextTable:
-    """The peaks of the energy in the cavity of every wet state."""
-    return table(
-        "state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g",
-        ((run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
-         for run in runs for peak in run.operating.peaks))
-
-
-def _findings(runs: Sequence[Simulation], first: Sequence[str]) -> list[Note]:
+def findings_of(runs: Sequence[Simulation], first: Sequence[str]) -> list[str]:
     """Findings of all runs but the `first` ones, each once with its states."""
     found: dict[str, list[str]] = {}
     for run in runs:
         for text in (text for text in run.findings if text not in first):
             found.setdefault(text, []).append(run.state)
-    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
+    return [f"{', '.join(states)}: {text}" for text, states in found.items()]
 
 
 def _millimetres(name: str, value: float, factor: float) -> str:
@@ -161,24 +153,26 @@ def write_simulation_report(
 
     The last state is first in the answers, because the device works in it.
     """
-    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
-    dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
-        (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
-         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     found = {run.state: run.resonances for run in runs}
-    first = straight_findings(chip.measure, chip.electrodes)
-    states = [([] if run.traps is None else [field_table(run.traps), traps_table(run.traps)]) + channel_tables(run)
-              for run in runs]
-    return write_report(folder / "report.html", chip.name, template="simulation.html", values={
-        "chip": chip, "straight": [Note(text) for text in first], "driven": _driven(chip, runs, folder),
-        "warm": warm_section(chip.name, runs, folder), "answers": [Answer(answer) for answer in reversed(answers)],
-        "figures": simulated_figures_table(chip, runs), "notes": [Note(text) for text in without_resonance(runs)],
-        "findings": _findings(runs, first), "spectra": Picture(spectra, _resolution(runs)),
-        "resonances": resonances_table(found), "resonance_notes": resonance_notes(found),
-        "states": [(run, tables, pictures.get(run.state, ())) for run, tables in zip(runs, states, strict=True)],
-        "solid_view": solid_view, "dimensions": dimensions, "model": model_table(runs),
-        "materials": table("state | region | material | source", (
-            (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))})
+    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
+    return write_report(folder / "report.html", chip.name, module=__name__, values={
+        "chip": chip, "runs": runs, "straight": straight_findings(chip.measure, chip.electrodes), "answers": answers,
+        "driven": _driven(chip, runs, folder), "warm": warm_section(chip.name, runs, folder), "pictures": pictures,
+        "solid_view": solid_view, "spectra": Picture(spectra, _resolution(runs)),
+        "resonances": [resonances_table(found), *resonance_notes(found)]})
+
+
+def materials_of(runs: Sequence[Simulation]) -> TextTable:
+    """The material of every region, by state."""
+    return table("state | region | material | source", (
+        (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
+
+
+def dimensions_table(chip: Chip) -> TextTable:
+    """Every dimension of a chip with its tolerance and source."""
+    return table("dimension | value (mm) | tolerance (um) | source", (
+        (name, _millimetres(name, d.value, 1e3), None if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
+         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
 
 
 def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]:
@@ -189,8 +183,12 @@ def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]
     peaks = {run.state: [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
              for run in runs if run.energy is not None}
     picture = draw_energy(energy, peaks, folder / ENERGY_PICTURE, title=chip.name)
+    table_of_peaks = table(
+        "state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g",
+        ((run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
+         for run in runs for peak in run.operating.peaks))
     return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy),
-            energy_table(runs), Picture(picture, "impedance, and the energy of the sound in the cavity per square of "
+            table_of_peaks, Picture(picture, "impedance, and the energy of the sound in the cavity per square of "
                                         "the voltage; its peaks are marked")]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
@@ -29,6 +30,11 @@ MOST_REASONS = 12
 #: A figure whose range is no more than this of itself is the same everywhere, such as the power of a drive that states
 #: it: ten times this would hide what a tolerance of a ten thousandth does.
 CONSTANT = 1e-6
+
+
+def meanings_table(figures: Sequence[str]) -> TextTable:
+    """The meaning of every figure."""
+    return table("figure=name | meaning=words", map(figure_named, figures))
 
 
 def statistics_table(result: StudyResult) -> TextTable:
@@ -141,8 +147,5 @@ def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], li
 
 def write_study_report(found: StudyResult, pictures: list[Picture], folder: Path) -> Path:
     """Write ``report.html`` with the pictures of :func:`draw_study`."""
-    plan = found.study
-    return write_report(folder / "report.html", plan.name, template="study.html", values={
-        "plan": plan, "pictures": pictures, "missing": missing_table(found), "extremes": extremes_table(found),
-        "meanings": table("figure | meaning", ((name, figure_named(name).words) for name in plan.figures)),
-        "statistics": statistics_table(found), "confirmed": found.confirmations and confirmed_table(found)})
+    return write_report(folder / "report.html", found.study.name, module=__name__,
+                        values={"found": found, "plan": found.study, "pictures": pictures})

@@ -19,7 +19,7 @@ from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import replacing
 from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
-from workbench.report.page import Note, TextTable, in_unit, number_text, table, with_unit, write_report
+from workbench.report.page import TextTable, in_unit, number_text, table, with_unit, write_report
 from workbench.report.record import plain, record
 
 
@@ -138,19 +138,12 @@ def drive_in_words(found: Tolerance) -> str:
 
 def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
     """``report.html`` with its pictures."""
-    yields = found.yields
-    values = {
-        "found": found, "pictures": draw_tolerance(found, folder), "drive": drive_in_words(found),
-        "figures": uncertain_figures_table(found), "sensitivities": sensitivities_table(found),
-        "inputs": inputs_table(found), "notes": [Note(text) for text in found.findings],
-        "yields": yields and yields_table(found), "unclear": yields and unclear_tightenings(found),
-        "clear": yields and any(each.is_clear for each in yields.tightenings) and tightening_table(found),
-        "sobol": found.sobol and sobol_table(found), "model": found.model and _model_table(found)}
-    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances",
-                        template="tolerance.html", values=values)
+    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", module=__name__,
+                        values={"found": found, "pictures": draw_tolerance(found, folder)})
 
 
-def _model_table(found: Tolerance) -> TextTable:
+def accuracy_table(found: Tolerance) -> TextTable:
+    """The model of the samples, and its errors by full solves."""
     assert found.model is not None
     return table("of the model | value", (
         ("unknowns", found.model.rank),
