@@ -76,7 +76,7 @@ def test_a_transducer_is_fitted_reported_and_saved(
     assert Registry((mine,)).load("pzt4/pea").c33.real == record["parameters"][0]["value"]
     text = check_report(tmp_path / "out" / "report.html")
     order = [text.index(f"<h2>{heading}") for heading in
-             ("What was found", "Pictures", "Starts and effort", "Bands left out", "Noise", "The recordings")]
+             ("Result", "Pictures", "Starts and effort", "Bands left out", "Noise", "The recordings")]
     assert order == sorted(order)
     for name in ("fit_disc.png", "intervals.png", "correlation.png", "disc_fitted.csv", "disc_start.csv"):
         assert (tmp_path / "out" / name).exists()

@@ -66,7 +66,7 @@ def before_after_table(design: Design) -> TextTable:
     for name in goal.figures:
         old, new = design.before.figures[name], math.nan if best is None else best.after.figures[name]
         rows.append((name, figure_in_unit(name, old), figure_in_unit(name, new),
-                     best and figure_in_unit(name, best.candidate.point.evaluation.figures[name]),
+                     figure_in_unit(name, best.candidate.point.evaluation.figures[name]) if best else None,
                      _change(name, old, new), _wanted(goal, name, design.before)))
     if goal.objectives[0].figure == TOLERANCE and best is not None:
         factor = _reached(goal.objectives[0], best.candidate.point.objective)
@@ -192,12 +192,10 @@ def summary_lines(design: Design) -> Sequence[str]:
     return lines
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# Page and record.
-
-
 def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool) -> dict[str, list[Picture]]:
     """Draw the pictures by section, and write the solids of the best chip."""
+    from geometry.export import export_step, export_stl
+
     pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
     if found.best is not None:
         spectra = {"before": solver.spectrum(found.goal.chip), "after": solver.spectrum(found.best.chip)}
@@ -207,7 +205,9 @@ def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bo
                                         ("after", found.best.chip, found.best.after)):
             pictures["fields"] += _fields(label, chip, evaluation.frequency, solver, folder)
         if with_cad:
-            pictures["solids"].append(_solids(found.best.chip, folder))
+            export_step(found.best.chip, folder / "chip.step")
+            solids = export_stl(found.best.chip, folder)
+            pictures["solids"].append(draw_chip(found.best.chip, solids, folder / "cad.png"))
     if found.chosen.attempts:
         pictures["search"].append(_convergence(found, folder))
     if found.front:
@@ -227,13 +227,6 @@ def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder
     return [Picture(drawn[0].path, f"{label}, {drawn[0].caption}")]
 
 
-def _solids(chip: Chip, folder: Path) -> Picture:
-    from geometry.export import export_step, export_stl
-
-    export_step(chip, folder / "chip.step")
-    return draw_chip(chip, export_stl(chip, folder), folder / "cad.png")
-
-
 def _convergence(found: Design, folder: Path) -> Picture:
     objective, chosen = found.goal.objectives[0], found.chosen
     factor = reported_figure(objective.figure).factor
@@ -251,7 +244,6 @@ def _convergence(found: Design, folder: Path) -> Picture:
 def _front(found: Design, folder: Path) -> Picture:
     objectives = found.goal.objectives
     factors = np.array([reported_figure(each.figure).factor for each in objectives])
-
     values = [list(map(programme_figure, objectives, _candidate_of(each).objectives)) for each in found.front]
     confirmed = [[each.after.figures[o.figure] for o in objectives] for each in found.front
                  if isinstance(each, Confirmed)]

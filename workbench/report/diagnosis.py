@@ -238,10 +238,6 @@ def merit_table(found: Diagnosis) -> TextTable:
     return table("state | spectrum | f0 (kHz):.3f | Z_min (ohm) | Q | chi-square:.3g", rows)
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# diagnosis.json. Numbers are in SI; evidences and odds are natural logarithms.
-
-
 def detection_limits(found: Diagnosis) -> dict[str, float]:
     """The smallest detectable value (SI) of the first parameter of each hypothesis."""
     return {s.effect.name: float(DETECTED * s.error[0]) for s in found.found.base.scores

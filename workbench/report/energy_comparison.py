@@ -7,7 +7,7 @@ from typing import Any
 
 from workbench.render.recorded_energy import draw_recorded_energy
 from workbench.report.page import Picture, TextTable, in_unit, table, write_report
-from workbench.report.record import record
+from workbench.report.record import attribute, record
 from workbench.report.simulation import ENERGY_PICTURE, model_table
 from workbench.simulation.energy_comparison import EnergyComparison
 from workbench.simulation.run import Simulation
@@ -20,11 +20,11 @@ def compared_peaks_table(compared: EnergyComparison) -> TextTable:
         recorded, simulated = pair.recorded, pair.simulated
         label = f"peak {number}: " if len(compared.peaks) > 1 else ""
         rows += [
-            (f"{label}f (MHz)", in_unit(recorded and recorded.frequency, "MHz", ".4f"),
+            (f"{label}f (MHz)", in_unit(attribute(recorded, "frequency"), "MHz", ".4f"),
              recorded and _interval(recorded.frequency_interval, "MHz", ".4f"),
-             in_unit(simulated and simulated.frequency, "MHz", ".4f"), pair.difference, pair.widths),
-            (f"{label}Q", recorded and recorded.q, recorded and _interval(recorded.q_interval, "", ".3g"),
-             simulated and simulated.q, pair.q_difference, None)]
+             in_unit(attribute(simulated, "frequency"), "MHz", ".4f"), pair.difference, pair.widths),
+            (f"{label}Q", attribute(recorded, "q"), recorded and _interval(recorded.q_interval, "", ".3g"),
+             attribute(simulated, "q"), pair.q_difference, None)]
         if compared.recording.is_absolute and recorded is not None and simulated is not None:
             rows.append((f"{label}mean E_ac (J/m^3 per Vpp^2)", recorded.height, None, simulated.per_square_volt,
                          simulated.per_square_volt / recorded.height - 1.0, None))

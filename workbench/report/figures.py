@@ -8,7 +8,7 @@ from typing import Any
 
 from workbench.fem.capacitance import Capacitance
 from workbench.report.page import TextTable, in_unit, number_text
-from workbench.report.record import record
+from workbench.report.record import attribute, record
 from workbench.results.merit import Figures
 from workbench.results.spectrum import Origin
 
@@ -31,7 +31,7 @@ def figures_rows(label: str, merit: Figures | None) -> FigureRows:
         return [((label, "none", "", "", ""), {})]
     anti, right = merit.antiresonance, merit.conductance
     named = {name: text for name in NAMED_COUPLINGS if anti and (text := in_unit(getattr(anti, name), "", ".3g"))}
-    coupling = in_unit(anti and anti.k_effective, "", ".3g")
+    coupling = in_unit(attribute(anti, "k_effective"), "", ".3g")
     dip = (in_unit(merit.f0, "MHz", ".4f"), number_text(merit.z_min), number_text(merit.q))
     if right is None or not merit.is_weak or math.isnan(right.q):
         return [((label, *dip, coupling), named)]

@@ -137,7 +137,7 @@ def write_report(
         explained.update(new)
         return new
 
-    def shown(value: object) -> object:
+    def shown(value: object) -> Any:
         match value:
             case None:
                 return ""
@@ -150,7 +150,7 @@ def write_report(
         macro = _MACROS.get(type(value))
         return value if macro is None else getattr(blocks, macro)(str(value) if isinstance(value, str) else value)
 
-    def block(value: object) -> object:
+    def block(value: object) -> Any:
         if type(value) is not str:
             return shown(value)
         paragraphs = (" ".join(each.split()) for each in re.split(r"\n\s*\n", value))

@@ -46,7 +46,7 @@ def _parsed(words: Iterator[str]) -> _Keys:
 def _selected(value: object, keys: _Keys | None) -> Any:
     if value is None or keys is None:
         return plain(value)
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
         return [_selected(each, keys) for each in value]
     return {key: _selected(attribute(value, path), own) for key, (path, own) in keys.items()}
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.design.evaluation import Operation
 from workbench.design.figures import Figure, change_unit
@@ -126,10 +125,6 @@ def sobol_table(found: Tolerance) -> TextTable:
     return table("figure | number | alone (first order) | with all others (total)", rows)
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# Files.
-
-
 def drive_in_words(found: Tolerance) -> str:
     """The resonance that the drive follows, or its frequency."""
     words = Operation(found.drive, found.frequency).words
@@ -204,16 +199,14 @@ def write_samples(found: Tolerance, path: Path) -> Path:
 
     if found.outcomes is None:
         raise ValueError("a tolerance without requirements has no samples")
-    columns: dict[str, NDArray[Any]] = {each.name: found.outcomes.points[:, k]
-                                        for k, each in enumerate(found.uncertainty.inputs)}
-    columns |= {each.label: found.outcomes.column(each.label) for each in found.requested}
-    columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
-    units = {each.name: each.unit for each in found.uncertainty.inputs}
-    units |= {each.label: each.figure.unit for each in found.requested}
-    table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
-    table = table.cast(pyarrow.schema([
-        pyarrow.field(field.name, field.type, metadata={"unit": units[field.name]} if units.get(field.name) else None)
-        for field in table.schema]))
+    columns = [(each.name, each.unit, found.outcomes.points[:, k]) for k, each in enumerate(found.uncertainty.inputs)]
+    columns += [(each.label, each.figure.unit, found.outcomes.column(each.label)) for each in found.requested]
+    columns += [(f"met: {each.requirement.text}", "", each.met(found.outcomes.column(each.label)))
+                for each in found.bounds]
+    arrays = [pyarrow.array(values) for _, _, values in columns]
+    samples = pyarrow.table(arrays, schema=pyarrow.schema([
+        pyarrow.field(name, array.type, metadata={"unit": unit} if unit else None)
+        for (name, unit, _), array in zip(columns, arrays, strict=True)]))
     with replacing(path) as whole:
-        parquet.write_table(table, whole)
+        parquet.write_table(samples, whole)
     return path
