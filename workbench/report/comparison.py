@@ -43,7 +43,7 @@ def distance_table(comparison: Comparison) -> TextTable:
 
 
 def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -> str:
-    """The commands that find the cause of a difference, if there is one."""
+    """The commands that find the cause of a difference, if any."""
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")

@@ -71,7 +71,7 @@ DEFINITIONS = {
 
 
 def definition(heading: str) -> str | None:
-    """The meaning of a heading such as "f0 (MHz)"; None if not defined."""
+    """The meaning of a heading such as "f0 (MHz)"; None without one."""
     return DEFINITIONS.get(_name(heading))
 
 

@@ -41,7 +41,7 @@ def reported_figure(name: str) -> Figure:
 
 
 def figure_in_unit(name: str, value: float, digits: int = 5) -> str:
-    """A figure (SI) with its shown unit; "none" if it does not exist."""
+    """A figure (SI) with its shown unit; "none" for NaN."""
     figure = reported_figure(name)
     return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip() if math.isfinite(value) else "none"
 
@@ -61,7 +61,7 @@ def _candidate_of(each: Confirmed | RoundedDesign) -> RoundedDesign:
 
 
 def before_after_table(design: Design) -> TextTable:
-    """Every figure of the goal before and after, of the model, and required."""
+    """Every figure of the goal: before, after, of the model, and required."""
     goal, best, rows = design.goal, design.best, list[tuple[Value, ...]]()
     for name in goal.figures:
         old, new = design.before.figures[name], math.nan if best is None else best.after.figures[name]
@@ -136,7 +136,7 @@ def _remark(optimum: Optimum) -> str:
 
 
 def choices_table(design: Design) -> TextTable:
-    """The best chip of every choice of stock and materials, on the model."""
+    """The best chip on the model of every choice of stock."""
     objective, rows = design.goal.objectives[0], []
     for one in design.searched:
         best = one.candidates[0] if one.candidates else None
@@ -193,7 +193,7 @@ def summary_lines(design: Design) -> Sequence[str]:
 
 
 def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool) -> dict[str, list[Picture]]:
-    """Draw the pictures by section, and write the solids of the best chip."""
+    """Draw pictures by section, and write the solids of the best chip."""
     from geometry.export import export_step, export_stl
 
     pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
@@ -216,7 +216,7 @@ def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bo
 
 
 def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder: Path) -> list[Picture]:
-    """The potential of the particles, or the pressure without any, at a frequency.
+    """The potential of the particles at a frequency, or else the pressure.
 
     Empty without a fluid in the cavity, or without a frequency.
     """
@@ -265,7 +265,7 @@ def write_design_report(found: Design, pictures: dict[str, list[Picture]], folde
 
 
 def design_record(design: Design) -> dict[str, Any]:
-    """An outcome for a JSON file, in SI; None for figures that do not exist."""
+    """An outcome for a JSON file, in SI, with None for NaN."""
     goal, best = design.goal, design.best
     return record(design, "goal=goal.source chip=goal.chip.file state=goal.state before=before.figures seconds "
                           "objectives=goal.objectives { figure maximise }") | {

@@ -62,7 +62,7 @@ def established_table(found: Diagnosis) -> TextTable:
 
 
 def remainder_table(found: Diagnosis) -> TextTable:
-    """Rms of ln(Z / Z_measured) (%) of every state, the states held out last.
+    """Rms of ln(Z / Z_measured) of every state, those held out last.
 
     Its columns are the noise alone, the model as stated, with fitted known parameters, and with the effects.
     """

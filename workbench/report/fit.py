@@ -32,12 +32,12 @@ from workbench.results.merit import measured_figures
 
 
 def number_in_unit(value: float, unit: str, *, digits: int = 5) -> str:
-    """A number (SI) in the shown unit, without the unit; empty for NaN."""
+    """A number (SI) as text in its shown unit; empty for NaN."""
     return number_text(value * shown_factor(unit), digits) if np.isfinite(value) else ""
 
 
 def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[str, str]:
-    """An estimate and its interval without unit, to two digits of the interval's width."""
+    """An estimate and its interval, to two digits of the interval's width."""
     if not np.isfinite(low):
         return number_in_unit(value, unit), ""
     digits = 5
@@ -48,7 +48,7 @@ def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[st
 
 
 def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
-    """The name of a parameter without that of its material, with its own recordings."""
+    """The name of a parameter without its material, with its own recordings."""
     p = estimate.parameter
     text = p.parsed.within(prepared.material.name)
     return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
@@ -78,7 +78,7 @@ OF_FIXED = "of which fixed constants"
 
 
 def for_terminal(shown: TextTable) -> TextTable:
-    """The table of parameters in 80 columns, without prior, change and empty columns."""
+    """The table of parameters without prior, change and empty columns."""
     cells = [column for column in zip(shown.columns, *shown.rows, strict=True)
              if column[0] not in ("prior", "change (%)") and (column[0] != OF_FIXED or any(column[1:]))]
     heads, *rows = zip(*cells, strict=True)
@@ -165,7 +165,7 @@ def noise_table(result: FitResult) -> TextTable:
 
 
 def effort_table(result: FitResult) -> TextTable:
-    """Algorithm, time and steps of a fit, and its check by full solves."""
+    """Algorithm, time and steps of a fit, and its check."""
     difference, frequency = result.check
     check = f"{difference:.1e} at {frequency / 1e3:.1f} kHz" if np.isfinite(difference) else None
     return table("algorithm | wall time (s):.1f | full solves | steps | difference from full solves", [
@@ -195,7 +195,7 @@ def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Pictu
 def fit_record(
     result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime, saved_as: str | None = None
 ) -> dict[str, Any]:
-    """All of a fit for a JSON file, in SI, with other units beside the numbers."""
+    """A fit for a JSON file, in SI or with units."""
     refused = refusals(result)
     return {
         **record(prepared, "kind chip=chip.name state material=material.name"),

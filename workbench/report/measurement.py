@@ -1,4 +1,4 @@
-"""Tables and page of a run of the bench; table of imported waveforms."""
+"""Tables and page of a run of the bench; imported waveforms."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ RECORDED = ("accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_er
 
 
 def cells_table(problem: Problem, highest: float) -> TextTable:
-    """Cells of every region, and elements per wavelength at the `highest` frequency (Hz)."""
+    """Cells of every region, and elements per wavelength at `highest` (Hz)."""
     mesh = problem.mesh
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(mesh, speeds, highest)
@@ -48,7 +48,7 @@ class MeshRow:
 
     @classmethod
     def of(cls, accuracy: float | None, run: Simulation, finest: Simulation) -> MeshRow:
-        """From a run with figures of merit, and one of the finest mesh."""
+        """From a run with figures of merit and the finest run."""
         mesh = run.problem.mesh
         area = sum(mesh.section.area(region) for region in mesh.section.regions)
         # Complex division does not give exactly one of equal numbers.

@@ -53,7 +53,7 @@ Value = str | float | None
 
 
 def table(columns: str, rows: Iterable[Any]) -> TextTable:
-    """A table of text and numbers (SI) in the units of their columns.
+    """A table of text and numbers (SI), in the units of columns.
 
     `columns` are separated by " | ". "p0 (kPa):.3f=field.amplitude" has a heading, a format (".4g" if not stated), and
     the attribute of each row that its cells show; without attributes each row has its cells. None and NaN are empty.
@@ -71,7 +71,7 @@ def table(columns: str, rows: Iterable[Any]) -> TextTable:
 
 
 def in_unit(value: Value, unit: str, form: str = "") -> str:
-    """A number (SI) in a unit; text and integers stay, None and NaN are empty."""
+    """A number (SI) in a unit; empty for None and NaN."""
     match value:
         case str() | Integral():
             return str(value)

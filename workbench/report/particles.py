@@ -49,7 +49,7 @@ def _spread(value: float | None, spread: float | None) -> str:
 
 
 def rest_table(found: Trajectories) -> TextTable:
-    """Traps of the sound alone, and the nearest place of rest with weight and flow."""
+    """Traps of the sound alone, with the place of rest near each."""
     rows, measure = [], found.report.forces.mesh.measure
     symbol, digits = measure.symbol, measure.decimals + 1
     for number, (trap, rest) in enumerate(zip(found.report.traps, found.rest, strict=True), start=1):

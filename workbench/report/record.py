@@ -1,4 +1,4 @@
-"""Values of JSON files and cells of tables, from the attributes of results."""
+"""Values of JSON files and cells of tables, from attributes of results."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def _selected(value: object, keys: _Keys | None) -> Any:
 
 
 def attribute(value: Any, path: str) -> Any:
-    """An attribute of an attribute, such as "parameter.name"; None if an attribute on the way is None."""
+    """An attribute of an attribute, such as "parameter.name"; None after None."""
     for name in path.split("."):
         value = None if value is None else getattr(value, name)
     return value
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: lists for arrays and tuples, None for infinity and NaN.
+    """A value for JSON: lists for arrays, None for infinity and NaN.
 
     A fitted number is a list of its value and its standard error.
     """

@@ -30,7 +30,7 @@ def resonances_table(found: Mapping[str, CircuitFit | None]) -> TextTable:
 
 
 def resonance_notes(found: Mapping[str, CircuitFit | None]) -> tuple[str, ...]:
-    """The misfit of each circuit, and the resonances that it does not resolve."""
+    """The misfit of each circuit, and the resonances it does not resolve."""
     return tuple(f"{label}: {text}" for label, fit in found.items() if fit is not None
                  for text in (misfit(fit), *fit.findings))
 
@@ -59,7 +59,7 @@ def _with_error(number: FittedNumber, factor: float, digits: int) -> str:
 
 
 def resonances_record(found: CircuitFit | None) -> dict[str, Any]:
-    """The resonances of a spectrum for a JSON file, each number with its standard error."""
+    """The resonances of a spectrum for a JSON file, with standard errors."""
     if found is None:
         return {"resonances": []}
     return record(found, "resonances { frequency_hz q k_effective=k_eff figure_of_merit=merit resistance_ohm "
@@ -68,7 +68,7 @@ def resonances_record(found: CircuitFit | None) -> dict[str, Any]:
 
 
 def single_fits_record(spectrum: Spectrum) -> dict[str, Any]:
-    """The fits of the deepest resonance alone, by pole and by circuit, if they succeed."""
+    """The fits of the deepest resonance alone, by pole and by circuit."""
     found: dict[str, Any] = {}
     for method, fit in (("pole", fit_pole), ("bvd", fit_circuit)):
         with suppress(ValueError):
@@ -77,6 +77,6 @@ def single_fits_record(spectrum: Spectrum) -> dict[str, Any]:
 
 
 def single_fit_record(fit: PoleFit | CircuitFit) -> dict[str, Any]:
-    """The fit of one resonance for a JSON file, each number with its standard error."""
+    """The fit of one resonance for a JSON file, with standard errors."""
     one, parameters = (fit, {}) if isinstance(fit, PoleFit) else (fit.resonances[0], plain(fit.parameters))
     return {**record(one, "frequency_hz q"), **record(fit, "rms_residual"), **parameters}

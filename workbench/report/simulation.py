@@ -72,14 +72,14 @@ def traps_table(report: TrapReport) -> TextTable:
 
 
 def _channel(shot: Snapshot) -> ChannelFigures | None:
-    """The figures of the channel; None for a round chip or without liquid."""
+    """The figures of the channel; None in round or dry chips."""
     if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
         return None
     return channel_figures(shot)
 
 
 def channel_tables(shot: Snapshot) -> list[TextTable]:
-    """Figures of the channel of a straight chip, and its lines of focusing.
+    """Figures of the channel of a straight chip, and its lines.
 
     Empty for a round chip and for a state without liquid.
     """
@@ -113,7 +113,7 @@ def model_table(runs: Sequence[Simulation]) -> TextTable:
 
 
 def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable:
-    """Figures of merit of every state, simulated and stated in the chip file."""
+    """Figures of merit of every state, simulated and stated."""
     rows: FigureRows = []
     for run in runs:
         (first, named), *rest = figures_rows(f"{run.state}, simulated", run.figures)
@@ -129,8 +129,8 @@ def without_resonance(runs: Sequence[Simulation]) -> list[str]:
     return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
 
 
-def findings_of(runs: Sequence[Simulation], first: Sequence[str]) -> list[str]:
-    """Findings of all runs but the `first` ones, each once with its states."""
+def findings_by_state(runs: Sequence[Simulation], first: Sequence[str]) -> list[str]:
+    """Findings of all runs but the `first`, each with its states."""
     found: dict[str, list[str]] = {}
     for run in runs:
         for text in (text for text in run.findings if text not in first):

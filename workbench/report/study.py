@@ -133,7 +133,7 @@ def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
 
 
 def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
-    """Columns of axes and figures at the points of a state, in shown units."""
+    """Columns of axes and figures at the points of a state."""
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))

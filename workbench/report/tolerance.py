@@ -35,7 +35,7 @@ def law_in_words(each: Number) -> str:
 
 
 def uncertain_figures_table(found: Tolerance) -> TextTable:
-    """Every figure as stated, its standard uncertainty, and 95 % of its samples."""
+    """Every figure: stated value, standard uncertainty, and 95 % of the samples."""
     sampled = found.outcomes
     rows = []
     for each in found.requested:
@@ -88,7 +88,7 @@ def unclear_tightenings(found: Tolerance) -> str:
 
 
 def sensitivities_table(found: Tolerance) -> TextTable:
-    """Changes of each figure if a number grows by its uncertainty, the largest first.
+    """Changes of each figure for the uncertainty of each number, largest first.
 
     A number without a stated uncertainty grows by one per cent.
     """

@@ -1,4 +1,4 @@
-"""The warmth of a driven chip: blocks of a report, and its record."""
+"""The warmth of a driven chip: blocks of a report, and record."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WARMTH_PICTURE = "warmth.png"
 
 
 def warm_blocks(shot: Snapshot) -> list[Block]:
-    """The warmth of a driven chip in sentences and its steady states; empty if unknown."""
+    """The warmth of a driven chip and its steady states, if known."""
     if shot.warm is None:
         return []
     steady = [("driven steadily" if number == 0 else "also steady" if point.stable else "unstable", point.rise, point)
@@ -41,7 +41,7 @@ def warm_section(title: str, shots: Sequence[Snapshot], folder: Path) -> list[Bl
 
 
 def warm_record(shot: Snapshot) -> dict[str, Any]:
-    """The warmth of a driven chip in merit.json and particles.json; empty if unknown."""
+    """The warmth of a driven chip in JSON files, if known."""
     if shot.warm is None:
         return {}
     point = "{ rise_k frequency_hz mean_energy_density_j_m3=energy_density voltage_vpp power_w stable }"
