@@ -101,13 +101,13 @@ def unexplained_tables(found: Description) -> list[Block]:
         ((each.state, each.low, each.high, each.peak, each.rms, each.share,
           "none in the recording" if each.mode is None else f"{each.mode.kind} {each.mode.frequency / 1e6:.4f} MHz",
           regions_in_words(each.regions)) for each in found.bands))
-    takers = table("hypothesis | share of the residual (%):.3g | odds against nothing further | found by", (
+    hypotheses = table("hypothesis | share of the residual (%):.3g | odds against nothing further | found by", (
         (plain_words(each.name), each.share, *(
             ("not fitted", "its score") if each.log_odds is None else (odds_text(each.log_odds), "a fit")))
         for each in found.takers))
     return [f"The residual is {100.0 * found.rms:.3g} % of Z, {found.times:.3g} times the stated noise. By state:",
             states, "The bands of the largest residual, with the energy by region of the nearest mode:", bands,
-            *(["The hypotheses of the catalogue that would explain most of it:", takers] if found.takers else
+            *(["The hypotheses of the catalogue that would explain most of it:", hypotheses] if found.takers else
               ["No hypothesis of the catalogue would explain any of it."])]
 
 
@@ -135,7 +135,7 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
         ("Not finished", [Note(content["headline"]), "Verdict: not finished."]),
         ("The recordings that were read", [states]),
         ("Stated uncertainties", ["Standard uncertainties and their sources; all that is not listed is exact.",
-                                     stated_table(campaign)])])
+                                  stated_table(campaign)])])
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:

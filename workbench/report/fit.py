@@ -138,8 +138,8 @@ def write_fit_report(
     """Write ``report.html``: result, pictures, starts, bands, noise and recordings."""
     return write_report(folder / "report.html", f"{title}: {prepared.material.name} fitted", module=__name__, values={
         "result": result, "prepared": prepared, "sources": sources, "gel": gel, "saved_as": saved_as,
-        "origin_table": origin_table,
-        "pictures": _pictures(folder, result, prepared), "gel_picture": gel and _gel_picture(folder, result, gel)})
+        "origin_table": origin_table, "pictures": _pictures(folder, result, prepared),
+        "gel_picture": gel and _gel_picture(folder, result, gel)})
 
 
 def _gel_picture(folder: Path, result: FitResult, gel: Sequence[GelCase]) -> Picture:

@@ -13,7 +13,7 @@ import numpy as np
 from geometry.mesh import elements_per_wavelength
 from workbench.model.problem import Problem
 from workbench.render.plots import draw_convergence
-from workbench.report.page import Picture, TextTable, table, write_report
+from workbench.report.page import Picture, TextTable, in_unit, table, write_report
 from workbench.simulation.run import Simulation
 
 #: The columns of ``convergence.json``.
@@ -62,9 +62,9 @@ class MeshRow:
 
 def convergence_table(rows: Sequence[MeshRow]) -> TextTable:
     """Figures of merit, error and estimated error of every mesh."""
-    return table("accuracy | unknowns | f0 (MHz):.5f | Z_min (ohm) | Q | error (%):.4f | estimate (%):.4f", (
+    return table("accuracy | unknowns | f0 (MHz):.5f | Z_min (ohm) | Q | error (%):.4f | estimate", (
         ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", row.unknowns, row.f0, row.z_min, row.q,
-         None if row.accuracy is None else row.error, row.estimated) for row in rows))
+         None if row.accuracy is None else row.error, in_unit(row.estimated, "%", ".4f")) for row in rows))
 
 
 def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:

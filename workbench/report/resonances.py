@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from workbench.report.page import TextTable, table
+from workbench.report.page import TextTable, Value, table
 from workbench.report.record import plain, record
 from workbench.results.circuit import LARGE_CHI_SQUARE, LARGE_RESIDUAL, CircuitFit, FittedNumber, fit_circuit
 from workbench.results.pole import PoleFit, fit_pole
@@ -18,7 +18,7 @@ RESONANCE_COLUMNS = ("resonances", "fitted f (MHz)", "fitted Q", "fitted k_eff",
 
 def resonances_table(found: Mapping[str, CircuitFit | None]) -> TextTable:
     """The resonances of spectra by label, with standard errors; "none" without one."""
-    rows: list[tuple[str | float | None, ...]] = []
+    rows: list[tuple[Value, ...]] = []
     for label, fit in found.items():
         if fit is None:
             rows.append((label, "none", *[None] * (len(RESONANCE_COLUMNS) - 2)))

@@ -26,7 +26,7 @@ from workbench.report.figures import (
     figures_rows,
     figures_table,
 )
-from workbench.report.page import Answer, Block, Picture, TextTable, number_text, table, write_report
+from workbench.report.page import Answer, Block, Picture, TextTable, Value, number_text, table, write_report
 from workbench.report.record import record
 from workbench.report.resonances import resonance_notes, resonances_record, resonances_table, single_fits_record
 from workbench.report.warm import warm_record, warm_section
@@ -57,7 +57,7 @@ def traps_table(report: TrapReport) -> TextTable:
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
     measure = report.forces.mesh.measure
     digits, (across, up) = f".{measure.decimals + 1}f", measure.directions
-    rows: list[tuple[str | float | None, ...]] = []
+    rows: list[tuple[Value, ...]] = []
     for trap in report.traps:
         place = f"{measure.symbol} {1e3 * trap.radius:{digits}}, z {1e3 * trap.height:{digits}}"
         barriers = ("no way out" if each is None else each
@@ -180,16 +180,15 @@ def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]
     energy = {run.state: run.energy for run in runs if run.energy is not None}
     if not energy:
         return []
-    peaks = {run.state: [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
-             for run in runs if run.energy is not None}
-    picture = draw_energy(energy, peaks, folder / ENERGY_PICTURE, title=chip.name)
-    table_of_peaks = table(
-        "state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g",
-        ((run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
-         for run in runs for peak in run.operating.peaks))
-    return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy),
-            table_of_peaks, Picture(picture, "impedance, and the energy of the sound in the cavity per square of "
-                                        "the voltage; its peaks are marked")]
+    marked = {run.state: [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
+              for run in runs if run.state in energy}
+    picture = draw_energy(energy, marked, folder / ENERGY_PICTURE, title=chip.name)
+    peaks = table("state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g", (
+        (run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
+        for run in runs for peak in run.operating.peaks))
+    return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy), peaks,
+            Picture(picture, "impedance, and the energy of the sound in the cavity per square of the voltage; its "
+                             "peaks are marked")]
 
 
 def _resolution(runs: Sequence[Simulation]) -> str:
