@@ -201,12 +201,6 @@ def not_refitted_table(found: Diagnosis) -> TextTable:
         (name, evidence - null) for evidence, name in evidences if name not in refitted))
 
 
-def location_table(found: Diagnosis) -> TextTable:
-    return table("region | evidence added:.1f | as sigmas:.1f | modes", (
-        (place["region"], place["evidence"], place["sigmas"], "; ".join(place["modes"]))
-        for place in (each.record for each in found.location)))
-
-
 def known_table(found: Diagnosis) -> TextTable:
     """The known parameters with their pulls, the largest first."""
     alone = pulls(found.model, found.found.base.explanation) if found.established else {}
@@ -215,13 +209,6 @@ def known_table(found: Diagnosis) -> TextTable:
             for each in sorted(found.known, key=lambda each: -abs(each.sigmas or 0.0))]
     return table("known parameter | stated:.5g | found:.5g | unit | moved by (sigmas):+.2f"
                  + (" | without the effects (sigmas):+.2f" if alone else ""), rows)
-
-
-def contributions_table(known: Sequence[Contribution]) -> TextTable:
-    """Changes by every effect with known constants."""
-    return table("effect | state | change of f0 (Hz):+.3g | change of Q:+.3g | change of ln Z, rms (%):.3g", (
-        (row.effect, row.state, "none" if row.f0_change is None else row.f0_change,
-         "none" if row.q_change is None else row.q_change, row.rms_log_change) for row in known))
 
 
 def merit_table(found: Diagnosis) -> TextTable:

@@ -48,8 +48,8 @@ class TextTable:
             raise ValueError(f"the row {wrong[0]} does not have the {len(self.columns)} cells of {self.columns}")
 
 
-#: A cell of a table before it is formatted: text, a number in SI, or None for an empty cell.
-Value = str | float | None
+#: A cell of a table before it is formatted: text, texts, a number in SI, or None for an empty cell.
+Value = str | Sequence[str] | float | None
 
 
 def table(columns: str, rows: Iterable[Any]) -> TextTable:
@@ -77,6 +77,8 @@ def in_unit(value: Value, unit: str, form: str = "") -> str:
             return str(value)
         case None:
             return ""
+        case list() | tuple():
+            return "; ".join(value)
         case _:
             return "" if math.isnan(value) else format(value / _FACTORS.get(unit, 1.0), form or ".4g")
 

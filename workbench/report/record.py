@@ -52,9 +52,10 @@ def _selected(value: object, keys: _Keys | None) -> Any:
 
 
 def attribute(value: Any, path: str) -> Any:
-    """An attribute of an attribute, such as "parameter.name"; None after None."""
+    """An attribute of an attribute, or item of a mapping; None after None."""
     for name in path.split("."):
-        value = None if value is None else getattr(value, name)
+        if value is not None:
+            value = value[name] if isinstance(value, Mapping) else getattr(value, name)
     return value
 
 
