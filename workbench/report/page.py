@@ -71,16 +71,16 @@ def table(columns: str, rows: Iterable[Any]) -> TextTable:
 
 
 def in_unit(value: Value, unit: str, form: str = "") -> str:
-    """A number (SI) in a unit; empty for None and NaN."""
+    """A number (SI) in a unit, or text; empty for None and NaN."""
     match value:
-        case str() | Integral():
-            return str(value)
         case None:
             return ""
-        case list() | tuple():
-            return "; ".join(value)
-        case _:
+        case float():
             return "" if math.isnan(value) else format(value / _FACTORS.get(unit, 1.0), form or ".4g")
+        case str() | Integral():
+            return str(value)
+        case _:
+            return "; ".join(value)
 
 
 def number_text(value: float, digits: int = 4) -> str:

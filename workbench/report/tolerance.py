@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.design.evaluation import Operation
 from workbench.design.figures import Figure, change_unit
@@ -199,7 +200,8 @@ def write_samples(found: Tolerance, path: Path) -> Path:
 
     if found.outcomes is None:
         raise ValueError("a tolerance without requirements has no samples")
-    columns = [(each.name, each.unit, found.outcomes.points[:, k]) for k, each in enumerate(found.uncertainty.inputs)]
+    columns: list[tuple[str, str, NDArray[Any]]] = [
+        (each.name, each.unit, found.outcomes.points[:, k]) for k, each in enumerate(found.uncertainty.inputs)]
     columns += [(each.label, each.figure.unit, found.outcomes.column(each.label)) for each in found.requested]
     columns += [(f"met: {each.requirement.text}", "", each.met(found.outcomes.column(each.label)))
                 for each in found.bounds]
