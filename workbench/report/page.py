@@ -71,7 +71,7 @@ def table(columns: str, rows: Iterable[Any]) -> TextTable:
 
 
 def in_unit(value: Value, unit: str, form: str = "") -> str:
-    """A number (SI) in a unit, or text; empty for None and NaN."""
+    """Text, or a number (SI) in a unit; empty without one."""
     match value:
         case None:
             return ""

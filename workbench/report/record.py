@@ -52,7 +52,7 @@ def _selected(value: object, keys: _Keys | None) -> Any:
 
 
 def attribute(value: Any, path: str) -> Any:
-    """An attribute of an attribute, or item of a mapping; None after None."""
+    """An attribute of an attribute, or an item; None after None."""
     for name in path.split("."):
         if value is not None:
             value = value[name] if isinstance(value, Mapping) else getattr(value, name)
