@@ -118,7 +118,8 @@ def test_every_column_of_figures_and_traps_is_defined() -> None:
 
 def test_values_in_si_are_shown_in_the_units_of_their_columns() -> None:
     shown = table("place | f (MHz):.3f | p0 (kPa) | share (%):.0f | points | mean E_ac (J/m^3):+.1g",
-                  [("a | b: c", 1.25e6, 12345.678, 0.5, 7, 2.0), (["x", "y"], math.nan, None, math.inf, np.int64(3), -2.0)])
+                  [("a | b: c", 1.25e6, 12345.678, 0.5, 7, 2.0),
+                   (["x", "y"], math.nan, None, math.inf, np.int64(3), -2.0)])
     assert shown.columns == ("place", "f (MHz)", "p0 (kPa)", "share (%)", "points", "mean E_ac (J/m^3)")
     assert shown.rows == (("a | b: c", "1.250", "12.35", "50", "7", "+2"), ("x; y", "", "", "inf", "3", "-2"))
 
