@@ -87,7 +87,7 @@ def test_a_goal_leaves_chip_report_and_record(tmp_path: Path, capsys: pytest.Cap
     assert "3 of 3 starts ended at the best optimum" in said
     assert "confirmed by a full solve" in said
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "What holds the optimum" in page
+    assert "Active bounds" in page
 
 
 def test_the_field_before_and_after_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -305,11 +305,11 @@ def test_the_report_describes_it_right_after_the_headline(tmp_path: Path, monkey
     monkeypatch.setattr("workbench.report.diagnosis.origin_table", lambda _origin: "")
     text = write_diagnosis_report(diagnosis(), [], tmp_path).read_text(encoding="utf-8")
     headings = [part.split("</h2>")[0] for part in text.split("<h2>")[1:]]
-    assert headings[:3] == ["What was found", "What nothing explains", "Before and after"]
+    assert headings[:3] == ["Result", "Unexplained residual", "Before and after"]
     assert DEFINITIONS["share of the residual"] in text
     # That of a trap is of another report.
     assert DEFINITIONS["share"] not in text
-    assert "What nothing explains" not in write_diagnosis_report(diagnosis(None), [], tmp_path).read_text()
+    assert "Unexplained residual" not in write_diagnosis_report(diagnosis(None), [], tmp_path).read_text()
 
 
 def test_the_table_says_what_is_in_its_columns_and_marks_states_held_out() -> None:

@@ -359,4 +359,4 @@ def test_compare_recognises_a_table_of_focusing(
     assert record["peaks"][0]["recorded"]["frequency_hz"] == pytest.approx(1.003e6, rel=1e-4)
     assert record["peaks"][0]["recorded"]["q"] == pytest.approx(40.0, rel=1e-2)
     assert record["points_compared"] == 9
-    assert "Where the peaks are" in check_report(out / "report.html")
+    assert "<h2>Peaks</h2>" in check_report(out / "report.html")

@@ -25,7 +25,7 @@ from workbench.fitting.search import FitSearch
 from workbench.fitting.uncertainty import estimate_uncertainty, profile
 from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduce
-from workbench.report.fit import OF_HELD, for_terminal, held_table, parameter_table
+from workbench.report.fit import OF_FIXED, for_terminal, held_table, parameter_table
 from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -207,10 +207,10 @@ def test_two_fits_of_one_recording_do_not_exclude_each_other(
 def test_table_and_record_say_what_was_held(ten: tuple[Prepared, FitResult]) -> None:
     prepared, result = ten
     table = parameter_table(result, prepared)
-    assert all(row[table.columns.index(OF_HELD)].startswith("± ") for row in table.rows[:1])
-    assert OF_HELD in for_terminal(table).columns
+    assert all(row[table.columns.index(OF_FIXED)].startswith("± ") for row in table.rows[:1])
+    assert OF_FIXED in for_terminal(table).columns
     plain = replace(result, estimates=tuple(replace(e, held=0.0) for e in result.estimates))
-    assert OF_HELD not in for_terminal(parameter_table(plain, prepared)).columns
+    assert OF_FIXED not in for_terminal(parameter_table(plain, prepared)).columns
     held = held_table(result)
     assert held is not None
     assert len(held.rows) == len(result.held) == 10

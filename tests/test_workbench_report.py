@@ -7,14 +7,17 @@ import html
 import json
 import math
 import re
+from collections import namedtuple
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from workbench.files.writing import write_json
 from workbench.render.canvas import Picture
+from workbench.report import page
 from workbench.report.comparison import comparison_record
 from workbench.report.definitions import DEFINITIONS, definition
 from workbench.report.figures import (
@@ -32,8 +35,10 @@ from workbench.report.page import (
     TextTable,
     Verbatim,
     number_text,
+    table,
     write_report,
 )
+from workbench.report.record import record
 from workbench.report.resonances import (
     RESONANCE_COLUMNS,
     resonance_notes,
@@ -42,7 +47,7 @@ from workbench.report.resonances import (
     single_fit_record,
     single_fits_record,
 )
-from workbench.results.circuit import fit_circuit
+from workbench.results.circuit import FittedNumber, fit_circuit
 from workbench.results.comparison import compare
 from workbench.results.merit import figures, measured_figures
 from workbench.results.resonances import resonances_of
@@ -101,14 +106,52 @@ def test_headings_say_what_they_mean_and_a_legend_lists_it(tmp_path: Path) -> No
     assert text.count("<abbr title=") == 4
     assert text.count('<dl class="legend">') == 1
     for name in ("f0", "Z_min", "Q", "k_eff"):
-        assert f'<abbr title="{html.escape(DEFINITIONS[name])}">{name}' in text
-        assert f"<dt>{name}</dt><dd>{html.escape(DEFINITIONS[name])}</dd>" in text
+        assert f'<abbr title="{DEFINITIONS[name]}">{name}' in html.unescape(text)
+        assert f"<dt>{name}</dt><dd>{DEFINITIONS[name]}</dd>" in html.unescape(text)
 
 
 def test_every_column_of_figures_and_traps_is_defined() -> None:
     figures_of = (*FIGURE_COLUMNS[1:], *NAMED_COUPLINGS, *CAPACITANCE_COLUMNS, *RESONANCE_COLUMNS[1:4])
     for heading in (*figures_of, "barrier (fJ)", "lift / weight", "above the floor (mm)", "focusing time (s)"):
         assert definition(heading), heading
+
+
+def test_values_in_si_are_shown_in_the_units_of_their_columns() -> None:
+    shown = table("place | f (MHz):.3f | p0 (kPa) | share (%):.0f | points | mean E_ac (J/m^3):+.1g",
+                  [("a | b: c", 1.25e6, 12345.678, 0.5, 7, 2.0),
+                   (["x", "y"], math.nan, None, math.inf, np.int64(3), -2.0)])
+    assert shown.columns == ("place", "f (MHz)", "p0 (kPa)", "share (%)", "points", "mean E_ac (J/m^3)")
+    assert shown.rows == (("a | b: c", "1.250", "12.35", "50", "7", "+2"), ("x; y", "", "", "inf", "3", "-2"))
+
+
+def test_a_table_of_attributes_has_an_empty_cell_after_none() -> None:
+    rows = [SimpleNamespace(name="a", peak=SimpleNamespace(frequency=2e6)), SimpleNamespace(name="b", peak=None)]
+    assert table("name=name | f (MHz):.1f=peak.frequency", rows).rows == (("a", "2.0"), ("b", ""))
+
+
+def test_a_record_has_the_attributes_of_its_keys() -> None:
+    pairs = namedtuple("pairs", "low high")
+    value = SimpleNamespace(
+        frequency=np.float64(1e6), error=math.nan, chip=SimpleNamespace(name="disc"), best=None, is_wet=np.True_,
+        bounds=(pairs(1.0, math.inf), pairs(-1.0, 2.0)), fitted=FittedNumber(3.0, math.nan), across=np.eye(2))
+    found = record(value, "frequency_hz error chip=chip.name best { q } best_q=best.q is_wet "
+                          "bounds { lowest_m=low high } fitted across_m_pa=across")
+    assert found == {
+        "frequency_hz": 1e6, "error": None, "chip": "disc", "best": None, "best_q": None, "is_wet": True,
+        "bounds": [{"lowest_m": 1.0, "high": None}, {"lowest_m": -1.0, "high": 2.0}], "fitted": [3.0, None],
+        "across_m_pa": [[1.0, 0.0], [0.0, 1.0]]}
+    assert list(found) == ["frequency_hz", "error", "chip", "best", "best_q", "is_wet", "bounds", "fitted",
+                           "across_m_pa"]
+    json.dumps(found, allow_nan=False)
+    with pytest.raises(AttributeError, match="phase"):
+        record(value, "phase_rad")
+
+
+def test_every_template_is_of_a_module() -> None:
+    folder = Path(page.__file__).parent
+    templates = {path.stem for path in (folder / "templates").glob("*.html")} - {"page", "blocks", "materials"}
+    assert templates <= {path.stem for path in folder.glob("*.py")}
+    assert len(templates) > 8
 
 
 def test_a_table_has_a_heading_for_every_column() -> None:

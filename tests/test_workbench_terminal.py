@@ -31,7 +31,7 @@ TABLES: dict[str, tuple[str, TextTable, str]] = {
                                        "saved_as": "pzt_mine/disc_of_the_first_delivery@1", "wall_seconds": 123.4},
         "disc_2": {"mape_percent": 55.02, "rms_log_residual": 0.519, "accepted": False, "saved_as": None,
                    "wall_seconds": 23.4}}), "folded"),
-    "what devices have in common": ("what they have in common", batch_columns_table(tuple(
+    "what devices have in common": ("quantities over the devices", batch_columns_table(tuple(
         BatchColumn(name, unit, ("a", "b"), DEVIATION, DEVIATION, DEVIATION, 1.5, 0.7071, 66.7, ("disc_7", "disc_12"))
         for name, unit in (("transducer.thickness", "m"), ("bench.series_resistance", "ohm"), ("c33.loss", "1")))),
         "one"),

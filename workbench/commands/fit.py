@@ -89,7 +89,7 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
     print_table(f"{done.prepared.material.name}, {done.result.algorithm}",
                 for_terminal(parameter_table(done.result, done.prepared)))
     if done.result.held:
-        print_line(f"held, although uncertain too: {held_names(done.result)}")
+        print_line(f"fixed, although uncertain: {held_names(done.result)}")
     derived = derived_table(done.result, done.prepared)
     if derived is not None:
         print_table("", derived)
@@ -154,7 +154,7 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     write_batch_report(folder, batch.name, columns, finished, failed)
     print_table(batch.name, devices_table(finished))
     if columns:
-        print_table("what they have in common", batch_columns_table(columns))
+        print_table("quantities over the devices", batch_columns_table(columns))
     for name, words in failed.items():
         console.print(f"{name}: {words}", style="bold red", markup=False)
     for name, record in finished.items():

@@ -98,13 +98,13 @@ def _tell(found: Tolerance, console: Console) -> None:
     """Print what was found."""
     title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
     print_table(title, uncertain_figures_table(found))
-    print_table("what matters", sensitivities_table(found))
+    print_table("sensitivities", sensitivities_table(found))
     if found.sobol is not None:
         print_table("shares of the variance", sobol_table(found))
     if found.yields is not None:
         print_table("yield", yields_table(found))
         if any(each.is_clear for each in found.yields.tightenings):
-            print_table("what to make more exactly", tightening_table(found))
+            print_table("uncertainties to halve", tightening_table(found))
         if words := unclear_tightenings(found):
             print_line(words)
     for text in found.findings:

@@ -1,1 +1,1 @@
-"""Results as tables, as JSON records, and as report.html, one file that opens offline: one module a product."""
+"""Results as tables, JSON records and pages; one module a product."""

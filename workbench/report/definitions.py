@@ -1,6 +1,6 @@
-"""Meanings of the numbers in the reports, in one sentence each: shown on their headings and listed below their tables.
+"""Meanings of the headings in the reports, one sentence each.
 
-The glossary of the documentation is made from them.
+A heading shows its meaning, the legend below its table lists it, and the glossary of the documentation has it too.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ DEFINITIONS = {
                     "the band. The standard error holds how far Cb varies over the band.",
     "M": "figure of merit of that branch, Q k_eff^2 / (1 - k_eff^2): below 10 its dip of |Z| shows neither its "
          "frequency nor its Q, below 2 its reactance never crosses zero.",
-    "C0": "clamped capacitance of the electrodes: what they hold while nothing moves. It belongs to the transducer and "
-          "is the same in every state. A recording about one resonance does not show it, so recordings have none.",
-    "C at 1 kHz": "capacitance far below every mode, as an LCR meter shows it: C0 and what all modes add.",
+    "C0": "clamped capacitance of the electrodes, without any motion. It belongs to the transducer and is the same in "
+          "every state. A recording about one resonance does not show it, so recordings have none.",
+    "C at 1 kHz": "capacitance far below every mode, as an LCR meter shows it: C0 and the part of all modes.",
     "p0": "largest pressure amplitude in the cavity.",
     "E_ac": "energy density of a plane standing wave of the amplitude p0, p0^2 / (4 rho c^2).",
     "mean E_ac": "the field's own acoustic energy density, averaged over the cavity's volume and over time.",
@@ -71,12 +71,12 @@ DEFINITIONS = {
 
 
 def definition(heading: str) -> str | None:
-    """The meaning of a heading such as "f0 (MHz)", if it is one of :data:`DEFINITIONS`."""
+    """The meaning of a heading such as "f0 (MHz)"; None without one."""
     return DEFINITIONS.get(_name(heading))
 
 
 def defined(headings: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """The headings that have a definition, each once with it, without their units."""
+    """The defined headings without their units, each once with its meaning."""
     found = {_name(heading): definition(heading) for heading in headings}
     return tuple((name, words) for name, words in found.items() if words is not None)
 

@@ -1,4 +1,4 @@
-"""Spectra as rows of tables and as records: figures of merit, and where a recording comes from."""
+"""Figures of merit and origins of spectra, as tables and as records."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from workbench.fem.capacitance import Capacitance
-from workbench.report.page import TextTable, number_text
+from workbench.report.page import TextTable, in_unit, number_text
+from workbench.report.record import attribute, record
 from workbench.results.merit import Figures
 from workbench.results.spectrum import Origin
 
@@ -22,24 +23,25 @@ FigureRows = list[tuple[tuple[str, ...], dict[str, str]]]
 
 
 def figures_rows(label: str, merit: Figures | None) -> FigureRows:
-    """The cells of :data:`FIGURE_COLUMNS` and the named coupling factors: one row, of a weak resonance two, the right
-    one first."""
+    """The cells of :data:`FIGURE_COLUMNS` and the named coupling factors.
+
+    A weak resonance has two rows, the correct one first.
+    """
     if merit is None:
         return [((label, "none", "", "", ""), {})]
-    anti = merit.antiresonance
-    named = {name: number_text(value, 3) for name in NAMED_COUPLINGS
-             if anti is not None and math.isfinite(value := getattr(anti, name))}
-    coupling = number_text(anti.k_effective, 3) if anti else ""
-    dip = (f"{merit.f0 / 1e6:.4f}", number_text(merit.z_min), number_text(merit.q))
-    if merit.conductance is None or not merit.is_weak or math.isnan(merit.conductance.q):
+    anti, right = merit.antiresonance, merit.conductance
+    named = {name: text for name in NAMED_COUPLINGS if anti and (text := in_unit(getattr(anti, name), "", ".3g"))}
+    coupling = in_unit(attribute(anti, "k_effective"), "", ".3g")
+    dip = (in_unit(merit.f0, "MHz", ".4f"), number_text(merit.z_min), number_text(merit.q))
+    if right is None or not merit.is_weak or math.isnan(right.q):
         return [((label, *dip, coupling), named)]
-    right = merit.conductance
-    believed = f"{label}, by the conductance", f"{right.frequency / 1e6:.4f}", "", number_text(right.q), coupling
+    frequency = in_unit(right.frequency, "MHz", ".4f")
+    believed = (f"{label}, by the conductance", frequency, "", number_text(right.q), coupling)
     return [(believed, named), ((f"{label}, dip of |Z|", *dip, ""), {})]
 
 
 def figures_table(rows: FigureRows, further: Sequence[str] = ()) -> TextTable:
-    """The rows as a table with the columns of the coupling factors that any row has, and with `further` columns."""
+    """The rows as a table, with their coupling factors and `further` columns."""
     columns = [*(name for name in NAMED_COUPLINGS if any(name in extra for _, extra in rows)), *further]
     return TextTable((*FIGURE_COLUMNS, *columns), tuple(
         (*cells, *(extra.get(name, "") for name in columns)) for cells, extra in rows))
@@ -48,29 +50,21 @@ def figures_table(rows: FigureRows, further: Sequence[str] = ()) -> TextTable:
 def capacitance_cells(found: Capacitance) -> tuple[str, str]:
     """The cells of :data:`CAPACITANCE_COLUMNS` as text."""
     low = found.low_frequency
-    return number_text(1e12 * found.clamped), "singular" if low is None else number_text(1e12 * low)
+    return in_unit(found.clamped, "pF"), "singular" if low is None else in_unit(low, "pF")
 
 
 def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
     """Figures of merit for a JSON file, SI units in the names."""
     if merit is None:
         return {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
-    record: dict[str, Any] = {"f0_hz": merit.f0, "z_min_ohm": merit.z_min, "q": merit.q,
-                              "half_power_hz": [merit.f1, merit.f2]}
+    found: dict[str, Any] = record(merit, "f0_hz z_min_ohm q") | {"half_power_hz": [merit.f1, merit.f2]}
     if merit.conductance is not None:
-        right = merit.conductance
-        record |= {"is_weak": merit.is_weak, "figure_of_merit": _number(right.merit), "conductance": {
-            "frequency_hz": right.frequency, "q": _number(right.q), "parallel_hz": _number(right.parallel)}}
+        found |= record(merit, "is_weak figure_of_merit=conductance.merit conductance { frequency_hz q parallel_hz }")
     if merit.antiresonance is not None:
-        anti = merit.antiresonance
-        record |= {"antiresonance_hz": anti.frequency, "z_max_ohm": anti.z_max, "k_effective": anti.k_effective}
-        record |= {name: value for name in NAMED_COUPLINGS if math.isfinite(value := getattr(anti, name))}
-    return record
-
-
-def _number(value: float) -> float | None:
-    """A number for a JSON file, None if it is none."""
-    return value if math.isfinite(value) else None
+        found |= record(merit.antiresonance, "antiresonance_hz=frequency z_max_ohm k_effective")
+        named = record(merit.antiresonance, " ".join(NAMED_COUPLINGS))
+        found |= {name: value for name, value in named.items() if value is not None}
+    return found
 
 
 def origin_table(origin: Origin) -> TextTable:

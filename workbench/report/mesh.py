@@ -1,4 +1,4 @@
-"""The mesh of a chip as a table; meshes of several accuracies beside a finer one as a table, a record and a page."""
+"""Meshes of a chip and their convergence: tables, record and page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from geometry.mesh import elements_per_wavelength
 from workbench.model.problem import Problem
 from workbench.render.plots import draw_convergence
-from workbench.report.page import Picture, TextTable, number_text, write_report
+from workbench.report.page import Picture, TextTable, in_unit, table, write_report
 from workbench.simulation.run import Simulation
 
 #: The columns of ``convergence.json``.
@@ -21,20 +21,21 @@ RECORDED = ("accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_er
 
 
 def cells_table(problem: Problem, highest: float) -> TextTable:
-    """Cells of every region, and how many of them lie on a wavelength at the `highest` frequency (Hz)."""
+    """Cells of every region, and elements per wavelength at `highest` (Hz)."""
     mesh = problem.mesh
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(mesh, speeds, highest)
-    return TextTable(("region", "cells", "elements per wavelength"), tuple(
-        (region, str(len(mesh.mesh.subdomains[region])), f"{counts[region]:.1f}" if region in counts else "empty")
-        for region in mesh.section.regions))
+    return table("region | cells | elements per wavelength:.1f", (
+        (region, len(mesh.mesh.subdomains[region]), counts.get(region, "empty")) for region in mesh.section.regions))
 
 
 @dataclass(frozen=True)
 class MeshRow:
-    """One mesh: the ``accuracy`` it was made for (None: the finest), its ``unknowns``, figures of merit (Hz, ohm, 1),
-    the rms error of ln Z as ``estimated`` on it (NaN: not) and against the finest, and the ``size`` of its elements
-    (root of their mean area, m)."""
+    """One mesh of a given ``accuracy`` (None: the finest).
+
+    It has its ``unknowns``, figures of merit (Hz, ohm, 1), the rms error of ln Z as ``estimated`` on it (NaN: not) and
+    against the finest, and the ``size`` of its elements (root of their mean area, m).
+    """
 
     accuracy: float | None
     unknowns: int
@@ -47,7 +48,7 @@ class MeshRow:
 
     @classmethod
     def of(cls, accuracy: float | None, run: Simulation, finest: Simulation) -> MeshRow:
-        """From a run that has figures of merit, and that of the finest mesh at the same frequencies."""
+        """From a run with figures of merit and the finest run."""
         mesh = run.problem.mesh
         area = sum(mesh.section.area(region) for region in mesh.section.regions)
         # Complex division does not give exactly one of equal numbers.
@@ -60,11 +61,10 @@ class MeshRow:
 
 
 def convergence_table(rows: Sequence[MeshRow]) -> TextTable:
-    """Every mesh with its figures of merit, its error against the finest, and that estimated on it."""
-    return TextTable(("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate"), tuple(
-        ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", str(row.unknowns), f"{row.f0 / 1e6:.5f}",
-         number_text(row.z_min), number_text(row.q), "" if row.accuracy is None else f"{100.0 * row.error:.4f}",
-         f"{100.0 * row.estimated:.4f}") for row in rows))
+    """Figures of merit, error and estimated error of every mesh."""
+    return table("accuracy | unknowns | f0 (MHz):.5f | Z_min (ohm) | Q | error (%):.4f | estimate", (
+        ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", row.unknowns, row.f0, row.z_min, row.q,
+         None if row.accuracy is None else row.error, in_unit(row.estimated, "%", ".4f")) for row in rows))
 
 
 def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:
 
 
 def write_convergence_report(title: str, rows: Sequence[MeshRow], folder: Path) -> Path:
-    """``report.html``: the table, and the differences from the finest mesh, the last of the rows, over the size."""
+    """Write ``report.html``: table and differences from the finest mesh, the last row."""
     *others, finest = rows
     errors = {"f0": [abs(row.f0 / finest.f0 - 1.0) for row in others],
               "Z_min": [abs(row.z_min / finest.z_min - 1.0) for row in others],

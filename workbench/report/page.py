@@ -1,47 +1,37 @@
-"""A page of text, tables and pictures, one HTML file that opens offline; and records as JSON."""
+"""The tables of all results, and the page of all reports."""
 
 from __future__ import annotations
 
 import base64
-import html
 import math
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
+from typing import Any
 
 from workbench.files.names import visible
+from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
 from workbench.render.canvas import Picture
 from workbench.report.definitions import defined, definition
+from workbench.report.record import attribute
 
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #ddd; }
-table { border-collapse: collapse; margin: .8rem 0; }
-th, td { padding: .25rem .7rem; text-align: right; }
-th { background: #f3f3f3; } th:first-child, td:first-child { text-align: left; }
-td.words { text-align: left; }
-tr { border-bottom: 1px solid #e5e5e5; }
-img { max-width: 100%; } figure { margin: 1rem 0; } figcaption { color: #555; font-size: .9rem; }
-abbr { text-decoration: underline dotted; cursor: help; }
-.legend { color: #555; font-size: .9rem; margin: .2rem 0 1.2rem; } .legend dt { font-weight: 600; float: left; }
-.legend dt::after { content: ":\\00a0"; } .legend dd { margin: 0; }
-.answer { font-size: 1.1rem; } pre { background: #f6f6f6; padding: .6rem .8rem; overflow-x: auto; font-size: .85rem; }
-.note { background: #fff7e0; border-left: 4px solid #e0a800; padding: .4rem .8rem; }
-"""
-
-
-#: Characters above which a cell of a table is text, that stands at the left, rather than a number.
+#: Cells of a table with more characters than this are text, aligned left; shorter ones are numbers.
 _WORDS = 24
+
+#: Factors to SI of the units that headings of tables may have; the values of a column with another unit have that unit.
+_FACTORS = {unit: factor for units in UNITS.values() for unit, factor in units.items()} | {"pN": 1e-12, "pN/mm": 1e-9}
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text: a heading for every column, and rows of as many cells.
+    """A table of text with a heading for every column.
 
-    A heading, of a column or of a row, that `definitions` knows shows what it means, and a legend below the first table
-    of a page that has it says so.
+    Headings of columns and rows that `definitions` has show their meaning, and a legend below the first table of a page
+    with such a heading lists it.
 
     Raises:
         ValueError: a column other than the first has no heading, or a row is of another length.
@@ -58,99 +48,124 @@ class TextTable:
             raise ValueError(f"the row {wrong[0]} does not have the {len(self.columns)} cells of {self.columns}")
 
 
-@dataclass(frozen=True)
-class Note:
-    """A sentence the reader must not miss."""
-
-    text: str
+#: A cell of a table before it is formatted: text, texts, a number in SI, or None for an empty cell.
+Value = str | Sequence[str] | float | None
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The sentences that answer the question of the report."""
+def table(columns: str, rows: Iterable[Any]) -> TextTable:
+    """A table of text and numbers (SI), in the units of columns.
 
-    text: str
-
-
-@dataclass(frozen=True)
-class Verbatim:
-    """Text as it stands in a file, its lines kept."""
-
-    text: str
-
-
-#: Of plain text, an empty line begins a new paragraph; other line ends are spaces.
-Block = str | TextTable | Picture | Note | Answer | Verbatim
-
-
-def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]]) -> Path:
-    """Write an HTML page with every picture inside it. `sections` are (heading, blocks)."""
-    parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{_text(title)}</title>",
-             f"<style>{_STYLE}</style><h1>{_text(title)}</h1>"]
-    explained: set[str] = set()
-    for heading, blocks in sections:
-        parts.append(f"<h2>{_text(heading)}</h2>")
-        parts += [_html(block, explained) for block in blocks]
-    write_atomic(path, "\n".join([*parts, "</html>"]) + "\n")
-    return path
-
-
-def _html(block: Block, explained: set[str]) -> str:
-    """HTML of a block; `explained` are the headings whose meanings the page has, to which those of a table are added.
+    `columns` are separated by " | ". "p0 (kPa):.3f=field.amplitude" has a heading, a format (".4g" if not stated), and
+    the attribute of each row that its cells show; without attributes each row has its cells. None and NaN are empty.
     """
-    match block:
-        case TextTable(columns, rows):
-            head = "".join(f"<th>{_heading(c)}</th>" for c in columns)
-            cells = ("".join(_cell(c, first=k == 0) for k, c in enumerate(row)) for row in rows)
-            body = "".join(f"<tr>{row}</tr>" for row in cells)
-            new = {name: words for name, words in defined((*columns, *(row[0] for row in rows if row)))
-                   if name not in explained}
-            explained.update(new)
-            return f"<table><tr>{head}</tr>{body}</table>{_legend(new)}"
-        case Picture(path, caption):
-            data = base64.b64encode(path.read_bytes()).decode("ascii")
-            text = _text(caption)
-            image = f'<img src="data:image/png;base64,{data}" alt="{text}">'
-            return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
-        case Note(text):
-            return f'<p class="note">{_text(text)}</p>'
-        case Answer(text):
-            return f'<p class="answer">{_text(text)}</p>'
-        case Verbatim(text):
-            return f"<pre>{_text(text)}</pre>"
-        case str():
-            paragraphs = (" ".join(each.split()) for each in re.split(r"\n\s*\n", block))
-            return "".join(f"<p>{_text(each)}</p>" for each in paragraphs if each)
+    heads, units, formats, paths = list[str](), list[str](), list[str](), list[str]()
+    for column in columns.split(" | "):
+        shown, _, path = column.partition("=")
+        head, _, form = shown.partition(":")
+        heads.append(head)
+        units.append(head.rpartition(" (")[2].removesuffix(")"))
+        formats.append(form)
+        paths.append(path)
+    cells = ([attribute(row, path) for path in paths] for row in rows) if any(paths) else rows
+    return TextTable(tuple(heads), tuple(tuple(map(in_unit, row, units, formats)) for row in cells))
 
 
-def _text(text: str) -> str:
-    """Text for HTML: nothing in it is a tag, and control characters are shown as escapes."""
-    return html.escape(visible(text, keep="\n\t"))
-
-
-def _heading(text: str) -> str:
-    words = definition(text)
-    return _text(text) if words is None else f'<abbr title="{_text(words)}">{_text(text)}</abbr>'
-
-
-def _cell(text: str, *, first: bool) -> str:
-    """A cell: a heading of its row, a number, or a sentence, which stands at the left."""
-    if first:
-        return f"<td>{_heading(text)}</td>"
-    return f"<td{' class=words' if len(text) > _WORDS else ''}>{_text(text)}</td>"
-
-
-def _legend(meanings: Mapping[str, str]) -> str:
-    """HTML of the meanings of headings, below their table; empty where there are none."""
-    rows = "".join(f"<dt>{_text(name)}</dt><dd>{_text(words)}</dd>" for name, words in meanings.items())
-    return f'<dl class="legend">{rows}</dl>' if rows else ""
+def in_unit(value: Value, unit: str, form: str = "") -> str:
+    """Text, or a number (SI) in a unit; empty without one."""
+    match value:
+        case None:
+            return ""
+        case float():
+            return "" if math.isnan(value) else format(value / _FACTORS.get(unit, 1.0), form or ".4g")
+        case str() | Integral():
+            return str(value)
+        case _:
+            return "; ".join(value)
 
 
 def number_text(value: float, digits: int = 4) -> str:
     """A number for a table: `digits` significant digits."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else str(value)
+    return f"{value:.{digits}g}"
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A heading: the name with its unit in brackets, if it has one."""
+    """A heading: the name with its unit in brackets, if any."""
     return f"{name} ({unit})" if unit else name
+
+
+class Note(str):
+    """A sentence the reader must not miss."""
+
+
+class Answer(str):
+    """The sentences that answer the question of the report."""
+
+
+class Verbatim(str):
+    """Text of a file, with its line ends."""
+
+
+#: In plain text, an empty line begins a new paragraph; other line ends are spaces.
+Block = str | TextTable | Picture
+
+#: The macro of ``blocks.html`` that shows a value of each type.
+_MACROS: Mapping[type, str] = {
+    TextTable: "table", Picture: "picture", Note: "note", Answer: "answer", Verbatim: "verbatim"}
+
+
+def write_report(
+    path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]] = (), *, module: str = "",
+    values: Mapping[str, object] | None = None,
+) -> Path:
+    """Write an HTML page with every picture inside it.
+
+    Parameters
+    ----------
+    sections : sequence of (heading, blocks)
+        The content of a page without a template of its own.
+    module : str
+        Full name of a module. Its template has its name, and calls its functions.
+    values : mapping
+        Further names of the template.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    explained = set[str]()
+
+    def not_yet_explained(shown: TextTable) -> dict[str, str]:
+        new = {name: meaning for name, meaning in defined((*shown.columns, *(row[0] for row in shown.rows if row)))
+               if name not in explained}
+        explained.update(new)
+        return new
+
+    def shown(value: object) -> Any:
+        match value:
+            case None:
+                return ""
+            case list() | tuple():
+                return Markup("\n").join(map(block, value))
+            case Markup():
+                return value
+            case str() if type(value) is str:
+                return visible(value, keep="\n\t")
+        macro = _MACROS.get(type(value))
+        return value if macro is None else getattr(blocks, macro)(str(value) if isinstance(value, str) else value)
+
+    def block(value: object) -> Any:
+        if type(value) is not str:
+            return shown(value)
+        paragraphs = (" ".join(each.split()) for each in re.split(r"\n\s*\n", value))
+        return Markup("").join(Markup("<p>{}</p>").format(shown(each)) for each in paragraphs if each)
+
+    environment = Environment(loader=PackageLoader("workbench.report"), autoescape=True, undefined=StrictUndefined,
+                              trim_blocks=True, lstrip_blocks=True, finalize=shown)
+    environment.globals |= {"definition": definition, "not_yet_explained": not_yet_explained, "words": _WORDS,
+                            "table": table, "png": lambda file: base64.b64encode(file.read_bytes()).decode("ascii")}
+    environment.filters |= {"notes": lambda texts: [Note(text) for text in texts],
+                            "answers": lambda texts: [Answer(text) for text in texts]}
+    blocks = environment.get_template("blocks.html").module
+    page = environment.get_template(f"{module.rpartition('.')[2] or 'page'}.html").render(
+        {**(vars(sys.modules[module]) if module else {}), "title": title, "sections": sections, **(values or {})})
+    write_atomic(path, page + "\n")
+    return path

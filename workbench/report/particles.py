@@ -1,4 +1,4 @@
-"""Trajectories of particles as tables, a page, a record, and files to go on with."""
+"""Trajectories of particles: tables, record, data files and page."""
 
 from __future__ import annotations
 
@@ -18,29 +18,26 @@ from workbench.acoustics.captures import (
     rise_time,
 )
 from workbench.acoustics.trajectories import Fate, Trajectories
-from workbench.files.quantities import finite
 from workbench.files.writing import replacing, write_atomic
 from workbench.model.particles import drag_coefficient, net_weight
-from workbench.report.page import Answer, Block, Note, Picture, TextTable, write_report
+from workbench.report.page import Picture, TextTable, table, write_report
+from workbench.report.record import record
 from workbench.report.simulation import field_table, gathering_record
 from workbench.report.warm import warm_blocks
 from workbench.simulation.gathering import Gathering
 from workbench.simulation.liquid_motion import LiquidMotion
 from workbench.simulation.run import Snapshot
 
-#: Sentences on the limits of the computation, as the documentation has them.
-LEFT_OUT = ("Left out: forces between particles and their shadow in the sound, crowding, thermal motion, and what a "
-            "particle does after it has touched a wall.")
-
 
 def captures_table(statistics: Sequence[CaptureStatistics]) -> TextTable:
-    """Particles by the way they end, with the times of arrival and their spread over start points."""
-    return TextTable(
-        ("particles", "number", "of all (%)", "10 % by (s)", "50 % by (s)", "90 % by (s)", "10 to 90 % (s)"),
-        tuple((row.name, str(row.count), _spread(100.0 * row.share, 100.0 * row.share_spread),
-               *("" if each is None else f"{float(f'{each:.3g}'):g}" for each in (row.ten, row.half, row.ninety)),
-               _spread(row.focusing_time, row.focusing_spread))
-              for number, row in enumerate(statistics) if row.count or not number))
+    """Particles by final place, with times of arrival and their spread."""
+    def seconds(each: float | None) -> str:
+        return "" if each is None else f"{float(f'{each:.3g}'):g}"
+
+    return table("particles | number | of all (%) | 10 % by (s) | 50 % by (s) | 90 % by (s) | 10 to 90 % (s)", (
+        (row.name, row.count, _spread(100.0 * row.share, 100.0 * row.share_spread), seconds(row.ten),
+         seconds(row.half), seconds(row.ninety), _spread(row.focusing_time, row.focusing_spread))
+        for number, row in enumerate(statistics) if row.count or not number))
 
 
 def _spread(value: float | None, spread: float | None) -> str:
@@ -52,7 +49,7 @@ def _spread(value: float | None, spread: float | None) -> str:
 
 
 def rest_table(found: Trajectories) -> TextTable:
-    """Traps of the sound alone, and the places next to them where the particle rests with its weight and the flow."""
+    """Traps of the sound alone, with the place of rest near each."""
     rows, measure = [], found.report.forces.mesh.measure
     symbol, digits = measure.symbol, measure.decimals + 1
     for number, (trap, rest) in enumerate(zip(found.report.traps, found.rest, strict=True), start=1):
@@ -60,37 +57,33 @@ def rest_table(found: Trajectories) -> TextTable:
         alone, resting = (f"{symbol} {1e3 * r:.{digits}f}, z {1e3 * z:.{digits}f}" for r, z in (
             (trap.radius, trap.height), rest))
         place = resting if holds else "on a wall" if trap.on_wall else "none"
-        rows.append((str(number), alone, place, str(int((found.trap == number - 1).sum()))))
-    return TextTable(("trap", "of the sound alone (mm)", "place of rest (mm)", "particles there"), tuple(rows))
+        rows.append((number, alone, place, int((found.trap == number - 1).sum())))
+    return table("trap | of the sound alone (mm) | place of rest (mm) | particles there", rows)
 
 
 def motion_record(found: Trajectories, window: Window, answer: Gathering) -> dict[str, Any]:
-    """Everything about the motion that particles.json holds."""
-    forces, excitation = found.forces, found.forces.excitation
-    curve = light_curve(found, window)
-    return {
-        "particle": forces.particle.name, "radius_m": forces.particle.radius, "particles": found.count,
-        "seconds": float(found.times[-1]), "frequency_hz": excitation.frequency, "drive": excitation.description,
-        "voltage_factor": found.voltage_factor, "energy_density_j_m3": excitation.energy_density,
-        "contrast_factor": forces.scattering.contrast_factor,
+    """The motion of the particles in particles.json."""
+    forces, curve = found.forces, light_curve(found, window)
+    return record(
+        found, "particle=forces.particle.name radius_m=forces.particle.radius particles=count "
+               "frequency_hz=forces.excitation.frequency drive=forces.excitation.description voltage_factor "
+               "energy_density_j_m3=forces.excitation.energy_density "
+               "contrast_factor=forces.scattering.contrast_factor rest_m") | {
+        "seconds": float(found.times[-1]),
         "settling_speed_m_s": net_weight(forces.particle, forces.fluid) / drag_coefficient(
             forces.particle, forces.fluid),
         "fate": {fate.words: int((found.fate == fate).sum()) for fate in Fate},
-        "captures": [{"name": row.name, "count": row.count, "share": row.share, "share_spread": row.share_spread,
-                      "ten_percent_s": row.ten, "half_s": row.half, "ninety_percent_s": row.ninety,
-                      "focusing_time_s": row.focusing_time, "focusing_spread_s": row.focusing_spread}
-                     for row in capture_statistics(found)],
+        "captures": record(
+            capture_statistics(found), "name count share share_spread ten_percent_s=ten half_s ninety_percent_s=ninety "
+                                       "focusing_time_s focusing_spread_s"),
         "gathering": gathering_record([answer])[answer.state],
-        "rest_m": [[finite(r), finite(z)] for r, z in found.rest],
-        "window_m": {"inner": window.inner, "outer": finite(window.outer), "bottom": finite(window.bottom),
-                     "top": finite(window.top)},
+        "window_m": record(window, "inner outer bottom top"),
         "window_share": {"begin": float(curve[0]), "end": float(curve[-1]),
-                         "ten_to_ninety_percent_s": rise_time(found.times, curve)},
-    }
+                         "ten_to_ninety_percent_s": rise_time(found.times, curve)}}
 
 
 def write_trajectories(found: Trajectories, path: Path) -> Path:
-    """Write times, positions and fates as an npz archive (numpy), SI units in the names of its arrays."""
+    """Write times, positions and fates as an npz archive, in SI."""
     with replacing(path) as whole:
         np.savez_compressed(
             whole, times_s=found.times, positions_m=found.positions, azimuths_rad=found.azimuths, fate=found.fate,
@@ -125,15 +118,15 @@ def flow_answer(moving: LiquidMotion) -> str:
 
 
 def flow_record(moving: LiquidMotion) -> dict[str, Any]:
-    """The motion of the liquid as particles.json holds it; empty at rest."""
+    """The motion of the liquid in particles.json; empty at rest."""
     flow, heat = moving.streaming, moving.heat
     found: dict[str, Any] = {}
     if flow is not None:
-        found |= {"rms_m_s": flow.rms_speed, "largest_m_s": flow.largest_speed, "peclet": flow.peclet,
-                  "causes_rms_m_s": {name: flow.rms_of(each) for name, each in flow.causes.items()}}
+        found |= record(flow, "rms_m_s=rms_speed largest_m_s=largest_speed peclet") | {
+            "causes_rms_m_s": {name: flow.rms_of(each) for name, each in flow.causes.items()}}
     if heat is not None:
-        found |= {"power_w": heat.power, "peak_k": heat.peak, "time_constant_s": heat.time_constant,
-                  "mean_k": {name: part.mean for name, part in heat.parts.items()}}
+        found |= record(heat, "power_w peak_k time_constant_s") | {
+            "mean_k": {name: part.mean for name, part in heat.parts.items()}}
     return found
 
 
@@ -141,17 +134,10 @@ def write_particles_report(
     shot: Snapshot, found: Trajectories, moving: LiquidMotion, answer: Gathering, pictures: Sequence[Picture],
     files: Mapping[str, Path], folder: Path
 ) -> Path:
-    """``report.html``: the fate of the particles first, then how many, when and where, the pictures, what is left out.
-    `files` are further files by what they hold."""
-    sections: list[tuple[str, list[Block]]] = [
-        ("Where are the particles?", [*warm_blocks(shot), Answer(str(answer)), flow_answer(moving),
-                                      *map(Note, shot.findings)]),
-        ("How many, and when", [captures_table(capture_statistics(found)), rest_table(found)]),
-        ("Pictures", list(pictures)),
-        (f"The field of state {shot.state} at {shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}",
-         [field_table(found.report)]),
-        ("What is computed", [
-            "Every particle follows dx/dt = v2 + (F - W e_z) / (6 pi eta a): radiation force and net weight against "
-            "drag, and the flow v2 of the liquid, Stokes drift included.", *moving.notes, LEFT_OUT,
-            "Files: " + "; ".join(f"{path.name}, {words}" for words, path in files.items()) + "."])]
-    return write_report(folder / "report.html", f"{shot.chip.name}: particles", sections)
+    """Write ``report.html``: answer, numbers, pictures, field and model.
+
+    `files` are further files by their content.
+    """
+    return write_report(folder / "report.html", f"{shot.chip.name}: particles", module=__name__, values={
+        "shot": shot, "found": found, "moving": moving, "answer": answer, "pictures": pictures, "files": files,
+        "warm": warm_blocks(shot), "statistics": capture_statistics(found), "field": field_table(found.report)})

@@ -1,4 +1,4 @@
-"""Simulated states of a chip as tables, as a page and as records."""
+"""Simulated states of a chip: tables, record and page."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from geometry.measure import Axisymmetric
 from geometry.names import CAVITY
 from geometry.straight import straight_findings
 from materials.kinds import Fluid
-from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
-from workbench.files.quantities import finite
+from workbench.acoustics.traps import TrapReport, focus_time, time_to
 from workbench.model.numbers import ParameterName
 from workbench.model.particles import net_weight
 from workbench.render.plots import draw_energy, draw_spectra
@@ -27,17 +26,12 @@ from workbench.report.figures import (
     figures_rows,
     figures_table,
 )
-from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_report
-from workbench.report.resonances import (
-    resonance_notes,
-    resonances_record,
-    resonances_table,
-    single_fits_record,
-)
+from workbench.report.page import Answer, Block, Picture, TextTable, Value, number_text, table, write_report
+from workbench.report.record import record
+from workbench.report.resonances import resonance_notes, resonances_record, resonances_table, single_fits_record
 from workbench.report.warm import warm_record, warm_section
 from workbench.simulation.channel import ChannelFigures, channel_figures
-from workbench.simulation.energy import EnergySpectrum
-from workbench.simulation.gathering import GatheredAt, Gathering
+from workbench.simulation.gathering import Gathering
 from workbench.simulation.run import Simulation, Snapshot
 
 #: Peaks of the energy at most that a picture marks, the highest ones.
@@ -48,88 +42,78 @@ ENERGY_PICTURE = "energy.png"
 
 
 def field_table(report: TrapReport) -> TextTable:
-    """The field a particle is in, and its effect on the particle anywhere."""
+    """The field that acts on a particle, and its largest force."""
     forces, excitation = report.forces, report.excitation
-    largest = float(np.nanmax(np.linalg.norm(forces.force, axis=1)))
-    return TextTable(
-        ("particle", "contrast factor", "net weight (pN)", "largest force (pN)", "p0 (kPa)", "E_ac (J/m^3)",
-         "mean E_ac (J/m^3)"),
-        ((f"{forces.particle.name}, {2e6 * forces.particle.radius:.3g} um",
-          number_text(forces.scattering.contrast_factor, 3),
-          number_text(1e12 * net_weight(forces.particle, forces.fluid), 3),
-          number_text(1e12 * largest, 3), number_text(1e-3 * excitation.pressure_amplitude),
-          number_text(excitation.energy_density, 3), number_text(excitation.mean_energy_density, 3)),))
+    return table(
+        "particle | contrast factor:.3g | net weight (pN):.3g | largest force (pN):.3g | p0 (kPa) | E_ac (J/m^3):.3g | "
+        "mean E_ac (J/m^3):.3g",
+        [(f"{forces.particle.name}, {2e6 * forces.particle.radius:.3g} um", forces.scattering.contrast_factor,
+          net_weight(forces.particle, forces.fluid), float(np.nanmax(np.linalg.norm(forces.force, axis=1))),
+          excitation.pressure_amplitude, excitation.energy_density, excitation.mean_energy_density)])
 
 
 def traps_table(report: TrapReport) -> TextTable:
-    """Every trap: where, how strong, how much of the cavity drains to it and how fast."""
+    """Every trap: its place, strength, share of the cavity and focusing time."""
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
-    rows = []
+    measure = report.forces.mesh.measure
+    digits, (across, up) = f".{measure.decimals + 1}f", measure.directions
+    rows: list[tuple[Value, ...]] = []
     for trap in report.traps:
-        seconds = time_to(report, trap)
-        rows.append((
-            f"{trap.measure.symbol} {1e3 * trap.radius:.{trap.measure.decimals + 1}f}, z "
-            f"{1e3 * trap.height:.{trap.measure.decimals + 1}f}{', on a wall' if trap.on_wall else ''}",
-            f"{1e3 * trap.above_floor:.{trap.measure.decimals + 1}f}", *(_femtojoules(each) for each in (
-                trap.barrier, trap.axial_barrier, trap.radial_barrier)),
-            "" if trap.lift is None or not weight else number_text(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
-            f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
-            "" if seconds is None else number_text(seconds, 3)))
-    across, up = report.forces.mesh.measure.directions
-    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", f"{up} barrier (fJ)",
-                      f"{across} barrier (fJ)", "lift / weight", "share (%)", "stiffness (pN/mm)",
-                      "focusing time (s)"), tuple(rows))
+        place = f"{measure.symbol} {1e3 * trap.radius:{digits}}, z {1e3 * trap.height:{digits}}"
+        barriers = ("no way out" if each is None else each
+                    for each in (trap.barrier, trap.axial_barrier, trap.radial_barrier))
+        rows.append((f"{place}, on a wall" if trap.on_wall else place, trap.above_floor, *barriers,
+                     None if trap.lift is None or not weight else trap.lift / weight, trap.share,
+                     f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}", time_to(report, trap)))
+    return table(
+        f"trap (mm) | above the floor (mm):{digits} | barrier (fJ):.3g | {up} barrier (fJ):.3g | "
+        f"{across} barrier (fJ):.3g | lift / weight:.3g | share (%):.0f | stiffness (pN/mm) | focusing time (s):.3g",
+        rows)
 
 
 def _channel(shot: Snapshot) -> ChannelFigures | None:
-    """The figures of the channel of a straight chip; None for a round chip and for a state without liquid."""
+    """The figures of the channel; None in round or dry chips."""
     if isinstance(shot.chip.measure, Axisymmetric) or not isinstance(shot.problem.materials.get(CAVITY), Fluid):
         return None
     return channel_figures(shot)
 
 
 def channel_tables(shot: Snapshot) -> list[TextTable]:
-    """Figures of the channel of a straight chip, and the lines that its particles focus to; nothing for a round chip
-    and for a state without liquid."""
+    """Figures of the channel of a straight chip, and its lines.
+
+    Empty for a round chip and for a state without liquid.
+    """
     found = _channel(shot)
     if found is None:
         return []
-    tables = [TextTable(
-        ("mean E_ac (J/m^3)", "per Vpp^2", "per W", "|p| across, mid-height (kPa)", "uneven over the height (%)",
-         "critical diameter (um)"),
-        ((number_text(found.energy_density, 3), number_text(found.energy_per_square_volt, 3),
-          number_text(found.energy_per_watt, 3), number_text(1e-3 * float(found.across[:, 1].max())),
-          number_text(100.0 * found.unevenness, 2),
-          "" if found.critical_diameter is None else number_text(1e6 * found.critical_diameter, 3)),))]
+    tables = [table(
+        "mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g | |p| across, mid-height (kPa) | "
+        "uneven over the height (%):.2g | critical diameter (um):.3g",
+        [(found.energy_density, found.energy_per_square_volt, found.energy_per_watt, float(found.across[:, 1].max()),
+          found.unevenness, found.critical_diameter)])]
     if len(found.channels) > 1:
-        tables.append(TextTable(("channel (mm)", "mean E_ac (J/m^3)"), tuple(
-            (f"x {1e3 * each.left:.4f} to {1e3 * each.right:.4f}", number_text(each.energy_density, 3))
-            for each in found.channels)))
+        tables.append(table("channel (mm) | mean E_ac (J/m^3):.3g", (
+            (f"x {1e3 * each.left:.4f} to {1e3 * each.right:.4f}", each.energy_density) for each in found.channels)))
     if found.lines:
-        tables.append(TextTable(
-            ("line across (mm)", "depth (fJ)", "share of the width (%)", "stiffness (pN/mm)", "focusing time (s)"),
-            tuple((f"x {1e3 * line.place:.4f}{', at the side wall' if line.at_side else ''}",
-                   number_text(1e15 * line.depth, 3), f"{100.0 * line.share:.0f}", number_text(1e9 * line.stiffness, 3),
-                   "" if line.time is None else number_text(line.time, 3)) for line in found.lines)))
+        tables.append(table(
+            "line across (mm) | depth (fJ):.3g | share of the width (%):.0f | stiffness (pN/mm):.3g | "
+            "focusing time (s):.3g",
+            ((f"x {1e3 * line.place:.4f}{', at the side wall' if line.at_side else ''}", line.depth, line.share,
+              line.stiffness, line.time) for line in found.lines)))
     return tables
-
-
-def _femtojoules(barrier: float | None) -> str:
-    return "no way out" if barrier is None else number_text(1e15 * barrier, 3)
 
 
 def model_table(runs: Sequence[Simulation]) -> TextTable:
     """Size, error and time of every run."""
-    columns = ("state", "unknowns", "order", "error of Z by the mesh, rms", "by the reduced model", "full solves",
-               "residual", "energy closure", "time (s)")
-    return TextTable(columns, tuple(
-        (run.state, str(run.unknowns), str(run.problem.mesh.order),
-         f"{run.mesh_error.rms:.1e}" if run.mesh_error else "", f"{run.error:.1e}", str(run.solves),
-         f"{run.residual:.1e}", f"{run.closure:.1e}", f"{sum(run.seconds.values()):.1f}") for run in runs))
+    return table(
+        "state | unknowns | order | error of Z by the mesh, rms:.1e | by the reduced model:.1e | full solves | "
+        "residual:.1e | energy closure:.1e | time (s):.1f",
+        ((run.state, run.unknowns, run.problem.mesh.order, run.mesh_error and run.mesh_error.rms, run.error,
+          run.solves, run.residual, run.closure, sum(run.seconds.values())) for run in runs))
 
 
 def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable:
-    """Figures of merit of every state as simulated, and as the chip file reports them."""
+    """Figures of merit of every state, simulated and stated."""
     rows: FigureRows = []
     for run in runs:
         (first, named), *rest = figures_rows(f"{run.state}, simulated", run.figures)
@@ -145,28 +129,17 @@ def without_resonance(runs: Sequence[Simulation]) -> list[str]:
     return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
 
 
-def energy_table(runs: Sequence[Simulation]) -> TextTable:
-    """The peaks of the energy in the cavity, of every state with a liquid, under its drive."""
-    rows = []
-    for run in runs:
-        for peak in run.operating.peaks:
-            rows.append((run.state, f"{peak.frequency / 1e6:.4f}", "" if peak.q is None else number_text(peak.q, 3),
-                         number_text(peak.energy_density, 3), number_text(peak.per_square_volt, 3),
-                         number_text(peak.per_watt, 3)))
-    return TextTable(("state", "peak of the energy (MHz)", "Q", "mean E_ac (J/m^3)", "per Vpp^2", "per W"), tuple(rows))
-
-
-def _findings(runs: Sequence[Simulation], first: Sequence[str]) -> list[Note]:
-    """Findings of all runs but the `first` ones, each once with the states that it holds in."""
+def findings_by_state(runs: Sequence[Simulation], first: Sequence[str]) -> list[str]:
+    """Findings of all runs but the `first`, each with its states."""
     found: dict[str, list[str]] = {}
     for run in runs:
         for text in (text for text in run.findings if text not in first):
             found.setdefault(text, []).append(run.state)
-    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
+    return [f"{', '.join(states)}: {text}" for text, states in found.items()]
 
 
 def _millimetres(name: str, value: float, factor: float) -> str:
-    """A dimension (m or rad) times a factor; an angle with its unit."""
+    """A dimension (m) times a factor; an angle (rad) in degrees."""
     if ParameterName.parse(name).quantity == "angle":
         return f"{math.degrees(value):.3g} deg"
     return f"{factor * value:.4g}"
@@ -176,57 +149,50 @@ def write_simulation_report(
     chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, Sequence[Picture]],
     solid_view: Sequence[Picture], folder: Path,
 ) -> Path:
-    """``report.html``: its purpose first, then figures of merit, every state with its pictures, chip and model."""
-    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
-    dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
-        (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
-         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
+    """Write ``report.html``: answers, figures of merit, states, chip and model.
+
+    The last state is first in the answers, because the device works in it.
+    """
     found = {run.state: run.resonances for run in runs}
-    first = straight_findings(chip.measure, chip.electrodes)
-    sections: list[tuple[str, list[Block]]] = [("What is computed?", [*map(Note, first)])] if first else []
-    driven = _driven(chip, runs, folder)
-    if driven:
-        sections.append(("At which frequency?", driven))
-    warmth = warm_section(chip.name, runs, folder)
-    if warmth:
-        sections.append(("How warm does it get?", warmth))
-    if answers:
-        # That of the last state first: it is the one the device works in.
-        sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
-    sections.append(("Figures of merit", [
-        chip.description, f"Source: {chip.source}" if chip.source else "", simulated_figures_table(chip, runs),
-        *map(Note, without_resonance(runs)), *_findings(runs, first), Picture(spectra, _resolution(runs)),
-        resonances_table(found), *resonance_notes(found)]))
-    for run in runs:
-        blocks: list[Block] = []
-        if run.traps is not None:
-            blocks += [field_table(run.traps), traps_table(run.traps)]
-        blocks += channel_tables(run)
-        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
-                         [*blocks, *pictures.get(run.state, ())]))
-    used = TextTable(("state", "region", "material", "source"), tuple(
+    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
+    return write_report(folder / "report.html", chip.name, module=__name__, values={
+        "chip": chip, "runs": runs, "straight": straight_findings(chip.measure, chip.electrodes), "answers": answers,
+        "driven": _driven(chip, runs, folder), "warm": warm_section(chip.name, runs, folder), "pictures": pictures,
+        "solid_view": solid_view, "spectra": Picture(spectra, _resolution(runs)),
+        "resonances": [resonances_table(found), *resonance_notes(found)]})
+
+
+def materials_of(runs: Sequence[Simulation]) -> TextTable:
+    """The material of every region, by state."""
+    return table("state | region | material | source", (
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
-    sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
-    return write_report(folder / "report.html", chip.name, sections)
+
+
+def dimensions_table(chip: Chip) -> TextTable:
+    """Every dimension of a chip with its tolerance and source."""
+    return table("dimension | value (mm) | tolerance (um) | source", (
+        (name, _millimetres(name, d.value, 1e3), None if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
+         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
 
 
 def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]:
-    """The operating points of states with a liquid, the peaks of their energy, and a picture; nothing without one."""
-    energy, peaks = dict[str, EnergySpectrum](), dict[str, list[float]]()
-    for run in runs:
-        if run.energy is not None:
-            energy[run.state] = run.energy
-            peaks[run.state] = [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
+    """The operating points and energy peaks of wet states; empty without one."""
+    energy = {run.state: run.energy for run in runs if run.energy is not None}
     if not energy:
         return []
-    picture = draw_energy(energy, peaks, folder / ENERGY_PICTURE, title=chip.name)
-    return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy),
-            energy_table(runs), Picture(picture, "impedance, and the energy of the sound in the cavity per square of "
-                                        "the voltage; its peaks are marked")]
+    marked = {run.state: [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]
+              for run in runs if run.state in energy}
+    picture = draw_energy(energy, marked, folder / ENERGY_PICTURE, title=chip.name)
+    peaks = table("state | peak of the energy (MHz):.4f | Q:.3g | mean E_ac (J/m^3):.3g | per Vpp^2:.3g | per W:.3g", (
+        (run.state, peak.frequency, peak.q, peak.energy_density, peak.per_square_volt, peak.per_watt)
+        for run in runs for peak in run.operating.peaks))
+    return [*(Answer(f"{run.state}: {run.operating}") for run in reversed(runs) if run.state in energy), peaks,
+            Picture(picture, "impedance, and the energy of the sound in the cavity per square of the voltage; its "
+                             "peaks are marked")]
 
 
 def _resolution(runs: Sequence[Simulation]) -> str:
-    """The caption of the spectra: the number of points on each resonance, and the interpolation between them."""
+    """The caption of the spectra: interpolation, and points on each resonance."""
     resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
                 if run.figures is not None]
     words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
@@ -235,80 +201,43 @@ def _resolution(runs: Sequence[Simulation]) -> str:
     return f"{words}. Points within the half-power width of the resonance: {', '.join(resolved)}"
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# merit.json.
-
-
 def gathering_record(answers: Sequence[Gathering]) -> dict[str, Any]:
-    """Whether, where and when particles gather, by state."""
-    def place(found: GatheredAt) -> dict[str, Any]:
-        return {"words": found.words, "share": found.share, "half_s": found.half}
-
-    return {answer.state: {
-        "gathers": answer.gathers, "sentences": list(answer.sentences),
-        "first": None if answer.first is None else place(answer.first), "places": list(map(place, answer.places)),
-        "critical_diameter_m": {name: finite(value) for name, value in answer.critical_diameters.items()},
-    } for answer in answers}
+    """Places and times of gathering, by state."""
+    place = "{ words share half_s }"
+    return {answer.state: record(answer, f"gathers sentences first {place} places {place} "
+                                         "critical_diameter_m=critical_diameters") for answer in answers}
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
-    """Everything of a simulated state that merit.json holds."""
-    record = figures_record(run.figures, run.no_resonance)
-    record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
-                                      "at_1_khz": run.capacitance.low_frequency}
-    record["resonance_fits"] = single_fits_record(run.spectrum)
-    record["circuit"] = resonances_record(run.resonances)
-    record["model"] = {
-        "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
-        "order": run.problem.mesh.order, "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None,
-        "estimated_relative_error": run.error, "largest_residual": run.residual, "energy_closure": run.closure,
-    }
-    record["fields"] = {"frequency_hz": run.fields.frequency, "drive": run.fields.drive,
-                        "voltage_amplitude_v": abs(run.fields.voltage), "power_w": run.fields.power}
-    record["operating_point"] = {
-        "frequency_hz": run.operating.frequency, "words": str(run.operating)}
-    record["energy_peaks"] = [
-        {"frequency_hz": peak.frequency, "q": peak.q, "mean_energy_density_j_m3": peak.energy_density,
-         "per_square_vpp_j_m3_v2": peak.per_square_volt, "per_watt_j_m3_w": peak.per_watt}
-        for peak in run.operating.peaks]
-    record["losses_w"] = dict(run.losses)
+    """The entry of a simulated state in merit.json."""
+    found: dict[str, Any] = figures_record(run.figures, run.no_resonance) | record(
+        run, "static_capacitance_f=capacitance { clamped at_1_khz=low_frequency } "
+             "fields { frequency_hz drive power_w } operating_point=operating { frequency_hz } "
+             "energy_peaks=operating.peaks { frequency_hz q mean_energy_density_j_m3=energy_density "
+             "per_square_vpp_j_m3_v2=per_square_volt per_watt_j_m3_w=per_watt } "
+             "losses_w findings left_out_hz=left_out seconds")
+    found["resonance_fits"], found["circuit"] = single_fits_record(run.spectrum), resonances_record(run.resonances)
+    found["model"] = record(
+        run, "unknowns cells=problem.mesh.mesh.nelements full_solves=solves order=problem.mesh.order "
+             "estimated_mesh_error_rms=mesh_error.rms estimated_relative_error=error largest_residual=residual "
+             "energy_closure=closure")
+    found["fields"]["voltage_amplitude_v"] = abs(run.fields.voltage)
+    found["operating_point"]["words"] = str(run.operating)
     if run.traps is not None:
-        excitation = run.traps.excitation
-        record["particles"] = {
-            "particle": run.traps.forces.particle.name, "radius_m": run.traps.forces.particle.radius,
-            "contrast_factor": run.traps.forces.scattering.contrast_factor,
-            "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
-            "drive": excitation.description, "focus_time_s": focus_time(run.traps),
-            "net_weight_n": net_weight(run.traps.forces.particle, run.traps.forces.fluid),
-            "share_settled": run.traps.settled,
-            "traps": [_trap_record(trap) for trap in run.traps.traps],
-        }
-    record |= _channel_record(run)
-    record |= warm_record(run)
-    record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
-    record["seconds"] = dict(run.seconds)
-    return record
-
-
-def _channel_record(shot: Snapshot) -> dict[str, Any]:
-    """The figures of the channel of a straight chip; empty for others."""
-    found = _channel(shot)
-    if found is None:
-        return {}
-    return {"channel": {
-        "mean_energy_density_j_m3": found.energy_density, "per_square_vpp_j_m3_v2": found.energy_per_square_volt,
-        "per_watt_j_m3_w": found.energy_per_watt, "unevenness_over_height": found.unevenness,
-        "channels": [{"left_m": each.left, "right_m": each.right, "mean_energy_density_j_m3": each.energy_density}
-                     for each in found.channels],
-        "across_m_pa": found.across.tolist(), "up_m_pa": found.up.tolist(),
-        "critical_diameter_m": found.critical_diameter,
-        "focus_time_s": None if math.isnan(found.focus_time) else found.focus_time,
-        "lines": [{"x_m": line.place, "depth_j": line.depth, "share_of_width": line.share, "at_side_wall": line.at_side,
-                   "stiffness_n_m": line.stiffness, "focus_time_s": line.time} for line in found.lines]}}
-
-
-def _trap_record(trap: Trap) -> dict[str, Any]:
-    return {"r_m": trap.radius, "z_m": trap.height, "above_floor_m": trap.above_floor, "barrier_j": trap.barrier,
-            "axial_barrier_j": trap.axial_barrier, "radial_barrier_j": trap.radial_barrier, "depth_j": trap.depth,
-            "lift_n": trap.lift, "share_of_cavity": trap.share, "radial_stiffness_n_m": trap.radial_stiffness,
-            "axial_stiffness_n_m": trap.axial_stiffness, "on_wall": trap.on_wall}
+        forces = run.traps.forces
+        found["particles"] = record(
+            run.traps, "particle=forces.particle.name radius_m=forces.particle.radius "
+                       "contrast_factor=forces.scattering.contrast_factor "
+                       "pressure_amplitude_pa=excitation.pressure_amplitude "
+                       "energy_density_j_m3=excitation.energy_density drive=excitation.description "
+                       "share_settled=settled traps { r_m=radius z_m=height above_floor_m barrier_j axial_barrier_j "
+                       "radial_barrier_j depth_j lift_n share_of_cavity=share radial_stiffness_n_m "
+                       "axial_stiffness_n_m on_wall }") | {
+            "focus_time_s": focus_time(run.traps), "net_weight_n": net_weight(forces.particle, forces.fluid)}
+    channel = record(
+        _channel(run), "mean_energy_density_j_m3=energy_density per_square_vpp_j_m3_v2=energy_per_square_volt "
+                       "per_watt_j_m3_w=energy_per_watt unevenness_over_height=unevenness "
+                       "channels { left_m right_m mean_energy_density_j_m3=energy_density } across_m_pa=across "
+                       "up_m_pa=up critical_diameter_m focus_time_s lines { x_m=place depth_j share_of_width=share "
+                       "at_side_wall=at_side stiffness_n_m focus_time_s=time }")
+    return found | ({} if channel is None else {"channel": channel}) | warm_record(run)

@@ -1,9 +1,10 @@
-"""A study as tables (statistics of its figures, the points where they are extreme, full solves beside the reduced
-model), as pictures and as a page."""
+"""A study: tables, pictures and page."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from workbench.render.studies import (
     draw_slices,
     most_telling,
 )
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
+from workbench.report.page import Picture, TextTable, Value, number_text, table, with_unit, write_report
 
 #: Reasons that a report lists.
 MOST_REASONS = 12
@@ -31,15 +32,21 @@ MOST_REASONS = 12
 CONSTANT = 1e-6
 
 
+def meanings_table(figures: Sequence[str]) -> TextTable:
+    """The meaning of every figure."""
+    return table("figure=name | meaning=words", map(figure_named, figures))
+
+
 def statistics_table(result: StudyResult) -> TextTable:
-    """Every figure in every state: how many points have it, extremes, quantiles and mean."""
+    """Points, extremes, quantiles and mean of every figure in every state."""
     rows = []
     for each in result.statistics:
         shown = figure_named(each.figure)
         values = (each.lowest, each.low, each.median, each.high, each.highest, each.mean)
         rows.append((with_unit(each.figure, shown.shown), each.state, f"{each.count} of {each.points}",
-                     *(_told(value, shown.factor) for value in values)))
-    return TextTable(("figure", "state", "points", "lowest", "5 %", "median", "95 %", "highest", "mean"), tuple(rows))
+                     *(value / shown.factor for value in values)))
+    return table("figure | state | points | lowest:.5g | 5 %:.5g | median:.5g | 95 %:.5g | highest:.5g | mean:.5g",
+                 rows)
 
 
 def extremes_table(result: StudyResult) -> TextTable:
@@ -47,68 +54,62 @@ def extremes_table(result: StudyResult) -> TextTable:
     rows = []
     for each in result.statistics:
         shown = figure_named(each.figure)
-        for words, row, value in (("lowest", each.lowest_row, each.lowest),
-                                  ("highest", each.highest_row, each.highest)):
-            if row >= 0:
-                formatted = f"{_told(value, shown.factor)} {shown.shown}".strip()
-                rows.append((f"{words} {each.figure}", each.state, formatted, str(row), _place(result, row)))
-    return TextTable(("", "state", "figure", "row", "where"), tuple(rows))
+        rows += [(f"{words} {each.figure}", each.state, f"{value / shown.factor:.5g} {shown.shown}".strip(), row,
+                  _place(result, row)) for words, row, value in (("lowest", each.lowest_row, each.lowest), (
+                      "highest", each.highest_row, each.highest)) if row >= 0]
+    return table(" | state | figure | row | where", rows)
 
 
 def _place(result: StudyResult, row: int) -> str:
-    """The values of what varies, at one row of the table."""
+    """The values of the axes at one row of the table."""
     formatted = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
         formatted.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
-                    if isinstance(axis, VariedNumber) else f"{axis.name} {value}")
+                         if isinstance(axis, VariedNumber) else f"{axis.name} {value}")
     return ", ".join(formatted)
 
 
 def confirmed_table(result: StudyResult) -> TextTable:
-    """Every figure at the points solved in full: the largest difference of the reduced model, there and relative to
-    the range that the figure has in the study."""
-    rows = []
+    """The largest difference of the reduced model from full solves, by figure.
+
+    It is relative to the figure there, and to the range of the figure in the study.
+    """
+    rows: list[tuple[Value, ...]] = []
     states = result.columns[STATE]
-    for state in result.study.states:
-        for name in result.study.figures:
-            both = [each for each in result.confirmations if each.figure == name and states[each.row] == state]
-            if not both:
-                continue
-            shown = figure_named(name)
-            known = [each for each in both if not math.isnan(each.difference)]
-            worst = max(known, key=lambda each: abs(each.difference), default=None)
-            extent, size = next((s.highest - s.lowest, abs(s.highest)) for s in result.statistics
-                                if (s.state, s.figure) == (state, name))
-            rows.append((
-                with_unit(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
-                *(("", "", "", "") if worst is None else (
-                    _told(worst.reduced, shown.factor), _told(worst.full, shown.factor),
-                    number_text(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
-                    number_text(100.0 * abs(worst.difference) / extent, 2) if extent > CONSTANT * size else ""))))
-    return TextTable(("figure", "state", "solved in full", "one of both lacks it", "reduced, where it is off most",
-                      "full there", "difference (%)", "of the range in the study (%)"), tuple(rows))
+    for state, name in product(result.study.states, result.study.figures):
+        both = [each for each in result.confirmations if each.figure == name and states[each.row] == state]
+        if not both:
+            continue
+        shown = figure_named(name)
+        known = [each for each in both if not math.isnan(each.difference)]
+        worst = max(known, key=lambda each: abs(each.difference), default=None)
+        extent, size = next((s.highest - s.lowest, abs(s.highest)) for s in result.statistics
+                            if (s.state, s.figure) == (state, name))
+        rows.append((with_unit(name, shown.shown), state, len(both), len(both) - len(known), *(
+            (None,) * 4 if worst is None else (
+                worst.reduced / shown.factor, worst.full / shown.factor,
+                abs(worst.difference / worst.full) if worst.full else None,
+                abs(worst.difference) / extent if extent > CONSTANT * size else None))))
+    return table("figure | state | solved in full | one of both lacks it | reduced, at the largest difference:.5g | "
+                 "full there:.5g | difference (%):.2g | of the range in the study (%):.2g", rows)
 
 
 def missing_table(result: StudyResult) -> TextTable | None:
-    """Reasons why figures are missing, with the number of points; None where none is."""
+    """Reasons for missing figures, with their points; None without any."""
     reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
     found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
                    reverse=True)
     if not found:
         return None
     # A reason may name numbers of its point: thousands of rows say no more than the commonest.
-    shown = [(reason, str(count)) for count, reason in found[:MOST_REASONS]]
     rest = sum(count for count, _ in found[MOST_REASONS:])
-    return TextTable(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
-
-
-def _told(value: float, factor: float) -> str:
-    return "" if math.isnan(value) else number_text(value / factor, 5)
+    return table("missing figures and why | points", [
+        *((reason, count) for count, reason in found[:MOST_REASONS]), *([("other reasons", rest)] if rest else [])])
 
 
 def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
-    """Pictures of every state: parallel coordinates, and every figure over what varies."""
+    """Draw parallel coordinates, and every figure over the axes, by state."""
     pictures: list[Picture] = []
     for state in found.study.states:
         parameters, figures = study_columns(found, state)
@@ -132,7 +133,7 @@ def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
 
 
 def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
-    """Columns of what varies and of the figures, at the points of one state, in the units they are shown in."""
+    """Columns of axes and figures at the points of a state."""
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
@@ -145,20 +146,6 @@ def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], li
 
 
 def write_study_report(found: StudyResult, pictures: list[Picture], folder: Path) -> Path:
-    """``report.html`` of a study with its :func:`draw_study` pictures."""
-    plan = found.study
-    missing = missing_table(found)
-    words = TextTable(("figure", "meaning"), tuple((name, figure_named(name).words) for name in plan.figures))
-    asked: list[Block] = [
-        f"{plan.size} points of {plan.chip.name} ({plan.sampling.method}), driven by {plan.operation.drive}.", words]
-    confirmed: list[Block] = ["Points solved in full, on a mesh of their own, against the reduced model:",
-                              confirmed_table(found)]
-    if not found.confirmations:
-        confirmed = [Note("No point was solved in full.")]
-    return write_report(folder / "report.html", plan.name, [
-        ("Figures", [*asked, statistics_table(found), *([missing] if missing else [])]),
-        ("Extremes", [extremes_table(found)]),
-        ("Full solves", confirmed),
-        ("Pictures", list(pictures)),
-        ("Files", ["study.parquet and study.nc hold the table (SI units), study.json what was asked and the rest."]),
-    ])
+    """Write ``report.html`` with the pictures of :func:`draw_study`."""
+    return write_report(folder / "report.html", found.study.name, module=__name__,
+                        values={"found": found, "plan": found.study, "pictures": pictures})

@@ -1,4 +1,4 @@
-"""The tolerances of a chip as tables, as a record, as samples in a file, and as a page."""
+"""The tolerances of a chip: tables, record, file of samples, and page."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from workbench.design.figures import Figure, change_unit
 from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
 from workbench.design.uncertainty import amount
-from workbench.design.yields import CONFIDENCE, RequirementYield, Share
-from workbench.files.quantities import finite, shown_factor, shown_unit
+from workbench.design.yields import CONFIDENCE, RequirementYield
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import replacing
 from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
-from workbench.report.page import Block, Note, TextTable, number_text, with_unit, write_report
+from workbench.report.page import TextTable, in_unit, number_text, table, with_unit, write_report
+from workbench.report.record import plain, record
 
 
 def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
@@ -28,14 +29,14 @@ def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
 
 
 def law_in_words(each: Number) -> str:
-    """The uncertainty of a number in words: limits of a uniform law, or a standard uncertainty."""
+    """The uncertainty of a number in words: limits, or a standard uncertainty."""
     if each.law == "uniform":
         return f"within {amount(each.name, each.half_width)}"
     return f"standard uncertainty {amount(each.name, each.deviation)}"
 
 
 def uncertain_figures_table(found: Tolerance) -> TextTable:
-    """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
+    """Every figure: stated value, standard uncertainty, and 95 % of the samples."""
     sampled = found.outcomes
     rows = []
     for each in found.requested:
@@ -52,74 +53,67 @@ def uncertain_figures_table(found: Tolerance) -> TextTable:
     return TextTable(("figure", "as stated", "standard uncertainty", "95 % of samples"), tuple(rows))
 
 
-def _per_cent(value: float, *, signed: bool = False) -> str:
+def _per_cent(value: float, form: str = ".1f") -> str:
     # Zero has no sign.
-    rounded = round(100.0 * value, 1) + 0.0
-    return f"{rounded:+.1f} %" if signed else f"{rounded:.1f} %"
+    return f"{round(100.0 * value, 1) + 0.0:{form}} %"
 
 
 def yields_table(found: Tolerance) -> TextTable:
     """The yield of every requirement and of all together, sampled and linear."""
     assert found.yields is not None
-    rows = []
-    for each in (*found.yields.each, found.yields.together):
-        nominal = "" if each.bound is None else figure_with_unit(each.bound.requirement.figure, each.bound.nominal)
-        rows.append((each.name, nominal, _per_cent(each.sampled.value),
-                     f"{100.0 * each.sampled.low:.1f} to {100.0 * each.sampled.high:.1f} %", _per_cent(each.linear),
-                     f"{_per_cent(each.difference, signed=True)} (standard error {_per_cent(each.difference_error)})",
-                     str(each.missing) if each.missing else ""))
-    return TextTable(("requirement", "as stated", "yield", f"{CONFIDENCE:.0%} interval", "linear estimate",
-                      "sampled less linear", "no figure"), tuple(rows))
+    return table(
+        f"requirement | as stated | yield | {CONFIDENCE:.0%} interval | linear estimate | sampled less linear | "
+        "no figure",
+        ((each.name, each.bound and figure_with_unit(each.bound.requirement.figure, each.bound.nominal),
+          _per_cent(each.sampled.value), f"{100.0 * each.sampled.low:.1f} to {100.0 * each.sampled.high:.1f} %",
+          _per_cent(each.linear),
+          f"{_per_cent(each.difference, '+.1f')} (standard error {_per_cent(each.difference_error)})",
+          each.missing or None) for each in (*found.yields.each, found.yields.together)))
 
 
 def tightening_table(found: Tolerance) -> TextTable:
-    """A table of the yield that half of each uncertainty would add, where it is above twice its standard error."""
+    """The gain in yield of each halved uncertainty, if it is clear."""
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
-    return TextTable(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"),
-                     tuple(
-        (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, signed=True),
-         _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings
-        if each.is_clear))
+    return table("halve the uncertainty of | now | adds to the yield | standard error | linear estimate", (
+        (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, "+.1f"), _per_cent(each.error),
+         _per_cent(each.linear, "+.1f")) for each in found.yields.tightenings if each.is_clear))
 
 
 def unclear_tightenings(found: Tolerance) -> str:
-    """The uncertainties of which it is not clear that half of them adds to the yield, in a sentence; empty if none."""
+    """The uncertainties whose gain in yield is not clear, in a sentence."""
     assert found.yields is not None
     names = [each.name for each in found.yields.tightenings if not each.is_clear]
-    if not names:
-        return ""
-    return (f"Not offered, because what half of the uncertainty adds is not more than twice its standard error: "
-            f"{', '.join(names)}.")
+    return "" if not names else ("Not proposed, because the gain of half the uncertainty is not more than twice its "
+                                 f"standard error: {', '.join(names)}.")
 
 
 def sensitivities_table(found: Tolerance) -> TextTable:
-    """Changes of each figure as each number grows by its standard uncertainty or by one per cent, those that change the
-    first figure most first."""
+    """Changes of each figure for the uncertainty of each number, largest first.
+
+    A number without a stated uncertainty grows by one per cent.
+    """
     known = found.sensitivities
-    heads = [with_unit(each.label, change_unit(each.figure)[0]) for each in found.requested]
-    changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.requested}
+    units = [change_unit(each.figure) for each in found.requested]
+    changes = [known.changes(each.label) / factor for each, (_, factor) in zip(found.requested, units, strict=True)]
     rows = []
     for k in known.ranked(found.requested[0].label):
-        name, step = known.names[k], known.steps[k]
-        step_text = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
-        rows.append((name, step_text, *(
-            f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
-            for each in found.requested)))
+        step = amount(known.names[k], known.steps[k])
+        rows.append((known.names[k], step if known.stated[k] else f"{step} ({SHARE:.0%}, none stated)",
+                     *(in_unit(change[k], "", "+.3g") or "none" for change in changes)))
+    heads = (with_unit(each.label, unit) for each, (unit, _) in zip(found.requested, units, strict=True))
     return TextTable(("number", "grows by", *heads), tuple(rows))
 
 
 def inputs_table(found: Tolerance) -> TextTable:
-    """Every uncertain number, its law, and who states it."""
-    rows = []
-    for each in found.uncertainty.inputs:
-        mean = f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip()
-        rows.append((each.name, mean, law_in_words(each), each.law, each.origin))
-    return TextTable(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
+    """Every uncertain number, its law and its source."""
+    return table("number | mean | uncertainty | law | source", (
+        (each.name, f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip(), law_in_words(each),
+         each.law, each.origin) for each in found.uncertainty.inputs))
 
 
 def sobol_table(found: Tolerance) -> TextTable:
-    """First and total order indices of every figure, with the ends of their intervals."""
+    """First and total order indices of every figure, with their intervals."""
     assert found.sobol is not None
     indices, rows = found.sobol, []
     for row, label in enumerate(indices.figures):
@@ -129,125 +123,74 @@ def sobol_table(found: Tolerance) -> TextTable:
                      for values, low, high in ((indices.first, indices.first_low, indices.first_high),
                                                (indices.total, indices.total_low, indices.total_high))]
             rows.append((label, indices.names[column], *cells))
-    return TextTable(("figure", "number", "alone (first order)", "with all others (total)"), tuple(rows))
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# Files.
+    return table("figure | number | alone (first order) | with all others (total)", rows)
 
 
 def drive_in_words(found: Tolerance) -> str:
-    """Which resonance the drive follows, or its frequency."""
+    """The resonance that the drive follows, or its frequency."""
     words = Operation(found.drive, found.frequency).words
     return f"the drive {words}" if isinstance(found.frequency, str) else f"driven at {words}"
 
 
 def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
     """``report.html`` with its pictures."""
-    pictures = draw_tolerance(found, folder)
-    blocks: list[tuple[str, list[Block]]] = []
-    first: list[Block] = []
-    first.append(f"{drive_in_words(found)}; {found.drive}" + ("" if found.outcomes is None else
-                 f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
-    first.append(uncertain_figures_table(found))
-    if found.yields is not None:
-        first += [yields_table(found), pictures["yield"], pictures["samples"]]
-        first.append(
-            "The linear estimate takes every figure as linear in the uncertain numbers, with the exact derivatives of "
-            "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
-        blocks.append(("Yield", first))
-        blocks.append(("What to make more exactly", [
-            *([tightening_table(found)] if any(each.is_clear for each in found.yields.tightenings) else []),
-            unclear_tightenings(found),
-            "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
-            "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
-            "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
-    else:
-        blocks.append(("Figures", first))
-    first += [Note(text) for text in found.findings]
-    matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
-    blocks.append(("What matters", [*matters, sensitivities_table(found)]))
-    if found.sobol is not None:
-        blocks.append(("Shares of the variance", [
-            sobol_table(found), f"Sobol indices by {found.sobol.evaluations} evaluations, with bootstrap intervals of "
-            "95 %: the share of the figure's variance that a number causes alone, and together with all others."]))
-    blocks.append(("What is uncertain", [inputs_table(found)] if found.uncertainty.inputs else ["Nothing is stated."]))
-    if found.model is not None:
-        blocks.append(("The model", [_model_table(found)]))
-    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", blocks)
+    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", module=__name__,
+                        values={"found": found, "pictures": draw_tolerance(found, folder)})
 
 
-def _model_table(found: Tolerance) -> TextTable:
+def accuracy_table(found: Tolerance) -> TextTable:
+    """The model of the samples, and its errors by full solves."""
     assert found.model is not None
-    rows = [("unknowns", str(found.model.rank)),
-            ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
-            ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
-    rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
-             for label, off in found.model.off.items()]
-    return TextTable(("of the model", "value"), tuple(rows))
+    return table("of the model | value", (
+        ("unknowns", found.model.rank),
+        ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
+        ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}"),
+        *((f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
+          for label, off in found.model.off.items())))
 
 
 def tolerance_record(found: Tolerance) -> dict[str, Any]:
     """Everything but the samples, for a JSON file; SI."""
-    known = found.sensitivities
-    record: dict[str, Any] = {
-        "chip": found.chip.name, "state": found.state, "drive": str(found.drive),
-        "frequency_hz": None if isinstance(found.frequency, str) else found.frequency,
-        "follows": found.frequency if isinstance(found.frequency, str) else None, "seed": found.seed,
-        "uncertainty": {
-            "normal_laws_cut_at_standard_deviations": CUT,
-            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.value,
-                        "standard_uncertainty": each.deviation, "law": each.law, "low": each.low, "high": each.high,
-                        "origin": each.origin} for each in found.uncertainty.inputs],
-            "correlation": found.uncertainty.correlation.tolist(), "notes": list(found.uncertainty.notes)},
-        "figures": {each.label: {"nominal": finite(known.figures[each.label]), "unit": each.figure.unit,
-                                 "standard_uncertainty": finite(known.deviation(each.label, found.uncertainty))
-                                 if found.uncertainty.inputs else None,
-                                 "drive": str(each.drive)} for each in found.requested},
-        "sensitivities": {
-            "names": list(known.names), "steps": known.steps.tolist(), "stated": list(known.stated),
-            "gradient": {label: [finite(x) for x in slopes] for label, slopes in known.gradient.items()}},
-        "findings": list(found.findings), "wall_seconds": found.seconds,
-    }
+    known, follows = found.sensitivities, isinstance(found.frequency, str)
+    content: dict[str, Any] = record(
+        found, "chip=chip.name state seed findings wall_seconds=seconds sensitivities { names steps stated gradient } "
+               "uncertainty { inputs { name tied mean=value standard_uncertainty=deviation law low high origin } "
+               "correlation notes }") | {
+        "drive": str(found.drive), "frequency_hz": None if follows else found.frequency,
+        "follows": found.frequency if follows else None,
+        "figures": {each.label: {
+            "nominal": plain(known.figures[each.label]), "unit": each.figure.unit, "drive": str(each.drive),
+            "standard_uncertainty": plain(known.deviation(each.label, found.uncertainty))
+            if found.uncertainty.inputs else None} for each in found.requested}}
+    content["uncertainty"]["normal_laws_cut_at_standard_deviations"] = CUT
     if found.model is not None:
-        record["model"] = {"unknowns": found.model.rank, "largest_relative_error": found.model.error,
-                           "wall_seconds": found.model.seconds,
-                           "relative_difference_from_full_solves": {k: finite(v) for k, v in found.model.off.items()}}
+        content["model"] = record(found.model, "unknowns=rank largest_relative_error=error wall_seconds=seconds "
+                                               "relative_difference_from_full_solves=off")
     if found.outcomes is not None and found.yields is not None:
-        record["samples"] = {"count": len(found.outcomes.points), "redrawn": found.redrawn,
-                             "largest_estimated_error": finite(found.outcomes.error),
-                             "missing": {label: dict(why) for label, why in found.outcomes.missing.items()}}
-        record["yield"] = {
+        content["samples"] = record(found.outcomes, "largest_estimated_error=error missing") | {
+            "count": len(found.outcomes.points), "redrawn": found.redrawn}
+        content["yield"] = {
             "confidence": CONFIDENCE, "interval": "Clopper-Pearson",
-            "requirements": [_yield_record(each) for each in found.yields.each],
+            "requirements": list(map(_yield_record, found.yields.each)),
             "together": _yield_record(found.yields.together),
-            "half_the_uncertainty": [{"name": each.name, "gain": each.gain, "standard_error": each.error,
-                                      "linear": each.linear} for each in found.yields.tightenings]}
+            "half_the_uncertainty": record(found.yields.tightenings, "name gain standard_error=error linear")}
     if found.sobol is not None:
-        record["sobol"] = {
-            "evaluations": found.sobol.evaluations, "figures": list(found.sobol.figures),
-            "names": list(found.sobol.names),
-            **{name: [[finite(x) for x in row] for row in getattr(found.sobol, name)]
-               for name in ("first", "first_low", "first_high", "total", "total_low", "total_high")}}
-    return record
+        content["sobol"] = record(found.sobol, "evaluations figures names first first_low first_high total total_low "
+                                               "total_high")
+    return content
 
 
 def _yield_record(each: RequirementYield) -> dict[str, Any]:
-    limits = {} if each.bound is None else {
-        "figure": each.bound.label, "low": finite(each.bound.low), "high": finite(each.bound.high),
-        "nominal": each.bound.nominal}
-    return {"requirement": each.name, **limits, **_share_record(each.sampled), "linear": each.linear,
-            "sampled_less_linear": each.difference, "standard_error_of_that": each.difference_error,
-            "without_figure": each.missing}
-
-
-def _share_record(found: Share) -> dict[str, Any]:
-    return {"yield": found.value, "low": found.low, "high": found.high, "passed": found.passed,
-            "samples": found.samples}
+    return (record(each.bound, "figure=label low high nominal") or {}) | record(
+        each, "requirement=name yield=sampled.value low=sampled.low high=sampled.high passed=sampled.passed "
+              "samples=sampled.samples linear sampled_less_linear=difference "
+              "standard_error_of_that=difference_error without_figure=missing")
 
 
 def write_samples(found: Tolerance, path: Path) -> Path:
-    """Every sample as a row of a Parquet file: numbers and figures (SI), and whether it met each requirement.
+    """Write every sample as a row of a Parquet file.
+
+    Columns are numbers and figures (SI), and whether the sample meets each requirement.
 
     Raises:
         ValueError: there are no samples.
@@ -257,16 +200,15 @@ def write_samples(found: Tolerance, path: Path) -> Path:
 
     if found.outcomes is None:
         raise ValueError("a tolerance without requirements has no samples")
-    columns: dict[str, NDArray[Any]] = {each.name: found.outcomes.points[:, k]
-                                        for k, each in enumerate(found.uncertainty.inputs)}
-    columns |= {each.label: found.outcomes.column(each.label) for each in found.requested}
-    columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
-    units = {each.name: each.unit for each in found.uncertainty.inputs}
-    units |= {each.label: each.figure.unit for each in found.requested}
-    table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
-    table = table.cast(pyarrow.schema([
-        pyarrow.field(field.name, field.type, metadata={"unit": units[field.name]} if units.get(field.name) else None)
-        for field in table.schema]))
+    columns: list[tuple[str, str, NDArray[Any]]] = [
+        (each.name, each.unit, found.outcomes.points[:, k]) for k, each in enumerate(found.uncertainty.inputs)]
+    columns += [(each.label, each.figure.unit, found.outcomes.column(each.label)) for each in found.requested]
+    columns += [(f"met: {each.requirement.text}", "", each.met(found.outcomes.column(each.label)))
+                for each in found.bounds]
+    arrays = [pyarrow.array(values) for _, _, values in columns]
+    samples = pyarrow.table(arrays, schema=pyarrow.schema([
+        pyarrow.field(name, array.type, metadata={"unit": unit} if unit else None)
+        for (name, unit, _), array in zip(columns, arrays, strict=True)]))
     with replacing(path) as whole:
-        parquet.write_table(table, whole)
+        parquet.write_table(samples, whole)
     return path

@@ -1,4 +1,4 @@
-"""The warmth of a driven chip: blocks of a report, and its record."""
+"""The warmth of a driven chip: blocks of a report, and record."""
 
 from __future__ import annotations
 
@@ -7,34 +7,29 @@ from pathlib import Path
 from typing import Any
 
 from workbench.render.warmth import draw_warmth
-from workbench.report.page import Answer, Block, Picture, TextTable, number_text
+from workbench.report.page import Answer, Block, Picture, table
+from workbench.report.record import record
 from workbench.simulation.run import Snapshot
-from workbench.simulation.warm import SteadyPoint
 
 #: Name of the picture of energy over drive and temperature, of the last state with a liquid.
 WARMTH_PICTURE = "warmth.png"
 
 
 def warm_blocks(shot: Snapshot) -> list[Block]:
-    """Sentences on the warmth of a driven chip, and a table of its steady states; nothing where that is not known."""
+    """The warmth of a driven chip and its steady states, if known."""
     if shot.warm is None:
         return []
-    rows = [_row("kept at the stated temperature", shot.warm.cold)] + [
-        _row("driven steadily" if number == 0 else "also steady" if point.stable else "unstable", point)
-        for number, point in enumerate(shot.warm.points)]
-    return [Answer(str(shot.warm)), TextTable(
-        ("chip", "liquid warmer by (K)", "frequency (MHz)", "mean E_ac (J/m^3)", "voltage (Vpp)", "power (W)"),
-        tuple(rows))]
-
-
-def _row(name: str, point: SteadyPoint) -> tuple[str, ...]:
-    rise = "0" if name.startswith("kept") else number_text(point.rise, 3)
-    return (name, rise, f"{point.frequency / 1e6:.4f}", number_text(point.energy_density, 3),
-            number_text(point.voltage, 3), number_text(point.power, 3))
+    steady = [("driven steadily" if number == 0 else "also steady" if point.stable else "unstable", point.rise, point)
+              for number, point in enumerate(shot.warm.points)]
+    return [Answer(shot.warm), table(
+        "chip | liquid warmer by (K):.3g | frequency (MHz):.4f | mean E_ac (J/m^3):.3g | voltage (Vpp):.3g | "
+        "power (W):.3g",
+        ((name, rise, point.frequency, point.energy_density, point.voltage, point.power)
+         for name, rise, point in (("kept at the stated temperature", 0.0, shot.warm.cold), *steady)))]
 
 
 def warm_section(title: str, shots: Sequence[Snapshot], folder: Path) -> list[Block]:
-    """The blocks of all states, the last one first, and the picture of that."""
+    """The blocks of all states, the last state first, and its picture."""
     warm = [shot for shot in reversed(shots) if shot.warm is not None]
     blocks: list[Block] = [block for shot in warm for block in warm_blocks(shot)]
     if warm and warm[0].warm is not None:
@@ -46,20 +41,14 @@ def warm_section(title: str, shots: Sequence[Snapshot], folder: Path) -> list[Bl
 
 
 def warm_record(shot: Snapshot) -> dict[str, Any]:
-    """The warmth of a driven chip as merit.json and particles.json hold it; empty where that is not known."""
-    state = shot.warm
-    if state is None:
+    """The warmth of a driven chip in JSON files, if known."""
+    if shot.warm is None:
         return {}
-    return {"warm": {
-        "sentences": list(state.sentences), "fields_are_warm": state.matters, "liquid": state.liquid,
-        "stated_temperature_k": state.stated, "law_ends_at_k": state.highest,
-        "kept_at_stated_temperature": _point_record(state.cold),
-        "steady": [_point_record(point) for point in state.points],
-        "energy_per_kelvin": state.energy_per_kelvin, "peak_per_kelvin_hz": state.peak_per_kelvin,
-        "highest_drive": state.highest_drive, "largest_peak_when_warm": None if state.peak is None else {
-            "frequency_hz": state.peak[0], "mean_energy_density_j_m3": state.peak[1]}}}
-
-
-def _point_record(point: SteadyPoint) -> dict[str, Any]:
-    return {"rise_k": point.rise, "frequency_hz": point.frequency, "mean_energy_density_j_m3": point.energy_density,
-            "voltage_vpp": point.voltage, "power_w": point.power, "stable": point.stable}
+    point = "{ rise_k frequency_hz mean_energy_density_j_m3=energy_density voltage_vpp power_w stable }"
+    found = record(
+        shot.warm, "sentences fields_are_warm=matters liquid stated_temperature_k=stated law_ends_at_k=highest "
+                   f"kept_at_stated_temperature=cold {point} steady=points {point} energy_per_kelvin "
+                   "peak_per_kelvin_hz highest_drive")
+    peak = shot.warm.peak
+    return {"warm": found | {"largest_peak_when_warm": peak and {
+        "frequency_hz": peak[0], "mean_energy_density_j_m3": peak[1]}}}
