@@ -356,7 +356,7 @@ def run_rows(folder: Path) -> set[int]:
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    from workbench.jobs.cluster import LARGE, dask_cluster
+    from workbench.jobs.cluster import dask_cluster
 
     plan = read(tmp_path, SOBOL)
     environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
@@ -368,8 +368,7 @@ def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
                                       protocol="tcp") as cluster, dask_cluster(cluster.scheduler_address) as found:
             executor, threads = found
             assert threads == 2
-            # Heavy enough to be sent apart from the tasks.
-            heavy = FormulaModels(ballast=2 * LARGE)
+            heavy = FormulaModels(ballast=2_000_000)
             table = study(plan, tmp_path / "dask", executor=executor, jobs=threads, models=heavy)
     assert same(table, run(plan, tmp_path / "threads"))
 

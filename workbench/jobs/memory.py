@@ -10,6 +10,7 @@ import errno
 import mmap
 import os
 import re
+import resource
 import signal
 import sys
 from collections.abc import Iterator
@@ -23,6 +24,9 @@ from workbench.jobs.interruption import ENDS, say
 
 #: Environment variable with the bytes of the machine's memory that are for this process, one of several workers.
 PROCESS_VARIABLE = "WORKBENCH_MEMORY_OF_PROCESS"
+
+#: One thread of linear algebra: processes share the machine by their number, not by their threads.
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 #: Number of buffers that each linear algebra library gets before the work: one for each thread that calls it at a time.
 BUFFERS = 3
@@ -53,7 +57,6 @@ EXHAUSTED = 100e6
 #: Characters of the reason of a failure that are shown, its last ones. Doubled, the advice of numpy is shown too.
 SHOWN = 200
 
-
 #: Option of the system's call `prctl`: the signal that a process gets when its parent ends.
 PR_SET_PDEATHSIG = 1
 
@@ -71,10 +74,6 @@ class Room:
 
 def address_limit() -> float | None:
     """The limit of this process' address space (bytes); None without a limit."""
-    try:
-        import resource
-    except ImportError:  # a system without such limits
-        return None
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else float(soft)
 
@@ -84,12 +83,11 @@ def free_memory(*, proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgro
 
     `proc` and `groups` are where the system shows its processes and its control groups.
     """
-    rooms = []
-    limit = address_limit()
+    rooms, limit = [*_shared(proc, groups)], address_limit()
     if limit is not None:
         rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
                           "that ulimit -v allows a process"))
-    return min((*rooms, *_shared(proc, groups)), key=lambda room: room.size, default=None)
+    return min(rooms, key=lambda room: room.size, default=None)
 
 
 def shared_memory() -> float | None:
@@ -99,20 +97,13 @@ def shared_memory() -> float | None:
 
 def _shared(proc: Path, groups: Path) -> Iterator[Room]:
     """The share of a worker, or free memory of the machine and of every control group with a limit around it."""
-    stated = os.environ.get(PROCESS_VARIABLE)
-    if stated is not None:
+    if (stated := os.environ.get(PROCESS_VARIABLE)) is not None:
         yield Room(float(stated), "a process' share of the memory that is free here, less with more --jobs")
         return
-    try:
-        with (proc / "meminfo").open(encoding="ascii") as lines:
-            free = [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-    except OSError:
-        free = []
-        names = os.sysconf_names if hasattr(os, "sysconf_names") else {}
-        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # Without /proc: all memory there is.
-            free.append(float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE")))
-    for bytes_free in free:
-        yield Room(bytes_free, "the memory that is free here")
+    free = _number_in(proc / "meminfo", "MemAvailable:")
+    # Without /proc it is all the memory of the machine.
+    every = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    yield Room(every if free is None else 1024.0 * free, "the memory that is free here")
     for folder in _groups(proc, groups):
         for limits, used, reclaimed in GROUP_FILES:
             taken = _number_in(folder / used)
@@ -124,35 +115,31 @@ def _shared(proc: Path, groups: Path) -> Iterator[Room]:
                            f"group (cgroup), which may take {shown_memory(most)}")
 
 
-def _groups(proc: Path, groups: Path) -> Iterator[Path]:
+def _groups(proc: Path, groups: Path) -> list[Path]:
     """Folders of the memory control groups of this process, and of those around them."""
-    try:
-        lines = (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
     own = [("", "/"), ("memory", "/")]  # A container may show the path that only its host knows.
-    for line in lines:
-        number, kinds, path = line.split(":", 2)
-        if number == "0" or "memory" in kinds.split(","):
-            own.append(("" if number == "0" else "memory", path))
-    seen = dict.fromkeys(
-        groups / kind / at for kind, path in own for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents))
-    yield from (folder for folder in seen if folder.is_dir())
+    with suppress(OSError):
+        for line in (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
+            number, kinds, path = line.split(":", 2)
+            if number == "0" or "memory" in kinds.split(","):
+                own.append(("" if number == "0" else "memory", path))
+    return list(dict.fromkeys(groups / kind / at for kind, path in own
+                              for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents)))
 
 
 def _number_in(path: Path, key: str = "") -> float | None:
-    """The number in a file, or after a `key` in it; None if there is no such file, or no limit ("max")."""
-    with suppress(OSError, ValueError, KeyError):
+    """The number that a file begins with, or after a `key` in it; None without one, or without a limit ("max")."""
+    with suppress(OSError, ValueError, LookupError):
         text = path.read_text(encoding="ascii")
-        return float(dict(line.split(maxsplit=1) for line in text.splitlines())[key] if key else text)
+        if key:
+            text = dict(line.split(maxsplit=1) for line in text.splitlines())[key]
+        return float(text.split()[0])
     return None
 
 
 def _mapped(proc: Path) -> float:
     """Bytes of address space that this process takes."""
-    with suppress(OSError):
-        return float((proc / "self" / "statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
-    return 0.0
+    return (_number_in(proc / "self" / "statm") or 0.0) * mmap.PAGESIZE
 
 
 @cache
@@ -166,8 +153,8 @@ def reserve_buffers() -> None:
         return
     if "scipy.linalg" not in sys.modules:
         require(LOADED, "the libraries that every command loads")
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # heard when the libraries are loaded
+    for name, number in ONE_THREAD.items():
+        os.environ.setdefault(name, number)  # heard when the libraries are loaded
     import ctypes
 
     import scipy.linalg  # noqa: F401 - loads its library, and that of numpy
@@ -177,11 +164,10 @@ def reserve_buffers() -> None:
         if library.internal_api != "openblas" or not hasattr(library.dynlib, "blas_memory_alloc"):
             continue
         take, give = library.dynlib.blas_memory_alloc, library.dynlib.blas_memory_free
-        take.restype, take.argtypes, give.argtypes = ctypes.c_void_p, [ctypes.c_int], [ctypes.c_void_p]
-        taken = []
+        take.restype, taken = ctypes.c_void_p, []
         for _ in range(BUFFERS):
             require(BUFFER, f"the buffers of {Path(library.filepath).name}")
-            taken.append(take(0))
+            taken.append(ctypes.c_void_p(take(0)))
         for buffer in taken:
             give(buffer)
 
@@ -199,12 +185,9 @@ def require(size: float, user: str) -> None:
 @contextmanager
 def confined(size: float) -> Iterator[None]:
     """Let this process map at most so many bytes more in this block, if its address space is limited."""
-    limit = address_limit()
-    if limit is None:
+    if address_limit() is None:
         yield
         return
-    import resource
-
     with _CONFINED:
         soft, hard = resource.getrlimit(resource.RLIMIT_AS)
         resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped(Path("/proc")) + size)), hard))
