@@ -176,8 +176,7 @@ def _simulated(
 
 def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     """Two states at a time where there is memory for them, else one."""
-    room = memory_to_use()
-    return 2 if room is None or sum(state_sizes(chip, states, model)[-2:]) <= room.size else 1
+    return 2 if sum(state_sizes(chip, states, model)[-2:]) <= memory_to_use().size else 1
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ PATIENCE = 10.0
 
 @contextmanager
 def dask_cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """The executor of the Dask cluster whose scheduler is at `address`, and its number of threads.
+    """The executor and the threads of the Dask cluster at an address.
 
-    The executor can ``scatter`` data: it is sent to every worker once, and tasks take a reference.
+    Its ``scatter`` sends data to every worker once; tasks take the reference.
 
     Raises:
         InputError: nobody answers there.

@@ -1,8 +1,7 @@
-"""Ctrl-C: a command ends promptly, without a traceback, and reports the files on disk.
+"""Ctrl-C: a command ends promptly and reports its files, without a traceback.
 
-A request to terminate (SIGTERM: `kill`, a batch system, a container that is stopped) and the end of the terminal
-(SIGHUP) raise KeyboardInterrupt too. Only the interpreter's own modules are needed here, so that a command can be
-interrupted from its first moment on.
+A request to terminate (SIGTERM: `kill`, a batch system, a stopped container) and the end of the terminal (SIGHUP) raise
+KeyboardInterrupt too. Nothing but the interpreter's modules is needed, so a command can be interrupted from the start.
 """
 
 from __future__ import annotations
@@ -24,19 +23,18 @@ if TYPE_CHECKING:
 #: Signals that interrupt a command; its exit status is then 128 and the number of the signal.
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-#: Seconds within which a further Ctrl-C is the same one: a terminal and a program that passes it on both send it.
-#: Doubled, an impatient second press is overheard for longer.
+#: Seconds within which a further signal is the same one: a terminal and a program that passes it on both send it.
+#: Doubled, an impatient second press is ignored for longer.
 SAME = 1.0
 
 #: Seconds that threads have to end once the command is interrupted: those in native code do not hear of it. Doubled,
 #: Ctrl-C during a long factorisation takes so much longer.
 GRACE = 1.0
 
-#: Seconds after which a signal that the command has not heard of is sent again. Doubled, a command that sleeps wakes so
-#: much later.
+#: Seconds after which an unheard signal is sent again. Doubled, a command that sleeps wakes so much later.
 HEARD = 0.1
 
-#: Files that are named one by one when it is said what is on disk; of more there is a number.
+#: Number of files whose names are listed after an interruption.
 NAMED = 12
 
 #: End of the note on an error that names an entry that was saved before it; the command repeats such a note.
@@ -44,12 +42,11 @@ SAVED = " is saved"
 
 
 class Interruption:
-    """The state of an interruption by one of :data:`ENDS`, and the effect of a further one.
+    """The interruption of a command by one of :data:`ENDS`.
 
-    ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
-    while the command runs: each press raises KeyboardInterrupt. It is "closing" once that is over: a second press ends
-    the program. ``since`` is when the command began (seconds since the epoch), ``output`` where it is going to write,
-    ``requested`` whether it was interrupted, ``number`` the signal.
+    ``stage`` is "loading" (a signal ends the program at once: there is nothing to keep), "working" (each signal raises
+    KeyboardInterrupt) or "closing" (a second signal ends the program). ``since`` is the start of the command (s since
+    the epoch), ``output`` its folder, ``requested`` whether it was interrupted, ``number`` the signal.
     """
 
     def __init__(self) -> None:
@@ -59,7 +56,7 @@ class Interruption:
 
     @property
     def status(self) -> int:
-        """Exit status of the interrupted command: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+        """Exit status: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
         return 128 + self.number
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
@@ -77,12 +74,16 @@ class Interruption:
         if self.stage == "working":
             raise KeyboardInterrupt
 
+    def forget(self) -> None:
+        """Treat the last signal as unheard."""
+        self._last = self._heard = 0.0
+
     def repeat_unheard(self, arrivals: int) -> None:
-        """Send signals again until the command hears of them; `arrivals` is a pipe of their numbers.
+        """Send unheard signals again; `arrivals` is a pipe of their numbers.
 
         A signal that arrives just before the main thread falls asleep does not wake it.
         """
-        with os.fdopen(arrivals, "rb", buffering=0) as numbers:
+        with open(arrivals, "rb", buffering=0) as numbers:
             while number := numbers.read(1):
                 arrived = time.monotonic() - HEARD  # The command may hear of it before this thread does.
                 time.sleep(HEARD)
@@ -90,16 +91,13 @@ class Interruption:
                     # It comes by the pipe again.
                     signal.pthread_kill(threading.main_thread().ident or 0, number[0])
 
-    def forget(self) -> None:
-        """Take the last signal for one that the command has not heard of."""
-        self._last = self._heard = 0.0
-
 
 @contextmanager
 def heeded(*, stays: bool) -> Iterator[Interruption]:
-    """The signals :data:`ENDS`, heeded while a command runs. If they `stay` so, the interpreter's end is silent too.
+    """The handling of :data:`ENDS` during a command.
 
-    Where signals are somebody else's (a thread, or a program that ignores them, as under `nohup`) they stay theirs.
+    It `stays` in force for a silent end of the interpreter. Signals of another owner stay theirs: in other threads,
+    or in a program that ignores them, as under `nohup`.
     """
     found, before = Interruption(), {end: signal.getsignal(end) for end in ENDS}
     if threading.current_thread() is not threading.main_thread() or (
@@ -136,12 +134,12 @@ def heeded(*, stays: bool) -> Iterator[Interruption]:
 
 
 def saved(error: BaseException | None) -> list[str]:
-    """The notes on an error that name entries saved before it (:data:`SAVED`)."""
+    """The notes on an error that name saved entries (:data:`SAVED`)."""
     return [note for note in getattr(error, "__notes__", ()) if note.endswith(SAVED)]
 
 
 def wait() -> bool:
-    """Let other threads come to an end, for :data:`GRACE` at most; whether they did. Native code cannot be stopped."""
+    """Wait for other threads, for :data:`GRACE` at most; whether they ended."""
     until = time.monotonic() + GRACE
     others = [each for each in threading.enumerate() if each is not threading.main_thread() and not each.daemon]
     for thread in others:
@@ -159,15 +157,15 @@ def leave(status: int) -> NoReturn:
 
 
 def say(text: str) -> None:
-    """A line on standard error, by nothing but the system: whatever was interrupted may hold any lock."""
+    """Write a line to standard error without any lock."""
     with suppress(OSError):
         os.write(2, f"{text}\n".encode())
 
 
 def on_disk(output: Path | None, since: float) -> str:
-    """The files that an interrupted command leaves in its `output`, a folder or a file, in words.
+    """A sentence on the files of an interrupted command in its `output`.
 
-    `since` (s since the epoch) is when it began.
+    `output` is a folder or a file, `since` the start of the command (s since the epoch).
     """
     if output is None:
         return "interrupted: the command writes no files"

@@ -1,4 +1,4 @@
-"""The memory that this process may take, and errors that come of too little of it.
+"""The memory of this process, and the errors of a shortage.
 
 Three limits hold at a time: the free memory of the machine, that of the control groups around the process (a container,
 a batch system), and the address space of each process (``ulimit -v``, RLIMIT_AS).
@@ -28,19 +28,18 @@ PROCESS_VARIABLE = "WORKBENCH_MEMORY_OF_PROCESS"
 #: One thread of linear algebra: processes share the machine by their number, not by their threads.
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-#: Number of buffers that each linear algebra library gets before the work: one for each thread that calls it at a time.
+#: Buffers of each linear algebra library: one for each thread that calls it at a time.
 BUFFERS = 3
 
-#: Bytes of address space that must be free before a buffer is requested; one takes 34 MB on the processors of today.
-#: Doubled, limits below 0.7 GB are refused that would do.
+#: Bytes of address space that must be free for a buffer (of 34 MB). Doubled, limits below 0.7 GB are refused.
 BUFFER = 64e6
 
-#: Bytes of address space that must be free before numpy and scipy are loaded: loading them without hangs too. Doubled,
-#: no command works below 0.9 GB.
+#: Bytes of address space that must be free to load numpy and scipy, or loading hangs. Doubled, limits below 0.9 GB are
+#: refused.
 LOADED = 420e6
 
-#: Files of a memory control group of version 2 and of version 1: limits, the memory in use, the key of the part of
-#: `memory.stat` that the system takes back before it ends a process.
+#: Files of a memory control group, of version 2 and 1: limits, memory in use, the key of its reclaimable part in
+#: `memory.stat`.
 GROUP_FILES = (
     (("memory.max", "memory.high"), "memory.current", "inactive_file"),
     (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file"),
@@ -60,43 +59,46 @@ SHOWN = 200
 #: Option of the system's call `prctl`: the signal that a process gets when its parent ends.
 PR_SET_PDEATHSIG = 1
 
-#: Held while the limit of the address space is another one.
+#: Folders in which the system shows its processes and its control groups.
+PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+
+#: Locked while the limit of the address space is another one.
 _CONFINED = Lock()
 
 
 @dataclass(frozen=True)
 class Room:
-    """Free memory in bytes, and the ``limit`` that makes it so small, in words."""
+    """Free memory in bytes, and the ``limit`` behind it in words."""
 
     size: float
     limit: str
 
 
 def address_limit() -> float | None:
-    """The limit of this process' address space (bytes); None without a limit."""
+    """The limit of this process' address space (bytes), None without one."""
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else float(soft)
 
 
-def free_memory(*, proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> Room | None:
-    """The memory that is free for this process, by its tightest limit; None if the system states none.
+def free_memory(*, proc: Path = PROC, groups: Path = GROUPS) -> Room:
+    """The free memory of this process, by its tightest limit.
 
-    `proc` and `groups` are where the system shows its processes and its control groups.
+    `proc` and `groups` are the folders of the system for processes and control groups.
     """
     rooms, limit = [*_shared(proc, groups)], address_limit()
     if limit is not None:
         rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
                           "that ulimit -v allows a process"))
-    return min(rooms, key=lambda room: room.size, default=None)
+    return min(rooms, key=lambda room: room.size)
 
 
-def shared_memory() -> float | None:
-    """Bytes that are free for all processes together; None if the system states none."""
-    return min((room.size for room in _shared(Path("/proc"), Path("/sys/fs/cgroup"))), default=None)
+def shared_memory() -> float:
+    """Bytes that are free for all processes together."""
+    return min(room.size for room in _shared(PROC, GROUPS))
 
 
 def _shared(proc: Path, groups: Path) -> Iterator[Room]:
-    """The share of a worker, or free memory of the machine and of every control group with a limit around it."""
+    """The share of a worker; or machine and control groups."""
     if (stated := os.environ.get(PROCESS_VARIABLE)) is not None:
         yield Room(float(stated), "a process' share of the memory that is free here, less with more --jobs")
         return
@@ -116,7 +118,7 @@ def _shared(proc: Path, groups: Path) -> Iterator[Room]:
 
 
 def _groups(proc: Path, groups: Path) -> list[Path]:
-    """Folders of the memory control groups of this process, and of those around them."""
+    """Folders of the memory control groups around this process."""
     own = [("", "/"), ("memory", "/")]  # A container may show the path that only its host knows.
     with suppress(OSError):
         for line in (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
@@ -128,7 +130,7 @@ def _groups(proc: Path, groups: Path) -> list[Path]:
 
 
 def _number_in(path: Path, key: str = "") -> float | None:
-    """The number that a file begins with, or after a `key` in it; None without one, or without a limit ("max")."""
+    """The first number of a file, or after a `key`; else None."""
     with suppress(OSError, ValueError, LookupError):
         text = path.read_text(encoding="ascii")
         if key:
@@ -137,17 +139,19 @@ def _number_in(path: Path, key: str = "") -> float | None:
     return None
 
 
-def _mapped(proc: Path) -> float:
+def _mapped(proc: Path = PROC) -> float:
     """Bytes of address space that this process takes."""
     return (_number_in(proc / "self" / "statm") or 0.0) * mmap.PAGESIZE
 
 
 @cache
 def reserve_buffers() -> None:
-    """Let the linear algebra libraries have their buffers now, if the address space is limited, and one thread each.
+    """Allocate the buffers of linear algebra in a limited address space.
 
-    A library that is called for the first time while no memory is left would try forever (OpenBLAS 0.3.30). Raises
-    MemoryError if there is no room for them.
+    A library that is called first when the memory is used up would try forever (OpenBLAS 0.3.30).
+
+    Raises:
+        MemoryError: there is no room for them.
     """
     if address_limit() is None:
         return
@@ -173,7 +177,7 @@ def reserve_buffers() -> None:
 
 
 def require(size: float, user: str) -> None:
-    """Raise MemoryError unless so many bytes of address space are there for a `user`, if it is limited."""
+    """Raise MemoryError if a limited address space lacks bytes for a `user`."""
     if address_limit() is None:
         return
     try:
@@ -184,13 +188,13 @@ def require(size: float, user: str) -> None:
 
 @contextmanager
 def confined(size: float) -> Iterator[None]:
-    """Let this process map at most so many bytes more in this block, if its address space is limited."""
+    """Further limit the limited address space to so many bytes more."""
     if address_limit() is None:
         yield
         return
     with _CONFINED:
         soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped(Path("/proc")) + size)), hard))
+        resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped() + size)), hard))
         try:
             yield
         finally:
@@ -198,18 +202,18 @@ def confined(size: float) -> Iterator[None]:
 
 
 def is_shortage(error: BaseException) -> bool:
-    """Whether an error, or one behind it, comes of too little memory, or of too few threads."""
+    """Whether an error comes of a shortage of memory or threads."""
     return _behind(error) is not None
 
 
 def is_exhausted() -> bool:
-    """Whether the address space is limited and nearly used up: whatever a library raises then comes of that."""
+    """Whether the limited address space is nearly used up."""
     limit = address_limit()
-    return limit is not None and limit - _mapped(Path("/proc")) < EXHAUSTED
+    return limit is not None and limit - _mapped() < EXHAUSTED
 
 
 def _behind(error: BaseException) -> BaseException | None:
-    """The error among an error and its causes that an allocation failed by."""
+    """The error of an allocation among an error and its causes."""
     # gmsh raises nothing more special than Exception.
     worded = isinstance(error, RuntimeError | ImportError | OSError) or type(error) is Exception
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM) or (
@@ -219,22 +223,22 @@ def _behind(error: BaseException) -> BaseException | None:
 
 
 def shortage_text(error: BaseException, needed: str = "") -> str:
-    """One line about an error of which :func:`is_shortage` is true: the reason, the limit, the remedy.
+    """One line on a shortage of memory: reason, limit, remedy.
 
-    `needed` are words about the memory that the job needs.
+    `needed` are words on the memory that the job needs.
     """
     reason = str(_behind(error) or error) or "an allocation failed"
     limit, room = address_limit(), free_memory()
-    where = ("" if room is None else f"; {shown_memory(room.size)} are free" if limit is None else
-             f"; ulimit -v allows a process {shown_memory(limit)} of address space")
-    return (f"memory was not enough: {' '.join(reason.split())[-SHOWN:]}{needed}{where}. Fewer "
+    where = (f"{shown_memory(room.size)} are free" if limit is None else
+             f"ulimit -v allows a process {shown_memory(limit)} of address space")
+    return (f"memory was not enough: {' '.join(reason.split())[-SHOWN:]}{needed}; {where}. Fewer "
             "--jobs, a coarser --accuracy or a narrower band take less; otherwise give it more")
 
 
 def supervised() -> int | None:
-    """Go on in a child process, for which this function returns None; in its parent it returns the child's exit status.
+    """Fork: None in the child, its exit status in the parent.
 
-    A library that finds no memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
+    A library without memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
     """
     child = os.fork()
     if child == 0:

@@ -1,8 +1,7 @@
-"""One process that does tasks for this one, and can be ended at any moment.
+"""A process that does tasks for this one until it is ended.
 
-It is begun as a program of its own, so a script needs no guard against being run again. In its own session it does not
-get the terminal's Ctrl-C: this process gets it, and ends the other. Tasks are pickled: functions and classes lie in
-modules, not in the script itself.
+It is a program of its own: a script needs no guard against a second run. It has a session of its own: Ctrl-C reaches
+this process alone, which then ends the other. Tasks are pickled: functions and classes lie in modules, not in scripts.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ Send = Callable[[Any], None]
 
 
 class WorkerEnded(RuntimeError):
-    """A worker process ended before its task was done; it had taken ``processor`` seconds (NaN where unknown)."""
+    """A worker ended during its task, after ``processor`` seconds (NaN if unknown)."""
 
     def __init__(self, text: str, processor: float = float("nan")) -> None:
         super().__init__(text)
@@ -41,11 +40,17 @@ class WorkerEnded(RuntimeError):
 
 
 class WorkerProcess:
-    """A process that does one task after the other. It ends with :meth:`end`, or with this process however that ends.
+    """A process that does one task after the other, without warnings.
 
-    It emits no warnings. Its priority is lower by `nice`. Its output goes to the file `words`, or to the standard error
-    of this process. `memory` (bytes) is its share of the free memory, if others work beside it. Raises MemoryError if
-    the system begins no further process or thread.
+    It ends with :meth:`end`, or with this process however that ends.
+
+    Args:
+        nice: steps by which its priority is lower.
+        words: file for its output; the standard error of this process if None.
+        memory: its share of the free memory (bytes), if others work beside it.
+
+    Raises:
+        MemoryError: the system begins no further process or thread.
     """
 
     def __init__(self, *, nice: int = 0, words: Path | None = None, memory: float | None = None) -> None:
@@ -65,20 +70,20 @@ class WorkerProcess:
 
     @property
     def is_ended(self) -> bool:
-        """Whether :meth:`end` was called, as it is where a task ended the process."""
+        """Whether :meth:`end` was called, here or after the process had died."""
         return self._process.returncode is not None
 
     def send(self, task: Callable[..., Any], *, sends: bool = False) -> None:
-        """Let the process do a task, which takes nothing, or a :data:`Send` if it `sends` several results."""
+        """Start a task: ``task()``, or ``task(send)`` if it `sends` several results."""
         message = pickle.dumps((task, sends), protocol=pickle.HIGHEST_PROTOCOL)
-        # If the process has ended, the caller that waits for its answer gets WorkerEnded.
+        # If the process has died, the caller gets WorkerEnded in place of the answer.
         with suppress(OSError, ValueError):
             send(self._input, message)
 
     def answer(self, seconds: float | None) -> tuple[str, Any] | None:
-        """The kind of the next answer and its value; None if there is none within so many `seconds`.
+        """The next answer, its kind and value; None after so many `seconds`.
 
-        Raises WorkerEnded if the process ended, or the error of the task.
+        Raises WorkerEnded if the process died, or the error of the task.
         """
         try:
             message = self._answers.get(timeout=seconds)
@@ -90,15 +95,15 @@ class WorkerProcess:
             how = f"signal {-code}" if code < 0 else f"status {code}"
             raise WorkerEnded(f"a worker process ended before its work was done ({how}): it was killed, or the memory "
                               "was not enough", self._processor)
-        kind, found = pickle.loads(message)
+        kind, value = pickle.loads(message)
         if kind == ERROR:
-            raise found
-        return kind, found
+            raise value
+        return kind, value
 
     def call(self, task: Callable[[], Any], seconds: float | None = None) -> Any:
-        """The result of a task, which may take so many `seconds`.
+        """The result of a task.
 
-        Raises WorkerEnded if the process ended, or was ended as the task took too long, or the error of the task.
+        Raises WorkerEnded if the process died or took longer than `seconds`, or the error of the task.
         """
         self.send(task)
         found = self.answer(seconds)
@@ -111,7 +116,7 @@ class WorkerProcess:
         """End the process at once, whatever it does."""
         with self._ending:
             if not self.is_ended:
-                # Nobody has waited for it, so the number is its own, even if it has ended.
+                # Nobody has waited for it, so the number is its own, even if it has died.
                 os.kill(self._process.pid, signal.SIGKILL)
                 _, status, usage = os.wait4(self._process.pid, 0)
                 self._process.returncode = os.waitstatus_to_exitcode(status)
@@ -123,10 +128,10 @@ class WorkerProcess:
 def stream(
     task: Callable[[Send], None], *, stopped: Callable[[], bool] = lambda: False, words: Path | None = None
 ) -> Generator[Any, None, None]:
-    """Results that ``task(send)`` sends from a process of its own, as they are sent.
+    """Results that ``task(send)`` sends from a process of its own.
 
-    The process stands back for this one, and ends with this iterator, which ends once it is `stopped`. Raises
-    WorkerEnded if the process ended by itself, or the error of the task.
+    The process stands back for this one. It ends with this iterator, which ends once it is `stopped`. Raises
+    WorkerEnded if the process died, or the error of the task.
     """
     worker = WorkerProcess(nice=STAND_BACK, words=words)
     try:

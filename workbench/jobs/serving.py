@@ -1,4 +1,4 @@
-"""The process of a worker: it does the tasks that arrive on its standard input, and answers on its standard output."""
+"""A worker: tasks on its standard input, answers on its standard output."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from workbench.jobs.memory import reserve_buffers
 #: Answers of a worker: one of several results, the result that ends a task, the error that ends it.
 SENT, RESULT, ERROR = "sent", "result", "error"
 
-#: The object that this thread last made for its tasks, and its ``key``. Threads of an executor may share a process.
+#: The object that this thread made for its tasks, and its ``key``. Threads of an executor may share a process.
 _mine = threading.local()
 
 
 def given(key: str | None, make: bytes, task: Callable[..., Any]) -> Any:
-    """The result of a task that takes the object of a `key`, or nothing.
+    """The result of a task on the shared object of a `key`.
 
-    `make` is the pickled maker of the object. A thread needs it once for each key.
+    `make` is the pickled maker of the object, which a thread needs once. If the key is None the task takes nothing.
     """
     if getattr(_mine, "key", None) != key:
         vars(_mine).clear()
@@ -36,20 +36,20 @@ def given(key: str | None, make: bytes, task: Callable[..., Any]) -> Any:
 
 
 def send(stream: IO[bytes], message: bytes) -> None:
-    """Write a message, which the other end unpickles twice: that fails at the inner one alone."""
+    """Write a pickled message as :func:`messages` reads it."""
     pickle.dump(message, stream)
     stream.flush()
 
 
 def messages(stream: IO[bytes], ended: Callable[[], object]) -> SimpleQueue[bytes | None]:
-    """The messages of a stream, None last; a thread reads them, and calls `ended` at the end of the stream.
+    """Pickled messages of a stream in a queue, None at its end.
 
-    So the sender never waits for a task at work.
+    A thread reads them, so the sender never waits for a task at work. It calls `ended` at the end.
     """
     found = SimpleQueue[bytes | None]()
 
     def read() -> None:
-        # A message that memory is not enough for is the end too.
+        # A message that is too large for the memory is the end too.
         with suppress(EOFError, MemoryError, pickle.UnpicklingError), stream:
             while True:
                 found.put(pickle.load(stream))
@@ -61,7 +61,7 @@ def messages(stream: IO[bytes], ended: Callable[[], object]) -> SimpleQueue[byte
 
 
 def serve(nice: int) -> None:
-    """Do tasks until the process that gives them ends, `nice` steps behind others (see :func:`os.nice`)."""
+    """Do tasks until the parent ends, at a priority lower by `nice`."""
     os.nice(nice)
     # Prints of libraries must not get between the answers.
     answers = os.fdopen(os.dup(1), "wb")
@@ -83,7 +83,7 @@ def serve(nice: int) -> None:
 
 
 def _pickled(kind: str, value: Any) -> bytes:
-    """The message of an answer; the error that it cannot be sent, if so."""
+    """The message of an answer, or of the error that prevents it."""
     try:
         if isinstance(value, BaseException):
             value.add_note("In a worker process:\n" + "".join(traceback.format_exception(value)))

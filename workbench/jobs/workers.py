@@ -1,12 +1,12 @@
-"""Workers that do tasks: this process, processes of this machine, or an executor such as a Dask cluster's.
+"""Workers that do tasks: this process, other processes, or a Dask cluster.
 
     with begin_workers(jobs) as workers:
         workers.share(read_model, path)                         # made once in every process
         for name, done in workers.completed((name, partial(figures, at=point)) for name, point in points):
             kept[name] = done.result()                          # figures(model, at=point), as soon as it is there
 
-A task is a function that takes what :meth:`Workers.share` made in the process that does it, or nothing if nothing was
-shared. Each step of iteration is small: whoever stops iterating, or is interrupted, has all that was finished.
+A task is a function of the object that :meth:`Workers.share` made in its process, or of nothing if nothing is shared.
+Results come as they are finished: an interrupted loop has all of them so far.
 """
 
 from __future__ import annotations
@@ -31,15 +31,12 @@ from workbench.jobs.serving import given
 K = TypeVar("K")
 T = TypeVar("T")
 
-#: A piece of work: it takes what was shared, if anything was.
+#: A piece of work on the shared object, if there is one.
 Task = Callable[..., T]
 
 
 class Workers:
-    """This process, which does one task after the other, each on request.
-
-    Others do ``size`` tasks at a time beside it.
-    """
+    """This process. Others do ``size`` tasks at a time beside it."""
 
     size = 0
 
@@ -47,23 +44,23 @@ class Workers:
         self._state: tuple[Any, ...] = ()
 
     def share(self, make: Callable[..., Any] | None, *arguments: Any) -> None:
-        """Let every later task take ``make(*arguments)`` as its first argument, made once in every process.
+        """Give every later task ``make(*arguments)``, made once in each process.
 
-        None lets tasks take nothing again. Nothing is at work meanwhile.
+        None: tasks take nothing again. No task is at work meanwhile.
         """
         self._state = () if make is None else (make(*arguments),)
 
     def submit(self, task: Task[T]) -> Future[T]:
-        """Hand a task in."""
+        """The future result of a task."""
         return _done_here(task, self._state)
 
     def completed(
         self, tasks: Iterable[tuple[K, Task[T]]], *, own: Any = None, ahead: int = 1
     ) -> Iterator[tuple[K, Future[T]]]:
-        """Tasks with their keys as they end, in any order.
+        """Keys and futures of finished tasks, in any order.
 
-        Tasks are taken one by one as processes are free, so `tasks` may decide late what there is to do; `ahead` of
-        them are taken for each process. With an `own` state this process works on them too, and gives them that.
+        Each process takes the next task when it is free, and has `ahead` of them at a time, so `tasks` may decide late.
+        With an `own` object this process works too, on that.
         """
         waiting, begun = iter(tasks), dict[Future[T], K]()
         state, shares = (self._state, not self.size) if own is None else ((own,), True)
@@ -83,15 +80,15 @@ class Workers:
                 future.cancel()
 
     def map(self, tasks: Iterable[Task[T]]) -> list[T]:
-        """Results of tasks in their order. Raises the error of a task."""
+        """Results of tasks in their order; raises the error of a task."""
         found = {index: done.result() for index, done in self.completed(enumerate(tasks))}
         return [found[index] for index in range(len(found))]
 
 
 class ExecutorWorkers(Workers):
-    """Somebody else's executor, such as a Dask cluster's, given `size` tasks at a time.
+    """An executor, such as a Dask cluster's, for `size` tasks.
 
-    Each of its threads makes the shared object once. An executor that can ``scatter`` gets its maker once.
+    Each of its threads makes the shared object once. If it can ``scatter`` data, it gets the maker once.
     """
 
     def __init__(self, executor: Executor, size: int, give: Callable[..., Any] = given) -> None:
@@ -110,11 +107,10 @@ class ExecutorWorkers(Workers):
 
 
 class Processes(ExecutorWorkers):
-    """So many processes of this machine (see `workbench.jobs.process`), begun as they are needed, until :meth:`close`.
+    """Processes of this machine (`workbench.jobs.process`), begun at need, until :meth:`close`.
 
-    Where a process ends by itself another takes its place. With `seconds`, every task has a process of its own, which
-    is ended where the task takes longer. Each process has the same share of the memory that is free, and so have as
-    many others as work `beside` them.
+    Another process replaces one that died. With `seconds`, every task has a process of its own, which ends after that
+    time. The processes, and as many others as work `beside` them, have equal shares of the free memory.
     """
 
     def __init__(
@@ -122,9 +118,9 @@ class Processes(ExecutorWorkers):
     ) -> None:
         self._threads, self._changing, self._is_closed = ThreadPoolExecutor(size), Lock(), False
         super().__init__(self._threads, size, self._give_process)
-        self._seconds, free = seconds, shared_memory()
+        self._seconds = seconds
         self._begin: Callable[[], WorkerProcess] = partial(
-            WorkerProcess, nice=nice, words=words, memory=None if free is None else free / (size + beside))
+            WorkerProcess, nice=nice, words=words, memory=shared_memory() / (size + beside))
         # The process of each thread, and the key of the object that it has.
         self._processes: dict[int, tuple[WorkerProcess, str | None]] = {}
 
@@ -143,7 +139,7 @@ class Processes(ExecutorWorkers):
         self._threads.shutdown()
 
     def _give_process(self, key: str | None, make: bytes, task: Task[T]) -> T:
-        """The result of a task from the process of this thread, which is begun if it is not there."""
+        """The result of a task from the process of this thread."""
         thread = get_ident()
         with self._changing:
             if self._is_closed:
@@ -162,7 +158,7 @@ class Processes(ExecutorWorkers):
 
 
 def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
-    """Raise InputError unless a number of tasks at a time is a whole one of at least one."""
+    """Raise InputError unless the number of jobs is one or more."""
     if isinstance(jobs, bool) or not isinstance(jobs, Integral) or jobs < 1:
         raise InputError(source, field, jobs, "a whole number, one or more")
 
@@ -171,10 +167,10 @@ def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
 def begin_workers(
     jobs: int, executor: Executor | None = None, *, seconds: float | None = None, beside: int = 0
 ) -> Iterator[Workers]:
-    """Workers for `jobs` tasks at a time: an `executor`'s, else processes of this machine, or this process for one.
+    """Workers for `jobs` tasks at a time in this block.
 
-    Of the processes, as many as work `beside` are there already. With `seconds`, every task has a process of its own,
-    which is ended where the task takes longer. An executor stays open at the end of the block, the processes end.
+    They are those of an `executor`, which stays open, or processes of this machine: less those that work `beside`, and
+    this process for one job. See :class:`Processes` for `seconds`.
     """
     if executor is not None:
         yield ExecutorWorkers(executor, jobs)
