@@ -80,33 +80,30 @@ def address_limit() -> float | None:
     return None if soft == resource.RLIM_INFINITY else float(soft)
 
 
-def free_memory(*, proc: Path = PROC, groups: Path = GROUPS) -> Room:
-    """The free memory of this process, by its tightest limit.
-
-    `proc` and `groups` are the folders of the system for processes and control groups.
-    """
-    rooms, limit = [*_shared(proc, groups)], address_limit()
+def free_memory() -> Room:
+    """The free memory of this process, by its tightest limit."""
+    rooms, limit = [*_shared()], address_limit()
     if limit is not None:
-        rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
+        rooms.append(Room(max(limit - _mapped(), 0.0), f"the rest of the {shown_memory(limit)} of address space "
                           "that ulimit -v allows a process"))
     return min(rooms, key=lambda room: room.size)
 
 
 def shared_memory() -> float:
     """Bytes that are free for all processes together."""
-    return min(room.size for room in _shared(PROC, GROUPS))
+    return min(room.size for room in _shared())
 
 
-def _shared(proc: Path, groups: Path) -> Iterator[Room]:
+def _shared() -> Iterator[Room]:
     """The share of a worker; or machine and control groups."""
     if (stated := os.environ.get(PROCESS_VARIABLE)) is not None:
         yield Room(float(stated), "a process' share of the memory that is free here, less with more --jobs")
         return
-    free = _number_in(proc / "meminfo", "MemAvailable:")
+    free = _number_in(PROC / "meminfo", "MemAvailable:")
     # Without /proc it is all the memory of the machine.
     every = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     yield Room(every if free is None else 1024.0 * free, "the memory that is free here")
-    for folder in _groups(proc, groups):
+    for folder in _groups():
         for limits, used, reclaimed in GROUP_FILES:
             taken = _number_in(folder / used)
             most = min((size for name in limits if (size := _number_in(folder / name)) is not None), default=None)
@@ -117,15 +114,15 @@ def _shared(proc: Path, groups: Path) -> Iterator[Room]:
                            f"group (cgroup), which may take {shown_memory(most)}")
 
 
-def _groups(proc: Path, groups: Path) -> list[Path]:
+def _groups() -> list[Path]:
     """Folders of the memory control groups around this process."""
     own = [("", "/"), ("memory", "/")]  # A container may show the path that only its host knows.
     with suppress(OSError):
-        for line in (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
+        for line in (PROC / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
             number, kinds, path = line.split(":", 2)
             if number == "0" or "memory" in kinds.split(","):
                 own.append(("" if number == "0" else "memory", path))
-    return list(dict.fromkeys(groups / kind / at for kind, path in own
+    return list(dict.fromkeys(GROUPS / kind / at for kind, path in own
                               for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents)))
 
 
@@ -139,9 +136,9 @@ def _number_in(path: Path, key: str = "") -> float | None:
     return None
 
 
-def _mapped(proc: Path = PROC) -> float:
+def _mapped() -> float:
     """Bytes of address space that this process takes."""
-    return (_number_in(proc / "self" / "statm") or 0.0) * mmap.PAGESIZE
+    return (_number_in(PROC / "self" / "statm") or 0.0) * mmap.PAGESIZE
 
 
 @cache
@@ -165,7 +162,7 @@ def reserve_buffers() -> None:
     from threadpoolctl import ThreadpoolController
 
     for library in ThreadpoolController().lib_controllers:
-        if library.internal_api != "openblas" or not hasattr(library.dynlib, "blas_memory_alloc"):
+        if not hasattr(library.dynlib, "blas_memory_alloc"):  # as OpenBLAS has
             continue
         take, give = library.dynlib.blas_memory_alloc, library.dynlib.blas_memory_free
         take.restype, taken = ctypes.c_void_p, []
