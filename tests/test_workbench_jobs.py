@@ -61,6 +61,12 @@ def test_results_are_those_of_the_tasks_and_in_their_order(two: Processes) -> No
         assert workers.map(late_first) == [0, 1, 2, 3]
         workers.share(itself, 7)
         assert workers.map([partial(operator.add, 1)]) == [8]
+    with ThreadPoolExecutor(1) as pool, begin_workers(1, pool) as workers:
+        for _ in range(2):
+            workers.share(Counter, 0)  # Once in the thread, and anew each time that it is shared.
+            assert [number for _, number in workers.map([Counter.next] * 3)] == [1, 2, 3]
+        workers.share(None)
+        assert workers.map([os.getpid]) == [os.getpid()]
 
 
 def test_they_come_as_they_end(two: Processes) -> None:
