@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -341,8 +342,11 @@ def test_killed_again_and_again_it_ends_with_the_same_table(tmp_path: Path) -> N
 
 
 def children(pid: int) -> set[int]:
-    found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return {int(each) for each in found}
+    found: set[int] = set()
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        with contextlib.suppress(OSError):  # as a thread may end meanwhile
+            found |= set(map(int, (thread / "children").read_text().split()))
+    return found
 
 
 def run_rows(folder: Path) -> set[int]:
@@ -356,7 +360,7 @@ def run_rows(folder: Path) -> set[int]:
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    from workbench.jobs.cluster import LARGE, dask_cluster
+    from workbench.jobs.cluster import dask_cluster
 
     plan = read(tmp_path, SOBOL)
     environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
@@ -368,20 +372,28 @@ def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
                                       protocol="tcp") as cluster, dask_cluster(cluster.scheduler_address) as found:
             executor, threads = found
             assert threads == 2
-            # Heavy enough to be sent apart from the tasks.
-            heavy = FormulaModels(ballast=2 * LARGE)
+            heavy = FormulaModels(ballast=2_000_000)
             table = study(plan, tmp_path / "dask", executor=executor, jobs=threads, models=heavy)
     assert same(table, run(plan, tmp_path / "threads"))
 
 
+@pytest.mark.parametrize("command", [
+    "study {folder}/study.toml", "tolerance {root}/geometry/chips/disc_20x2.toml --accuracy 2%",
+    "design {root}/examples/design/half_wave_chip.toml", "diagnose {root}/examples/small_campaign/campaign.toml",
+    "fit batch {folder}/batch.toml"])
 def test_a_cluster_that_does_not_answer_is_a_clear_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
     monkeypatch.setattr("workbench.jobs.cluster.PATIENCE", 0.2)
     read(tmp_path, SOBOL)
+    campaign = ROOT / "examples" / "small_campaign"
+    (tmp_path / "batch.toml").write_text(
+        f'[[recordings]]\nname = "one"\nkind = "polymer"\nfile = "{campaign / "empty.csv"}"\n'
+        f'chip = "{campaign / "chip.toml"}"\nstate = "empty"\nregion = "substrate"\n')
     address = "tcp://127.0.0.1:1"
-    assert main(["study", str(tmp_path / "study.toml"), "--dask", address, "-o", str(tmp_path / "out")]) == 2
+    words = command.format(folder=tmp_path, root=ROOT).split()
+    assert main([*words, "--dask", address, "-o", str(tmp_path / "out")]) == 2
     assert f"--dask: received '{address}'" in capsys.readouterr().err
 
 

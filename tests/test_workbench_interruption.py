@@ -16,7 +16,7 @@ from workbench.cli import main
 from workbench.commands import export as export_command
 from workbench.files.output import MARK
 from workbench.files.writing import write_atomic
-from workbench.jobs.interruption import Interruption, heeded, on_disk, shielded
+from workbench.jobs.interruption import Interruption, heeded, on_disk
 
 ROOT = Path(__file__).resolve().parent.parent
 CHIP = str(ROOT / "geometry/chips/disc_20x2.toml")
@@ -137,19 +137,6 @@ def test_a_hangup_that_is_ignored_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_process_begun_shielded_can_be_terminated() -> None:
-    code = ("import time; from workbench.jobs.interruption import unshielded; print('there', flush=True); "
-            "time.sleep(0.5); unshielded(); time.sleep(60.0)")
-    with shielded():
-        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "there\n"
-    process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(timeout=30.0) == -signal.SIGTERM
-    process.stdout.close()
-
-
 def test_what_a_library_makes_of_it_is_an_interruption_all_the_same(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -220,20 +207,3 @@ def test_a_second_press_at_the_same_moment_is_the_same_one() -> None:
     with heeded(stays=False) as other:
         assert signal.getsignal(signal.SIGINT) == other.handle
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_processes_that_are_begun_shielded_never_hear_of_it() -> None:
-    code = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); print('alive')"
-    with shielded():
-        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert process.communicate(timeout=30.0)[0] == "alive\n"
-    reached = []
-
-    def interrupted() -> None:
-        with shielded():
-            signal.raise_signal(signal.SIGINT)
-            reached.append(True)
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert reached

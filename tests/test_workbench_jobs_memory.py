@@ -67,12 +67,13 @@ def files(folder: Path, content: dict[str, str]) -> Path:
                                  "memory/batch/memory.usage_in_bytes": "9", "cgroup.procs": ""}, 8.192e9, "free here"),
 ])
 def test_free_memory_is_that_of_the_tightest_group(
-    cgroup: str, groups: dict[str, str], size: float, words: str, tmp_path: Path
+    cgroup: str, groups: dict[str, str], size: float, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     proc = files(tmp_path / "proc", {"meminfo": MEMINFO, "self/cgroup": cgroup, "self/statm": "1000 1\n"})
     (tmp_path / "sys").mkdir()
-    room = free_memory(proc=proc, groups=files(tmp_path / "sys", groups))
-    assert room is not None
+    monkeypatch.setattr(memory, "PROC", proc)
+    monkeypatch.setattr(memory, "GROUPS", files(tmp_path / "sys", groups))
+    room = free_memory()
     assert room.size == pytest.approx(size)
     assert re.search(words, room.limit)
 
@@ -80,14 +81,14 @@ def test_free_memory_is_that_of_the_tightest_group(
 def test_the_address_space_is_each_process_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     proc = files(tmp_path, {"meminfo": MEMINFO, "self/statm": f"{1_000_000_000 // resource.getpagesize()} 1\n"})
     monkeypatch.setattr(memory, "address_limit", lambda: 3e9)
-    room = free_memory(proc=proc, groups=tmp_path)
-    assert room is not None
+    monkeypatch.setattr(memory, "PROC", proc)
+    monkeypatch.setattr(memory, "GROUPS", tmp_path)
+    room = free_memory()
     assert room.size == pytest.approx(2e9, rel=1e-4)
     assert "rest of the 3 GB of address space that ulimit -v allows" in room.limit
     # A share of the rest of the machine, which processes have together, may be less.
     monkeypatch.setenv(PROCESS_VARIABLE, "1e9")
-    room = free_memory(proc=proc, groups=tmp_path)
-    assert room is not None
+    room = free_memory()
     assert (room.size, "less with more --jobs" in room.limit) == (1e9, True)
 
 
@@ -185,10 +186,10 @@ def test_an_answer_that_does_not_fit_ends_the_wait() -> None:
     class Huge:
         """A stream with a message that no memory is enough for."""
 
-        def read(self, size: int) -> bytes:
-            if size > 1000:
-                raise MemoryError
-            return (10**6).to_bytes(8, "little")
+        def read(self, _size: int) -> bytes:
+            raise MemoryError
+
+        readline = read
 
         def __enter__(self) -> Huge:
             return self

@@ -39,7 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = _main(arguments, interrupted)
         except KeyboardInterrupt:
             status = interrupted.status  # between two steps, where everything is written
-    return interruption.finish(status) if own and interrupted.requested else status
+    if own and interrupted.requested:
+        interruption.leave(status)  # a thread may still be in native code
+    return status
 
 
 def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:

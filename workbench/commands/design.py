@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
 from workbench.commands.export import solid_names
-from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder
+from workbench.commands.parsed_options import accuracy_option, executor_option, output_folder
 from workbench.commands.states import field_files
 from workbench.commands.terminal import by_rows, print_line, print_table, progress_bars, say_finding
 from workbench.design.goal import read_goal
@@ -38,7 +38,6 @@ SO_FAR, BEST = "best_so_far.toml", "best.toml"
 
 def run_design(options: argparse.Namespace, console: Console) -> int:
     """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
-    jobs = jobs_option(options)
     registry = replace(user_registry(options.materials, inviscid=options.inviscid), assumed_losses=True)
     accuracy = accuracy_option(options)
     goal = read_goal(options.goal, registry=registry)
@@ -50,9 +49,9 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
         *(f"{label}/{name}" for label in ("before", "after") for name in field_files(goal.state)))),
         inputs=[goal.chip.file])
     so_far = folder / SO_FAR
-    with progress_bars(console) as show:
-        found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, progress=by_rows(show),
-                         keep=lambda chip, _point: write_chip(chip, so_far))
+    with executor_option(options) as (executor, jobs), progress_bars(console) as show:
+        found = optimise(goal, registry=registry, accuracy=accuracy, jobs=jobs, executor=executor,
+                         progress=by_rows(show), keep=lambda chip, _point: write_chip(chip, so_far))
         if found.best is not None:
             write_chip(found.best.chip, folder / BEST)
         for index, member in enumerate(found.front):

@@ -13,7 +13,7 @@ from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.commands.parsed_options import (
     accuracy_option,
     band_option,
-    jobs_option,
+    executor_option,
     output_folder,
     reading_option,
     say_read_as,
@@ -51,13 +51,15 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
 
     Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.
     """
-    accuracy, (jobs, minutes) = accuracy_option(options), _effort_options(options)
+    accuracy, minutes = accuracy_option(options), options.minutes
+    if minutes is not None and not minutes > 0.0:
+        raise InputError("command line", "--minutes", minutes, "more than no time")
     campaign = (_of_file if options.chip is None else _of_one_recording)(options, console)
     folder = output_folder(options, OUTPUTS)
     started = time.perf_counter()
     try:
-        with progress_bars(console) as show:
-            found = diagnose(campaign, accuracy=accuracy, jobs=jobs, minutes=minutes,
+        with executor_option(options) as (executor, jobs), progress_bars(console) as show:
+            found = diagnose(campaign, accuracy=accuracy, jobs=jobs, executor=executor, minutes=minutes,
                              progress=lambda text, share: show(campaign.name, text, share))
             show(campaign.name, "done" if found.provisional is None else "not finished", 1.0)
     except KeyboardInterrupt:
@@ -118,14 +120,3 @@ def _of_one_recording(options: argparse.Namespace, console: Console) -> Campaign
     for finding in reading.findings:
         say_finding(finding.message, console)
     return found
-
-
-def _effort_options(options: argparse.Namespace) -> tuple[int, float | None]:
-    """Processes and minutes that the options ask for.
-
-    Raises:
-        InputError: no process, or no time.
-    """
-    if options.minutes is not None and not options.minutes > 0.0:
-        raise InputError("command line", "--minutes", options.minutes, "more than no time")
-    return jobs_option(options), options.minutes

@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from workbench.commands.fit_job import Done, fit_files, known, run_job
-from workbench.commands.parsed_options import accuracy_option, jobs_option, output_folder, saving_folder, say_read_as
+from workbench.commands.parsed_options import (
+    accuracy_option,
+    executor_option,
+    output_folder,
+    saving_folder,
+    say_read_as,
+)
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
@@ -144,7 +150,8 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     for job in waiting:
         # Or a fit that fails now would pass for the one that succeeded before.
         discard(folder / job.name / "fit.json")
-    with progress_bars(console) as show, begin_workers(min(jobs_option(options), len(waiting) or 1)) as workers:
+    with (executor_option(options) as (executor, jobs), progress_bars(console) as show,
+          begin_workers(min(jobs, len(waiting) or 1), executor) as workers):
         failed = fit_all(waiting, settings, folder, workers, show)
     for job in waiting:
         records[job.name] = known(job, settings, folder)

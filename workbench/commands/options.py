@@ -78,8 +78,12 @@ def _with_accuracy(sub: argparse.ArgumentParser) -> None:
                      .replace("%", "%%"))
 
 
-def _with_jobs(sub: argparse.ArgumentParser, pieces: str, default: str = "one for each core") -> None:
-    sub.add_argument("--jobs", type=int, metavar="N", help=f"{pieces} at a time (default: {default})")
+def _with_jobs(sub: argparse.ArgumentParser, pieces: str) -> None:
+    sub.add_argument("--jobs", type=int, metavar="N",
+                     help=f"{pieces} at a time (default: one for each core, or for each thread of the cluster)")
+    sub.add_argument("--dask", metavar="ADDRESS",
+                     help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
+                     "processes of this machine)")
     sub.add_argument("--workers", action=_Renamed, nargs="?", default=argparse.SUPPRESS, const="--jobs",
                      help=argparse.SUPPRESS)
 
@@ -131,10 +135,7 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
 def _study(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
                      "workbench/design/plan.py")
-    _with_jobs(sub, "pieces of work", "one for each core, or for each thread of the cluster")
-    sub.add_argument("--dask", metavar="ADDRESS",
-                     help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
-                     "processes of this machine)")
+    _with_jobs(sub, "pieces of work")
     sub.add_argument("--overwrite", action="store_true",
                      help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
     _with_filling(sub)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -114,9 +116,20 @@ def accuracy_option(options: argparse.Namespace) -> float:
     return accuracy
 
 
-def jobs_option(options: argparse.Namespace) -> int:
-    """The number of pieces of work at a time that the options state, one for each core by default."""
-    return options.jobs or os.cpu_count() or 1
+@contextmanager
+def executor_option(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
+    """The executor of the cluster that the options name, if any, and the number of pieces of work at a time.
+
+    Raises:
+        InputError, RuntimeError, WorkerEnded: see `workbench.jobs.cluster`.
+    """
+    if options.dask is None:
+        yield None, options.jobs or os.cpu_count() or 1
+        return
+    from workbench.jobs.cluster import dask_cluster
+
+    with dask_cluster(options.dask) as (executor, threads):
+        yield executor, options.jobs or threads
 
 
 def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:

@@ -21,7 +21,6 @@ from workbench.commands.terminal import Show, print_paragraph, print_table, prog
 from workbench.fem.solve import NotConverged
 from workbench.files.ownership import Outputs, discard
 from workbench.files.writing import write_json
-from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
 from workbench.model.job_size import memory_to_use
 from workbench.model.problem import fill
@@ -149,7 +148,7 @@ def _simulated(
 
     def heard(state: str, activity: str, fraction: float) -> None:
         if stopped.is_set():
-            raise Stopped
+            raise KeyboardInterrupt
         show(state, activity, fraction)
 
     def solved(name: str) -> Simulation:
@@ -177,8 +176,7 @@ def _simulated(
 
 def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
     """Two states at a time where there is memory for them, else one."""
-    room = memory_to_use()
-    return 2 if room is None or sum(state_sizes(chip, states, model)[-2:]) <= room.size else 1
+    return 2 if sum(state_sizes(chip, states, model)[-2:]) <= memory_to_use().size else 1
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from workbench.commands.parsed_options import jobs_option, output_folder
+from workbench.commands.parsed_options import executor_option, output_folder
 from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
@@ -27,7 +24,7 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
-    with _executor(options) as (executor, jobs), progress_bars(console) as show:
+    with executor_option(options) as (executor, jobs), progress_bars(console) as show:
         found = study(plan, options.held, jobs=jobs, executor=executor, overwrite=options.overwrite,
                       progress=by_rows(show))
         show("report", "pictures", 0.0)
@@ -42,17 +39,3 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
             console.print(f"{each.figure}, {each.state}: missing at {each.points - each.count} of {each.points} "
                           "points; the table says why", style="yellow", markup=False)
     return 0
-
-
-@contextmanager
-def _executor(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
-    """The executor of the cluster that the options name, if they do, and how many tasks it is given at a time."""
-    if options.dask is None:
-        yield None, jobs_option(options)
-        return
-    from workbench.jobs.cluster import dask_cluster
-
-    with dask_cluster(options.dask) as (executor, threads):
-        yield executor, options.jobs or threads
-
-

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.parsed_options import jobs_option, model_options, output_folder
+from workbench.commands.parsed_options import executor_option, model_options, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.figures import check_figures
 from workbench.design.input_uncertainty import Statement, parse_statement, read_statements, stated_uncertainty
@@ -56,12 +56,12 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     resistance = _thermal_resistance(options.thermal_resistance, chip)
     check_tolerance_request(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
     folder = output_folder(options, OUTPUTS)
-    with progress_bars(console) as show:
+    with executor_option(options) as (executor, jobs), progress_bars(console) as show:
         found = tolerance(
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=model.drive,
             thermal_resistance=resistance, at=model.at, tracking=options.tracking, samples=options.samples,
             sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
-            band=model.band, accuracy=model.accuracy, jobs=jobs_option(options),
+            band=model.band, accuracy=model.accuracy, jobs=jobs, executor=executor,
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
         show(found.state, "done", 1.0)
     if found.outcomes is not None:

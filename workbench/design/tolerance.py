@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,6 +156,7 @@ def tolerance(
     accuracy: float | Discretisation = ACCURACY,
     relative_error: float = 1e-3,
     jobs: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Tolerance:
     """Sensitivities, and with `requirements` the yield, of a chip whose numbers are uncertain.
@@ -175,6 +177,7 @@ def tolerance(
         seed: of all samples.
         relative_error: of the impedance of the model that samples are evaluated on.
         jobs: processes that evaluate the samples; this one if one.
+        executor: evaluates the samples in place of such processes, `jobs` tasks at a time.
 
     Raises:
         InputError: a requirement or an uncertainty that cannot be used, nothing uncertain, or a chip that has not the
@@ -207,7 +210,7 @@ def tolerance(
     found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
-        found = _sampled(found, full, samples if bounds else 0, sobol_points, relative_error, jobs, say,
+        found = _sampled(found, full, samples if bounds else 0, sobol_points, relative_error, jobs, executor, say,
                          known.ranges(numbers_of(fill(there, state, with_means))))
     return replace(found, seconds=time.perf_counter() - started)
 
@@ -280,8 +283,8 @@ def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, n
 
 
 def _sampled(
-    found: Tolerance, full: _Full, samples: int, sobol_points: int, relative_error: float, jobs: int, say: Progress,
-    ranges: Mapping[str, tuple[float, float]],
+    found: Tolerance, full: _Full, samples: int, sobol_points: int, relative_error: float, jobs: int,
+    executor: Executor | None, say: Progress, ranges: Mapping[str, tuple[float, float]],
 ) -> Tolerance:
     """`found` with samples and yields, and with Sobol indices if asked for."""
     known = found.uncertainty
@@ -298,7 +301,7 @@ def _sampled(
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}
     found = replace(found, model=ModelFacts(made.bases.operating.size, made.error, spent, off))
     parcels = math.ceil(max(samples, sobol_points * (2 + len(known.inputs))) / PARCEL)
-    with begin_workers(min(jobs, parcels)) as workers:
+    with begin_workers(min(jobs, parcels), executor) as workers:
         if samples:
             drawn = known.draw(samples, found.seed)
             outcomes = evaluate(model, known, drawn.points, workers=workers,

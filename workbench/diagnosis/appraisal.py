@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack, closing
+from concurrent.futures import Executor
 from dataclasses import replace
 
 from workbench.campaign.assignment import check_assignment
@@ -21,13 +21,13 @@ from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, expect
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, no_progress
-from workbench.jobs.workers import Processes, Workers, check_jobs
+from workbench.jobs.workers import Workers, begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 
 
 def diagnose(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
-    progress: Progress = no_progress, jobs: int = 1, minutes: float | None = None,
+    progress: Progress = no_progress, jobs: int = 1, executor: Executor | None = None, minutes: float | None = None,
 ) -> Diagnosis:
     """Explain or describe the mismatch between recordings and models.
 
@@ -37,6 +37,7 @@ def diagnose(
         accuracy: of the meshes, see `discretisation`.
         progress: called with the present step and the share of the work that is done.
         jobs: processes that share the work, this one among them.
+        executor: shares the work in place of the other processes, `jobs` tasks at a time.
         minutes: after which no task begins; None for no limit.
 
     Raises:
@@ -51,9 +52,8 @@ def diagnose(
     expect(campaign, Campaign, reader="read_campaign", source="diagnose", field="campaign")
     if minutes is not None and not minutes > 0.0:
         raise ValueError(f"minutes {minutes}: expected more than no time")
-    with ExitStack() as stack:
-        workers = Workers() if jobs == 1 else stack.enter_context(closing(Processes(jobs - 1, beside=1)))
-        if jobs > 1:
+    with begin_workers(jobs, executor, beside=1) as workers:
+        if workers.size:
             workers.share(DiagnosisSearch.of_campaign, campaign, accuracy)
         made = device_model(campaign, accuracy=accuracy)
         try:

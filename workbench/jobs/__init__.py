@@ -1,1 +1,1 @@
-"""Long work: how it is interrupted, and how it runs beside other work."""
+"""Parallel work, its interruption, and the memory that it may take."""

@@ -2,56 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import partial
+from typing import Any
 
 from workbench.files.errors import InputError
-
-if TYPE_CHECKING:
-    from distributed import Client
-
-T = TypeVar("T")
-
-#: Arguments larger than this (bytes) are sent to a Dask cluster once and not with every task.
-LARGE = 1_000_000
+from workbench.jobs.process import WorkerEnded
 
 #: Time (s) that a Dask scheduler may take to answer.
 PATIENCE = 10.0
 
 
-class DaskExecutor(Executor):
-    """The executor of a Dask cluster, to whose workers a large argument is sent once while it is the same."""
-
-    def __init__(self, client: Client) -> None:
-        self._client, self._executor = client, client.get_executor()
-        self._sent: tuple[bytes, Any] = b"", None
-
-    def submit(self, task: Callable[..., T], /, *arguments: Any, **named: Any) -> Future[T]:
-        sent = [self._reference(each) if isinstance(each, bytes) and len(each) > LARGE else each
-                for each in arguments]
-        found: Future[T] = self._executor.submit(task, *sent, **named)
-        return found
-
-    def _reference(self, argument: bytes) -> Any:
-        """The reference to a large argument that the cluster holds."""
-        if argument is not self._sent[0]:
-            self._sent = argument, self._client.scatter(argument)
-        return self._sent[1]
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        self._executor.shutdown(wait=wait and not cancel_futures)
-
-
 @contextmanager
 def dask_cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """The executor of the Dask cluster whose scheduler is at `address`, and how many tasks it works on at a time.
+    """The executor and the threads of the Dask cluster at an address.
 
-    Raises InputError if nobody answers there, RuntimeError if Dask is not installed or the cluster has no workers.
+    Its ``scatter`` sends data to every worker once; tasks take the reference.
+
+    Raises:
+        InputError: nobody answers there.
+        RuntimeError: Dask is not installed, or the cluster has no workers.
+        WorkerEnded: a worker of the cluster ended during its task, or the scheduler ended.
     """
     try:
         from distributed import Client
+        from distributed.scheduler import KilledWorker
     except ImportError as error:
         raise RuntimeError("a Dask cluster needs the extra 'dask' of this package (dask and distributed)") from error
     try:
@@ -63,8 +40,11 @@ def dask_cluster(address: str) -> Iterator[tuple[Executor, int]]:
         threads = sum(client.nthreads().values())
         if not threads:
             raise RuntimeError(f"the Dask cluster at {address} has no workers")
-        executor = DaskExecutor(client)
+        executor: Any = client.get_executor()
+        executor.scatter = partial(client.scatter, broadcast=True)
         try:
             yield executor, threads
+        except (KilledWorker, CancelledError) as error:
+            raise WorkerEnded(f"the Dask cluster at {address}: {error or type(error).__name__}") from error
         finally:
-            executor.shutdown(cancel_futures=True)
+            executor.shutdown(wait=False)

@@ -1,13 +1,11 @@
-"""Ctrl-C: a command ends promptly, without a traceback, and reports the files on disk.
+"""Ctrl-C: a command ends promptly and reports its files, without a traceback.
 
-A request to terminate (SIGTERM: `kill`, a batch system, a container that is stopped) and the end of the terminal
-(SIGHUP) are heeded the same way. Only the interpreter's own modules are needed here, so that a command can be
-interrupted from its first moment on.
+A request to terminate (SIGTERM: `kill`, a batch system, a stopped container) and the end of the terminal (SIGHUP) raise
+KeyboardInterrupt too. Nothing but the interpreter's modules is needed, so a command can be interrupted from the start.
 """
 
 from __future__ import annotations
 
-import _thread
 import os
 import signal
 import sys
@@ -20,131 +18,108 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
-    from typing import Any
+    from typing import Any, NoReturn
 
 #: Signals that interrupt a command; its exit status is then 128 and the number of the signal.
-ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-#: Seconds within which a further Ctrl-C is the same one: a terminal and a program that passes it on both send it.
-#: Later, it ends the program at once. Doubled, an impatient second press is overheard for longer.
+#: Seconds within which a further signal is the same one: a terminal and a program that passes it on both send it.
+#: Doubled, an impatient second press is ignored for longer.
 SAME = 1.0
 
 #: Seconds that threads have to end once the command is interrupted: those in native code do not hear of it. Doubled,
 #: Ctrl-C during a long factorisation takes so much longer.
 GRACE = 1.0
 
-#: Seconds after which a signal that the command has not heard of is sent again. Doubled, a command that sleeps wakes so
-#: much later.
+#: Seconds after which an unheard signal is sent again. Doubled, a command that sleeps wakes so much later.
 HEARD = 0.1
 
-#: Files that are named one by one when it is said what is on disk; of more there is a number.
+#: Number of files whose names are listed after an interruption.
 NAMED = 12
 
 #: End of the note on an error that names an entry that was saved before it; the command repeats such a note.
 SAVED = " is saved"
 
 
-class Stopped(BaseException):
-    """The command was interrupted: raised in its other threads, where they say how far they are."""
-
-
 class Interruption:
-    """The state of an interruption by one of :data:`ENDS`, and the effect of a further one.
+    """The interruption of a command by one of :data:`ENDS`.
 
-    ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
-    while the command runs, and "closing" once that is over and the program about to end. ``since`` is when the command
-    began (seconds since the epoch), ``output`` where it is going to write, ``number`` the signal.
+    ``stage`` is "loading" (a signal ends the program at once: there is nothing to keep), "working" (each signal raises
+    KeyboardInterrupt) or "closing" (a second signal ends the program). ``since`` is the start of the command (s since
+    the epoch), ``output`` its folder, ``requested`` whether it was interrupted, ``number`` the signal.
     """
 
     def __init__(self) -> None:
-        self.stage, self.since, self.output, self.number = "loading", time.time(), "", int(signal.SIGINT)
-        self._presses, self._last, self._heard = 0, 0.0, 0.0
-
-    @property
-    def requested(self) -> bool:
-        """Whether it was pressed."""
-        return self._presses > 0
+        self.stage, self.since, self.output = "loading", time.time(), ""
+        self.requested, self.number = False, int(signal.SIGINT)
+        self._last = self._heard = 0.0
 
     @property
     def status(self) -> int:
-        """Exit status of the interrupted command: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+        """Exit status: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
         return 128 + self.number
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Handle one signal; while the command works, the first press and the second raise KeyboardInterrupt."""
-        now = self._heard = time.monotonic()
-        if self.requested and now - self._last < SAME:
+        """Handle one signal."""
+        now, again = time.monotonic(), self.requested
+        self._heard = now
+        if again and now - self._last < SAME:
             return
-        if not self.requested:
-            self.number = number
-        self._presses, self._last = self._presses + 1, now
+        self._last, self.requested, self.number = now, True, self.number if again else number
         if self.stage == "loading":
             # The effect of an exception halfway through the loading of a library depends on the library.
             say("interrupted: nothing was begun" + (f", and nothing written to {self.output}" if self.output else ""))
-            leave(self.status)
-        if self._presses > 2 or (self.stage == "closing" and self._presses > 1):
+        if self.stage == "loading" or (self.stage == "closing" and again):
             leave(self.status)
         if self.stage == "working":
             raise KeyboardInterrupt
 
-    def again(self) -> None:
-        """Interrupt the command once more: the first exception got lost."""
-        self._presses, self._last = 0, 0.0
-        _send_to_main(self.number)
+    def forget(self) -> None:
+        """Treat the last signal as unheard."""
+        self._last = self._heard = 0.0
 
     def repeat_unheard(self, arrivals: int) -> None:
-        """Send signals again until the command hears of them; `arrivals` is a pipe of their numbers.
+        """Send unheard signals again; `arrivals` is a pipe of their numbers.
 
         A signal that arrives just before the main thread falls asleep does not wake it.
         """
-        try:
-            while number := os.read(arrivals, 1):
-                arrived = time.monotonic()
+        with open(arrivals, "rb", buffering=0) as numbers:
+            while number := numbers.read(1):
+                arrived = time.monotonic() - HEARD  # The command may hear of it before this thread does.
                 time.sleep(HEARD)
                 if self._heard < arrived and signal.getsignal(number[0]) == self.handle:
-                    _send_to_main(number[0])  # which comes by the pipe again
-        finally:
-            os.close(arrivals)
-
-
-def _send_to_main(number: int) -> None:
-    """Send a signal to the main thread, and wake it, should it wait for the system."""
-    ident = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and ident is not None:
-        signal.pthread_kill(ident, number)
-    else:
-        _thread.interrupt_main(signal.Signals(number))
+                    # It comes by the pipe again.
+                    signal.pthread_kill(threading.main_thread().ident or 0, number[0])
 
 
 @contextmanager
 def heeded(*, stays: bool) -> Iterator[Interruption]:
-    """The signals :data:`ENDS`, heeded while a command runs. If they `stay` so, the interpreter's end is silent too.
+    """The handling of :data:`ENDS` during a command.
 
-    Where signals are somebody else's (a thread, or a program that ignores them, as under `nohup`) they stay theirs.
+    It `stays` in force for a silent end of the interpreter. Signals of another owner stay theirs: in other threads,
+    or in a program that ignores them, as under `nohup`.
     """
-    found = Interruption()
-    ours = threading.current_thread() is threading.main_thread() and (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler)
-    if not ours:
+    found, before = Interruption(), {end: signal.getsignal(end) for end in ENDS}
+    if threading.current_thread() is not threading.main_thread() or (
+            before[signal.SIGINT] is not signal.default_int_handler):
         yield found
         return
-    # An exception that a destructor or a callback of a library swallows would be lost, and printed.
+    arrivals, writing = os.pipe()
+    os.set_blocking(writing, False)
     swallowed = sys.unraisablehook
 
     def hook(unraisable: Any) -> None:
+        # An exception that a destructor or a callback of a library swallows would be lost, and printed.
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
             swallowed(unraisable)
         elif found.stage == "working":
-            threading.Timer(0.01, found.again).start()
+            found.forget()
+            os.write(writing, bytes([found.number]))
 
-    before = {end: signal.getsignal(end) for end in ENDS}
     taken = [end for end, handler in before.items() if handler in (signal.SIG_DFL, signal.default_int_handler)]
     for end in taken:
         signal.signal(end, found.handle)
-    sys.unraisablehook = hook
-    arrivals, writing = os.pipe()
-    os.set_blocking(writing, False)
-    woken = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    sys.unraisablehook, woken = hook, signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=found.repeat_unheard, args=(arrivals,), daemon=True).start()
     try:
         yield found
@@ -158,33 +133,13 @@ def heeded(*, stays: bool) -> Iterator[Interruption]:
             os.close(writing)
 
 
-@contextmanager
-def shielded() -> Iterator[None]:
-    """Processes that are begun in this block never see Ctrl-C, not even while they load libraries: this one does, at
-    the end of the block, and ends them. They see the other :data:`ENDS` once they call :func:`unshielded`."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def unshielded() -> None:
-    """Let a process that was begun :func:`shielded` be terminated."""
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, set(ENDS) - {signal.SIGINT})
-
-
 def saved(error: BaseException | None) -> list[str]:
-    """The notes on an error that name entries saved before it (:data:`SAVED`)."""
+    """The notes on an error that name saved entries (:data:`SAVED`)."""
     return [note for note in getattr(error, "__notes__", ()) if note.endswith(SAVED)]
 
 
 def wait() -> bool:
-    """Let other threads come to an end, for :data:`GRACE` at most; whether they did. Native code cannot be stopped."""
+    """Wait for other threads, for :data:`GRACE` at most; whether they ended."""
     until = time.monotonic() + GRACE
     others = [each for each in threading.enumerate() if each is not threading.main_thread() and not each.daemon]
     for thread in others:
@@ -192,15 +147,8 @@ def wait() -> bool:
     return not any(thread.is_alive() for thread in others)
 
 
-def finish(status: int) -> int:
-    """`status`, for who is about to end the program; it ends here if a thread is still in native code."""
-    if any(each is not threading.main_thread() and not each.daemon for each in threading.enumerate()):
-        leave(status)
-    return status
-
-
-def leave(status: int) -> None:
-    """End the program at once."""
+def leave(status: int) -> NoReturn:
+    """End the program at once, whatever its threads do."""
     for stream in (sys.stdout, sys.stderr):
         # Closed, or a pipe that nobody reads.
         with suppress(OSError, ValueError, AttributeError):
@@ -209,31 +157,31 @@ def leave(status: int) -> None:
 
 
 def say(text: str) -> None:
-    """A line on standard error, by nothing but the system: whatever was interrupted may hold any lock."""
+    """Write a line to standard error without any lock."""
     with suppress(OSError):
         os.write(2, f"{text}\n".encode())
 
 
 def on_disk(output: Path | None, since: float) -> str:
-    """The files that an interrupted command that writes to `output`, a folder or a file, leaves there, in words;
-    `since` (s since the epoch) is when it began."""
+    """A sentence on the files of an interrupted command in its `output`.
+
+    `output` is a folder or a file, `since` the start of the command (s since the epoch).
+    """
     if output is None:
         return "interrupted: the command writes no files"
     from workbench.files.output import MARK
 
     folder = output if output.is_dir() or not output.suffix else output.parent
     candidates = sorted(output.rglob("*") if folder == output else folder.glob(f"{output.stem}*"))
+    times = {path.relative_to(folder).as_posix(): path.stat().st_mtime for path in candidates if path.is_file()}
     # Files whose names begin with a dot are locks and the like.
-    found = [path for path in candidates if path.is_file() and path.name != MARK
-             and not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    found = {name: changed for name, changed in times.items() if name != MARK and "/." not in f"/{name}"}
     if not found:
         return f"interrupted: {output} holds nothing; nothing was finished"
     # A file system may keep times to a second or two.
-    new = [path for path in found if path.stat().st_mtime >= since - 2.0]
-    names = [path.relative_to(folder).as_posix() for path in new]
+    names = [name for name, changed in found.items() if changed >= since - 2.0]
     listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more files" if len(names) > NAMED else "")
-    before = len(found) - len(new)
+    before = len(found) - len(names)
     earlier = f"{before} file{'s' if before > 1 else ''} from before" if before else ""
     marked = f"; {MARK} says that this is not all" if (folder / MARK).exists() else ""
     return f"interrupted: {folder} holds " + " and ".join(filter(None, (listed, earlier))) + marked
-

@@ -1,4 +1,4 @@
-"""The memory that this process may take, and errors that come of too little of it.
+"""The memory of this process, and the errors of a shortage.
 
 Three limits hold at a time: the free memory of the machine, that of the control groups around the process (a container,
 a batch system), and the address space of each process (``ulimit -v``, RLIMIT_AS).
@@ -10,6 +10,7 @@ import errno
 import mmap
 import os
 import re
+import resource
 import signal
 import sys
 from collections.abc import Iterator
@@ -24,19 +25,21 @@ from workbench.jobs.interruption import ENDS, say
 #: Environment variable with the bytes of the machine's memory that are for this process, one of several workers.
 PROCESS_VARIABLE = "WORKBENCH_MEMORY_OF_PROCESS"
 
-#: Number of buffers that each linear algebra library gets before the work: one for each thread that calls it at a time.
+#: One thread of linear algebra: processes share the machine by their number, not by their threads.
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+#: Buffers of each linear algebra library: one for each thread that calls it at a time.
 BUFFERS = 3
 
-#: Bytes of address space that must be free before a buffer is requested; one takes 34 MB on the processors of today.
-#: Doubled, limits below 0.7 GB are refused that would do.
+#: Bytes of address space that must be free for a buffer (of 34 MB). Doubled, limits below 0.7 GB are refused.
 BUFFER = 64e6
 
-#: Bytes of address space that must be free before numpy and scipy are loaded: loading them without hangs too. Doubled,
-#: no command works below 0.9 GB.
+#: Bytes of address space that must be free to load numpy and scipy, or loading hangs. Doubled, limits below 0.9 GB are
+#: refused.
 LOADED = 420e6
 
-#: Files of a memory control group of version 2 and of version 1: limits, the memory in use, the key of the part of
-#: `memory.stat` that the system takes back before it ends a process.
+#: Files of a memory control group, of version 2 and 1: limits, memory in use, the key of its reclaimable part in
+#: `memory.stat`.
 GROUP_FILES = (
     (("memory.max", "memory.high"), "memory.current", "inactive_file"),
     (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file"),
@@ -53,67 +56,54 @@ EXHAUSTED = 100e6
 #: Characters of the reason of a failure that are shown, its last ones. Doubled, the advice of numpy is shown too.
 SHOWN = 200
 
-
 #: Option of the system's call `prctl`: the signal that a process gets when its parent ends.
 PR_SET_PDEATHSIG = 1
 
-#: Held while the limit of the address space is another one.
+#: Folders in which the system shows its processes and its control groups.
+PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+
+#: Locked while the limit of the address space is another one.
 _CONFINED = Lock()
 
 
 @dataclass(frozen=True)
 class Room:
-    """Free memory in bytes, and the ``limit`` that makes it so small, in words."""
+    """Free memory in bytes, and the ``limit`` behind it in words."""
 
     size: float
     limit: str
 
 
 def address_limit() -> float | None:
-    """The limit of this process' address space (bytes); None without a limit."""
-    try:
-        import resource
-    except ImportError:  # a system without such limits
-        return None
+    """The limit of this process' address space (bytes), None without one."""
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else float(soft)
 
 
-def free_memory(*, proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> Room | None:
-    """The memory that is free for this process, by its tightest limit; None if the system states none.
-
-    `proc` and `groups` are where the system shows its processes and its control groups.
-    """
-    rooms = []
-    limit = address_limit()
+def free_memory() -> Room:
+    """The free memory of this process, by its tightest limit."""
+    rooms, limit = [*_shared()], address_limit()
     if limit is not None:
-        rooms.append(Room(max(limit - _mapped(proc), 0.0), f"the rest of the {shown_memory(limit)} of address space "
+        rooms.append(Room(max(limit - _mapped(), 0.0), f"the rest of the {shown_memory(limit)} of address space "
                           "that ulimit -v allows a process"))
-    return min((*rooms, *_shared(proc, groups)), key=lambda room: room.size, default=None)
+    return min(rooms, key=lambda room: room.size)
 
 
-def shared_memory() -> float | None:
-    """Bytes that are free for all processes together; None if the system states none."""
-    return min((room.size for room in _shared(Path("/proc"), Path("/sys/fs/cgroup"))), default=None)
+def shared_memory() -> float:
+    """Bytes that are free for all processes together."""
+    return min(room.size for room in _shared())
 
 
-def _shared(proc: Path, groups: Path) -> Iterator[Room]:
-    """The share of a worker, or free memory of the machine and of every control group with a limit around it."""
-    stated = os.environ.get(PROCESS_VARIABLE)
-    if stated is not None:
+def _shared() -> Iterator[Room]:
+    """The share of a worker; or machine and control groups."""
+    if (stated := os.environ.get(PROCESS_VARIABLE)) is not None:
         yield Room(float(stated), "a process' share of the memory that is free here, less with more --jobs")
         return
-    try:
-        with (proc / "meminfo").open(encoding="ascii") as lines:
-            free = [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-    except OSError:
-        free = []
-        names = os.sysconf_names if hasattr(os, "sysconf_names") else {}
-        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # Without /proc: all memory there is.
-            free.append(float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE")))
-    for bytes_free in free:
-        yield Room(bytes_free, "the memory that is free here")
-    for folder in _groups(proc, groups):
+    free = _number_in(PROC / "meminfo", "MemAvailable:")
+    # Without /proc it is all the memory of the machine.
+    every = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    yield Room(every if free is None else 1024.0 * free, "the memory that is free here")
+    for folder in _groups():
         for limits, used, reclaimed in GROUP_FILES:
             taken = _number_in(folder / used)
             most = min((size for name in limits if (size := _number_in(folder / name)) is not None), default=None)
@@ -124,70 +114,67 @@ def _shared(proc: Path, groups: Path) -> Iterator[Room]:
                            f"group (cgroup), which may take {shown_memory(most)}")
 
 
-def _groups(proc: Path, groups: Path) -> Iterator[Path]:
-    """Folders of the memory control groups of this process, and of those around them."""
-    try:
-        lines = (proc / "self" / "cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
+def _groups() -> list[Path]:
+    """Folders of the memory control groups around this process."""
     own = [("", "/"), ("memory", "/")]  # A container may show the path that only its host knows.
-    for line in lines:
-        number, kinds, path = line.split(":", 2)
-        if number == "0" or "memory" in kinds.split(","):
-            own.append(("" if number == "0" else "memory", path))
-    seen = dict.fromkeys(
-        groups / kind / at for kind, path in own for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents))
-    yield from (folder for folder in seen if folder.is_dir())
+    with suppress(OSError):
+        for line in (PROC / "self" / "cgroup").read_text(encoding="utf-8").splitlines():
+            number, kinds, path = line.split(":", 2)
+            if number == "0" or "memory" in kinds.split(","):
+                own.append(("" if number == "0" else "memory", path))
+    return list(dict.fromkeys(GROUPS / kind / at for kind, path in own
+                              for at in (Path(path.lstrip("/")), *Path(path.lstrip("/")).parents)))
 
 
 def _number_in(path: Path, key: str = "") -> float | None:
-    """The number in a file, or after a `key` in it; None if there is no such file, or no limit ("max")."""
-    with suppress(OSError, ValueError, KeyError):
+    """The first number of a file, or after a `key`; else None."""
+    with suppress(OSError, ValueError, LookupError):
         text = path.read_text(encoding="ascii")
-        return float(dict(line.split(maxsplit=1) for line in text.splitlines())[key] if key else text)
+        if key:
+            text = dict(line.split(maxsplit=1) for line in text.splitlines())[key]
+        return float(text.split()[0])
     return None
 
 
-def _mapped(proc: Path) -> float:
+def _mapped() -> float:
     """Bytes of address space that this process takes."""
-    with suppress(OSError):
-        return float((proc / "self" / "statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
-    return 0.0
+    return (_number_in(PROC / "self" / "statm") or 0.0) * mmap.PAGESIZE
 
 
 @cache
 def reserve_buffers() -> None:
-    """Let the linear algebra libraries have their buffers now, if the address space is limited, and one thread each.
+    """Allocate the buffers of linear algebra in a limited address space.
 
-    A library that is called for the first time while no memory is left would try forever (OpenBLAS 0.3.30). Raises
-    MemoryError if there is no room for them.
+    A library that is called first when the memory is used up would try forever (OpenBLAS 0.3.30).
+
+    Raises:
+        MemoryError: there is no room for them.
     """
     if address_limit() is None:
         return
     if "scipy.linalg" not in sys.modules:
         require(LOADED, "the libraries that every command loads")
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # heard when the libraries are loaded
+    for name, number in ONE_THREAD.items():
+        os.environ.setdefault(name, number)  # heard when the libraries are loaded
     import ctypes
 
     import scipy.linalg  # noqa: F401 - loads its library, and that of numpy
     from threadpoolctl import ThreadpoolController
 
     for library in ThreadpoolController().lib_controllers:
-        if library.internal_api != "openblas" or not hasattr(library.dynlib, "blas_memory_alloc"):
+        if not hasattr(library.dynlib, "blas_memory_alloc"):  # as OpenBLAS has
             continue
         take, give = library.dynlib.blas_memory_alloc, library.dynlib.blas_memory_free
-        take.restype, take.argtypes, give.argtypes = ctypes.c_void_p, [ctypes.c_int], [ctypes.c_void_p]
-        taken = []
+        take.restype, taken = ctypes.c_void_p, []
         for _ in range(BUFFERS):
             require(BUFFER, f"the buffers of {Path(library.filepath).name}")
-            taken.append(take(0))
+            taken.append(ctypes.c_void_p(take(0)))
         for buffer in taken:
             give(buffer)
 
 
 def require(size: float, user: str) -> None:
-    """Raise MemoryError unless so many bytes of address space are there for a `user`, if it is limited."""
+    """Raise MemoryError if a limited address space lacks bytes for a `user`."""
     if address_limit() is None:
         return
     try:
@@ -198,16 +185,13 @@ def require(size: float, user: str) -> None:
 
 @contextmanager
 def confined(size: float) -> Iterator[None]:
-    """Let this process map at most so many bytes more in this block, if its address space is limited."""
-    limit = address_limit()
-    if limit is None:
+    """Further limit the limited address space to so many bytes more."""
+    if address_limit() is None:
         yield
         return
-    import resource
-
     with _CONFINED:
         soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped(Path("/proc")) + size)), hard))
+        resource.setrlimit(resource.RLIMIT_AS, (min(soft, int(_mapped() + size)), hard))
         try:
             yield
         finally:
@@ -215,18 +199,18 @@ def confined(size: float) -> Iterator[None]:
 
 
 def is_shortage(error: BaseException) -> bool:
-    """Whether an error, or one behind it, comes of too little memory, or of too few threads."""
+    """Whether an error comes of a shortage of memory or threads."""
     return _behind(error) is not None
 
 
 def is_exhausted() -> bool:
-    """Whether the address space is limited and nearly used up: whatever a library raises then comes of that."""
+    """Whether the limited address space is nearly used up."""
     limit = address_limit()
-    return limit is not None and limit - _mapped(Path("/proc")) < EXHAUSTED
+    return limit is not None and limit - _mapped() < EXHAUSTED
 
 
 def _behind(error: BaseException) -> BaseException | None:
-    """The error among an error and its causes that an allocation failed by."""
+    """The error of an allocation among an error and its causes."""
     # gmsh raises nothing more special than Exception.
     worded = isinstance(error, RuntimeError | ImportError | OSError) or type(error) is Exception
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM) or (
@@ -236,22 +220,22 @@ def _behind(error: BaseException) -> BaseException | None:
 
 
 def shortage_text(error: BaseException, needed: str = "") -> str:
-    """One line about an error of which :func:`is_shortage` is true: the reason, the limit, the remedy.
+    """One line on a shortage of memory: reason, limit, remedy.
 
-    `needed` are words about the memory that the job needs.
+    `needed` are words on the memory that the job needs.
     """
     reason = str(_behind(error) or error) or "an allocation failed"
     limit, room = address_limit(), free_memory()
-    where = ("" if room is None else f"; {shown_memory(room.size)} are free" if limit is None else
-             f"; ulimit -v allows a process {shown_memory(limit)} of address space")
-    return (f"memory was not enough: {' '.join(reason.split())[-SHOWN:]}{needed}{where}. Fewer "
+    where = (f"{shown_memory(room.size)} are free" if limit is None else
+             f"ulimit -v allows a process {shown_memory(limit)} of address space")
+    return (f"memory was not enough: {' '.join(reason.split())[-SHOWN:]}{needed}; {where}. Fewer "
             "--jobs, a coarser --accuracy or a narrower band take less; otherwise give it more")
 
 
 def supervised() -> int | None:
-    """Go on in a child process, for which this function returns None; in its parent it returns the child's exit status.
+    """Fork: None in the child, its exit status in the parent.
 
-    A library that finds no memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
+    A library without memory may end its process (VTK, LLVM: SIGABRT, SIGSEGV). The parent then writes one line.
     """
     child = os.fork()
     if child == 0:

@@ -1,14 +1,14 @@
-"""Progress of a piece of work, as it is told to whoever asked for it."""
+"""Progress of a piece of work, reported to its caller."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-#: Called with what is being done and the share of it that is done, from 0 to 1. It may raise to stop the work.
+#: Called with the present activity and the share of the work that is done, from 0 to 1. It may raise to stop the work.
 Progress = Callable[[str, float], None]
 
-#: Called with the part of a work that goes on beside others, what is being done for it, and the share of that.
+#: Called with one of several parts of a work, its present activity, and the share of that.
 PartProgress = Callable[[str, str, float], None]
 
 
@@ -17,7 +17,7 @@ def no_progress(_text: str, _share: float) -> None:
 
 
 def by_part(progress: Progress) -> PartProgress:
-    """Tells `progress` of every part as "part: what is done"."""
+    """Reports every part to `progress` as "part: activity"."""
     return lambda part, activity, share: progress(f"{part}: {activity}", share)
 
 

@@ -1,15 +1,10 @@
-"""The process of a worker: it does the tasks that arrive on its standard input, and answers on its standard output.
-
-Nothing but the interpreter's own modules is needed here, unless the address space is limited; a task brings the modules
-that it needs.
-"""
+"""A worker: tasks on its standard input, answers on its standard output."""
 
 from __future__ import annotations
 
 import os
 import pickle
 import signal
-import struct
 import sys
 import threading
 import traceback
@@ -18,41 +13,46 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import IO, Any
 
-from workbench.jobs.interruption import unshielded
 from workbench.jobs.memory import reserve_buffers
 
-#: Messages to a worker: a maker of the state that its tasks are given, a task, a task that sends more than one result.
-STATE, TASK, STREAM = "state", "task", "stream"
-
-#: Messages from a worker: one of several results, the result that ends a task, the error that ends it.
+#: Answers of a worker: one of several results, the result that ends a task, the error that ends it.
 SENT, RESULT, ERROR = "sent", "result", "error"
 
-#: Head of a message: its length (bytes).
-_HEAD = struct.Struct("<Q")
+#: The object that this thread made for its tasks, and its ``key``. Threads of an executor may share a process.
+_mine = threading.local()
 
 
-def write_message(stream: IO[bytes], message: bytes) -> None:
-    """Write a message as :func:`messages` reads it."""
-    stream.write(_HEAD.pack(len(message)))
-    stream.write(message)
+def given(key: str | None, make: bytes, task: Callable[..., Any]) -> Any:
+    """The result of a task on the shared object of a `key`.
+
+    `make` is the pickled maker of the object, which a thread needs once. If the key is None the task takes nothing.
+    """
+    if getattr(_mine, "key", None) != key:
+        vars(_mine).clear()
+        if key is not None:
+            _mine.made = pickle.loads(make)()
+        _mine.key = key
+    return task() if key is None else task(_mine.made)
+
+
+def send(stream: IO[bytes], message: bytes) -> None:
+    """Write a pickled message as :func:`messages` reads it."""
+    pickle.dump(message, stream)
     stream.flush()
 
 
 def messages(stream: IO[bytes], ended: Callable[[], object]) -> SimpleQueue[bytes | None]:
-    """Messages of a stream in a queue, None last; a thread reads them, and calls `ended` at the stream's end.
+    """Pickled messages of a stream in a queue, None at its end.
 
-    So who writes never waits for who is at work.
+    A thread reads them, so the sender never waits for a task at work. It calls `ended` at the end.
     """
     found = SimpleQueue[bytes | None]()
 
     def read() -> None:
-        # A message that memory is not enough for is the end too.
-        with suppress(MemoryError), stream:
-            while len(head := stream.read(_HEAD.size)) == _HEAD.size:
-                (size,) = _HEAD.unpack(head)
-                if len(message := stream.read(size)) < size:
-                    break
-                found.put(message)
+        # A message that is too large for the memory is the end too.
+        with suppress(EOFError, MemoryError, pickle.UnpicklingError), stream:
+            while True:
+                found.put(pickle.load(stream))
         found.put(None)
         ended()
 
@@ -61,46 +61,29 @@ def messages(stream: IO[bytes], ended: Callable[[], object]) -> SimpleQueue[byte
 
 
 def serve(nice: int) -> None:
-    """Do tasks until the process that gives them ends, `nice` steps behind others (see :func:`os.nice`)."""
-    # The process that began this one is interrupted, and ends it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    unshielded()
-    with suppress(AttributeError, OSError):
-        os.nice(nice)
+    """Do tasks until the parent ends, at a priority lower by `nice`."""
+    os.nice(nice)
     # Prints of libraries must not get between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    requests = messages(sys.stdin.buffer, lambda: signal.raise_signal(signal.SIGTERM))
+    requests = messages(sys.stdin.buffer, lambda: signal.raise_signal(signal.SIGKILL))
 
     def answer(kind: str, value: Any) -> None:
-        write_message(answers, _pickled(kind, value))
+        send(answers, _pickled(kind, value))
 
-    state: tuple[Any, ...] = ()
-    failed: Exception | None = None
     while (message := requests.get()) is not None:
-        kind = TASK  # Whoever sent what cannot be read may wait for an answer.
         try:
             reserve_buffers()
-            kind, task = pickle.loads(message)
-            if kind == STATE:
-                state, failed = (), None
-                state = () if task is None else (task(),)
-                continue
-            if failed is not None:
-                raise failed
-            result = task(lambda value: answer(SENT, value)) if kind == STREAM else task(*state)
+            task, sends = pickle.loads(message)
+            result = task(lambda value: answer(SENT, value)) if sends else task()
         except Exception as error:
-            if kind == STATE:
-                # Said to who asks for a task.
-                failed = error
-                continue
             answer(ERROR, error)
         else:
             answer(RESULT, result)
 
 
 def _pickled(kind: str, value: Any) -> bytes:
-    """The message of an answer; the error that it cannot be sent, if so."""
+    """The message of an answer, or of the error that prevents it."""
     try:
         if isinstance(value, BaseException):
             value.add_note("In a worker process:\n" + "".join(traceback.format_exception(value)))

@@ -136,7 +136,7 @@ def check_size(
         return job_size(section, materials, how, ends, skins=skins, radii=radii, levels=levels)
 
     found, room = sized(made, band), memory_to_use()
-    if room is None or found.memory <= room.size:
+    if found.memory <= room.size:
         return found
     fitting = _what_fits(sized, made, band, room.size)
     raise InputError(source, "size of the model", f"{band[0] / 1e6:.4g} to {band[1] / 1e6:.4g} MHz: {found}",
@@ -150,13 +150,13 @@ def check_points(points: int, *, source: str) -> None:
         InputError: too many; the error states the largest number that fits.
     """
     room = memory_to_use()
-    if room is not None and POINT * points > room.size:
+    if POINT * points > room.size:
         raise InputError(source, "points", points, f"at most {_rounded(room.size / POINT)}: every frequency takes "
                          f"{POINT / 1e3:.0f} kB of {shown_memory(room.size)}, {room.limit}")
 
 
-def memory_to_use() -> Room | None:
-    """The memory that a job may take; None if the system does not state its free memory.
+def memory_to_use() -> Room:
+    """The memory that a job may take.
 
     It is the value of :data:`MEMORY_VARIABLE`, or :data:`MEMORY_SHARE` of the free memory.
 
@@ -166,8 +166,7 @@ def memory_to_use() -> Room | None:
     stated = os.environ.get(MEMORY_VARIABLE)
     if stated is None:
         free = free_memory()
-        return None if free is None else Room(
-            MEMORY_SHARE * free.size, f"{free.limit} ({MEMORY_VARIABLE} states another amount)")
+        return Room(MEMORY_SHARE * free.size, f"{free.limit} ({MEMORY_VARIABLE} states another amount)")
     size = parse_quantity(stated, "memory", source="environment", field=MEMORY_VARIABLE)
     if not size > 0.0:
         raise InputError("environment", MEMORY_VARIABLE, stated, 'an amount of memory above zero, such as "16 GB"')
