@@ -92,8 +92,8 @@ if TYPE_CHECKING:
     from workbench.simulation.heating import thermal_resistances as thermal_resistances
     from workbench.simulation.liquid_motion import LiquidMotion as LiquidMotion
     from workbench.simulation.liquid_motion import liquid_motion as liquid_motion
-    from workbench.simulation.modes import Mode as Mode
-    from workbench.simulation.modes import Modes as Modes
+    from workbench.simulation.modes import ChipMode as ChipMode
+    from workbench.simulation.modes import ChipModes as ChipModes
     from workbench.simulation.modes import modes as modes
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
@@ -124,8 +124,8 @@ PUBLIC = {
     "LiquidMotion": "workbench.simulation.liquid_motion",
     "LiquidWarming": "workbench.simulation.heating",
     "MaterialFit": "workbench.fitting.recordings",
-    "Mode": "workbench.simulation.modes",
-    "Modes": "workbench.simulation.modes",
+    "ChipMode": "workbench.simulation.modes",
+    "ChipModes": "workbench.simulation.modes",
     "Operation": "workbench.design.evaluation",
     "Posterior": "workbench.diagnosis.posterior",
     "RangeModel": "workbench.reduced.ranges",

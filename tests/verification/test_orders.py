@@ -24,7 +24,7 @@ from workbench.model.problem import Problem, material_values, problem, with_boun
 from workbench.physics import fluid
 from workbench.physics.couplant_shear import CouplantShear
 from workbench.physics.cubic import CubicCrystal
-from workbench.physics.orders import ORDER, OfOrder, of_order
+from workbench.physics.orders import ORDER, OfOrder, terms_of_order
 from workbench.physics.solid import ElasticSolid
 from workbench.physics.term import ModelError, Term
 from workbench.physics.thin_layer import SKIN, ImperfectBond
@@ -58,7 +58,7 @@ def frequencies(
     posed: Problem, m: float, band: tuple[float, float], terms: tuple[Term, ...] | None = None
 ) -> Real:
     """Eigenfrequencies (n,) in Hz of an order or wave number; that of the base model for None."""
-    terms = of_order(posed.terms if terms is None else terms, is_first=m == 1.0)
+    terms = terms_of_order(posed.terms if terms is None else terms, is_first=m == 1.0)
     return eigenmodes(System(assemble(posed.mesh, terms), {**posed.values, ORDER: m}), band).frequency
 
 
@@ -163,7 +163,7 @@ def test_a_layered_plate_does_not_tell_its_directions() -> None:
             {"gel.gel_viscosity_root": 0.3, "gel.gel_shear_modulus": 0.0, "couplant.thickness": height,
              "bond.normal_compliance": 1e-14, "bond.tangential_compliance": 2e-14, "bond.loss_factor": 0.1,
              "substrate.thickness": height})
-        terms = posed.terms if along == 0.0 else of_order(posed.terms, is_first=False)
+        terms = posed.terms if along == 0.0 else terms_of_order(posed.terms, is_first=False)
         modes = eigenmodes(System(assemble(posed.mesh, terms), {**posed.values, ORDER: along}), (0.5e6, 4e6))
         found.append(modes.omega)
     distances = [np.abs(found[0] / each - 1.0).min() for each in found[1]]

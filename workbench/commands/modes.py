@@ -17,7 +17,7 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.render.sections import draw_mode
 from workbench.report.modes import modes_record, modes_table
-from workbench.simulation.modes import Modes, modes
+from workbench.simulation.modes import ChipModes, modes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,7 +58,7 @@ def _order(text: str) -> int:
     return int(text)
 
 
-def _drawn(found: Modes, most: int, folder: Path) -> Iterator[Path]:
+def _drawn(found: ChipModes, most: int, folder: Path) -> Iterator[Path]:
     """Pictures of the modes with the largest coupling to the electrodes, or energy in the liquid."""
     leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
     for mode in sorted(leading, key=lambda mode: mode.frequency):

@@ -124,6 +124,6 @@ class AxisOfOrder(Term):
         return (*(Condition(component, "axis") for component in ("u_z", "phi", "p")), *across)
 
 
-def of_order(terms: tuple[Term, ...], *, is_first: bool) -> tuple[Term, ...]:
+def terms_of_order(terms: tuple[Term, ...], *, is_first: bool) -> tuple[Term, ...]:
     """The terms of a base model for fields of an order, the first one or a higher one."""
     return (AxisOfOrder(is_first), *map(OfOrder, terms))

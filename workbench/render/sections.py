@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from workbench.acoustics.fields import Fields
-    from workbench.simulation.modes import Mode
+    from workbench.simulation.modes import ChipMode
 
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
@@ -85,7 +85,7 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
     )
 
 
-def draw_mode(mesh: NodalMesh, mode: Mode, path: Path) -> Path:
+def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
     """Draw the leading displacement of a `mode` in the solids of its section. Writes `path`."""
     squares = np.nansum(mode.shape**2, axis=1)
     leading = int(np.argmax(squares))

@@ -28,7 +28,7 @@ from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import plain_words
 from workbench.model.problem import Problem, build, fill, registry_of
-from workbench.physics.orders import ORDER, of_order
+from workbench.physics.orders import ORDER, terms_of_order
 from workbench.results.brief import Brief
 from workbench.results.notebook import Shown, Summary
 from workbench.simulation.solved_spectrum import band_of
@@ -50,7 +50,7 @@ NAMED, LEAST_SHARE = 2, 0.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Mode(Brief):
+class ChipMode(Brief):
     """A mode with short-circuited electrodes, at ``frequency`` Hz with quality factor ``q``.
 
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
@@ -58,7 +58,7 @@ class Mode(Brief):
     effective coupling factor without the other modes of the band; both are 0 for a mode that the electrodes do not
     drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
     ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
-    N) are u_r, u_z and u_s at the nodes of :attr:`Modes.nodes`, real, at the phase of the largest one, in units of it;
+    N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of it;
     NaN in fluids.
     """
 
@@ -94,7 +94,7 @@ class Mode(Brief):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Modes(Shown):
+class ChipModes(Shown):
     """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency, of at least the quality factor ``least_q``.
 
     Their shapes are on ``nodes``.
@@ -104,10 +104,10 @@ class Modes(Shown):
     state: str
     band: tuple[float, float]
     least_q: float
-    modes: tuple[Mode, ...]
+    modes: tuple[ChipMode, ...]
     nodes: NodalMesh
 
-    def near(self, frequency: float) -> Mode | None:
+    def near(self, frequency: float) -> ChipMode | None:
         """The mode that a peak at a `frequency` (Hz) is: of those driven within a half width, the most coupled one.
 
         Without any, it is the nearest driven one; None if none is driven.
@@ -135,7 +135,7 @@ def modes(
     accuracy: float | Discretisation = ACCURACY,
     registry: Registry | None = None,
     progress: Progress = no_progress,
-) -> Modes:
+) -> ChipModes:
     """The modes of a chip in one of its states.
 
     Parameters
@@ -158,14 +158,14 @@ def modes(
     device = fill(chip, state, registry_of(chip, registry))
     span = band_of(chip, band)
     posed = build(device, band=span, accuracy=accuracy)
-    found: list[Mode] = []
+    found: list[ChipMode] = []
     for k, number in enumerate(numbers):
         progress("modes", k / len(numbers))
-        terms = posed.terms if number == 0.0 else of_order(posed.terms, is_first=not is_straight and number == 1.0)
+        terms = posed.terms if number == 0.0 else terms_of_order(posed.terms, is_first=not is_straight and number == 1.0)
         system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
         found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight, span)
     progress("modes", 1.0)
-    return Modes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
+    return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  section_nodes(posed.mesh)[0])
 
 
@@ -190,7 +190,7 @@ def _checked(
 
 def _described(
     posed: Problem, system: System, found: Eigenmodes, number: float, is_straight: bool, band: tuple[float, float]
-) -> list[Mode]:
+) -> list[ChipMode]:
     """The modes of one order with their energies, losses and couplings."""
     if not found.omega.size:
         return []
@@ -206,7 +206,7 @@ def _described(
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
         fields = _nodal(operators, posed, found.states[:, k], nodal, dofs)
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
-        result.append(Mode(0.0 if is_straight else number, wavelength, float(frequency), float(q),
+        result.append(ChipMode(0.0 if is_straight else number, wavelength, float(frequency), float(q),
                            float(capacitances[k]), float(couplings[k]), own, lost,
                            _crossings(fields, nodal, next(iter(own))), _shape(fields)))
     return result
