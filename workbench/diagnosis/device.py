@@ -157,7 +157,7 @@ class Model:
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
         """Indices of the free parameters, and of those whose prior is dropped."""
         moved = [self.index(p.name) for effect in chosen for p in effect.parameters]
-        without_prior = [self.index(name) for effect in chosen for name in effect.releases]
+        without_prior = [self.index(name) for effect in chosen for name in effect.freed]
         return sorted({*range(self.known), *moved}), sorted(set(without_prior))
 
 
