@@ -291,7 +291,7 @@ def test_peaks_are_compared_with_the_nearest_ones() -> None:
     assert [pair.difference for pair in found.peaks] == pytest.approx([0.0005, 0.0005], abs=2e-4)
     alone = compare_energy(recorded(ONE), both)
     assert [(pair.recorded is None, pair.simulated is None) for pair in alone.peaks] == [(False, False), (True, False)]
-    assert "within the recorded band, that the fit of the recording has not" in alone.findings[-1]
+    assert "within the recorded band, which the fit of the recording lacks" in alone.findings[-1]
     # A peak below a tenth of the largest is none that somebody would see.
     assert len(compare_energy(recorded(ONE), simulated([*ONE, (1.985e6, 1500.0, 0.09)])).peaks) == 1
     missing = compare_energy(recorded(TWO), simulated(TWO[:1]))
