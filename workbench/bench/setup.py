@@ -1,4 +1,36 @@
-"""BENCH.toml: instruments, resistor, frequencies, and limits of the drive."""
+"""BENCH.toml: instruments, resistor, frequencies, and limits of the drive.
+
+::
+
+    [generator]
+    port = "/dev/ttyUSB0"
+    model = "FY3224S"
+
+    [oscilloscope]
+    port = "/dev/usbtmc0"
+    channel_total = 1                # across device and reference resistor
+    channel_reference = 2            # across the reference resistor alone
+    probe_total = 10
+    probe_reference = 1
+
+    [reference]
+    resistance = "0.5 ohm"
+    tolerance = "1 %"
+
+    [sweep]
+    centre = "1.03 MHz"              # or from = "0.9 MHz", to = "1.1 MHz"
+    span = "12 %"                    # either side
+    step = "500 Hz"
+
+    [drive]
+    amplitude = "5 Vpp"              # open circuit; a list is a series of drive levels, each swept in turn
+
+    [limits]
+    device_voltage = "5 Vpp"
+    device_current = "100 mA"        # peak to peak
+
+Other keys have defaults, given with the classes below.
+"""
 
 from __future__ import annotations
 
