@@ -126,7 +126,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
             complete = not interrupted.requested
-            folder = getattr(options, "folder", None)
+            folder = getattr(options, "run_folder", None)
             leftovers = str(folder.tidy()) if folder is not None and complete else ""
         except BaseException as error:
             interrupted.stage = "closing"
@@ -149,7 +149,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
                     return 1
             raise
         finally:
-            folder = getattr(options, "folder", None)
+            folder = getattr(options, "run_folder", None)
             # Interrupted threads in native code may still write, so the folder is locked until the program ends.
             if folder is not None and (complete or interruption.wait()):
                 with suppress(OSError):

@@ -40,7 +40,7 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
     if path.suffix in (".csv", ".html"):
         raise InputError("command line", "--output", str(path), f"a run file, such as {path.stem}.h5; {path.stem}.csv "
                          f"and {path.stem}.html are written beside it")
-    options.folder = begin(path.parent, Outputs(
+    options.run_folder = begin(path.parent, Outputs(
         "measure", (f"{path.stem}.csv", f"{path.stem}_*Vpp.csv", f"{path.stem}.html"), kept=("*",), marked=False,
         named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output",
         inputs=[options.bench])

@@ -184,5 +184,5 @@ def output_folder(
     """
     named = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
     read = [each for each in (*named, *map(Path, inputs)) if isinstance(each, Path) and each.is_file()]
-    options.folder = begin(options.output, outputs, source="command line", field="--output", room=room, inputs=read)
-    return options.folder.path
+    options.run_folder = begin(options.output, outputs, source="command line", field="--output", room=room, inputs=read)
+    return options.run_folder.path

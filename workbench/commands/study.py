@@ -28,7 +28,7 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with _executor(options) as (executor, jobs), progress_bars(console) as show:
-        found = study(plan, options.folder, jobs=jobs, executor=executor, overwrite=options.overwrite,
+        found = study(plan, options.run_folder, jobs=jobs, executor=executor, overwrite=options.overwrite,
                       progress=by_rows(show))
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)

@@ -200,7 +200,7 @@ def begin(
 
 
 @contextmanager
-def output_folder(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterator[OutputFolder]:
+def run_folder(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterator[OutputFolder]:
     """The folder, locked already or for this block."""
     if isinstance(path, OutputFolder):
         yield path
