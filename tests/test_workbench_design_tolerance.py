@@ -166,7 +166,7 @@ def test_the_command_leaves_numbers_samples_and_a_report(
     met = np.array(table["met: f0 within 3 kHz"]) & np.array(table["met: heating <= 5 K"])
     assert met.sum() == together["passed"]
     said = capsys.readouterr().out
-    assert {"yield", "what matters", "what to make more exactly"} <= set(said.splitlines())
+    assert {"yield", "sensitivities", "uncertainties to reduce"} <= set(said.splitlines())
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64") == 3
     assert "What to make more exactly" in page

@@ -476,7 +476,9 @@ class Session:
         return False
 
     def impedance(self, frequency: float) -> complex:
-        """The impedance (ohm, e^{+j w t}) at a `frequency` (Hz) in the band.
+        """The impedance (ohm, e^{+j w t}) at a `frequency` (Hz).
+
+        The frequency is within the band.
 
         Raises:
             NotReady, OutOfRange: no model covers the present values yet.

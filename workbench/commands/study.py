@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def run_study(options: argparse.Namespace, console: Console) -> int:
-    """``workbench study``: every point of a study, its table, its pictures, and the report."""
+    """``workbench study``: every point of a study, with pictures and report."""
     plan = read_study(options.study, materials=options.materials, inviscid=options.inviscid)
     folder = output_folder(options, study_outputs(plan, options.output), inputs=[plan.chip.file])
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
@@ -40,13 +40,13 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
     for each in found.statistics:
         if each.count < each.points:
             console.print(f"{each.figure}, {each.state}: missing at {each.points - each.count} of {each.points} "
-                          "points; the table says why", style="yellow", markup=False)
+                          "points; the table gives the reasons", style="yellow", markup=False)
     return 0
 
 
 @contextmanager
 def _executor(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
-    """The executor of the cluster that the options name, if they do, and how many tasks it is given at a time."""
+    """The executor of the cluster, if any, and its parallel tasks."""
     if options.dask is None:
         yield None, jobs_option(options)
         return

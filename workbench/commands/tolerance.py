@@ -41,7 +41,7 @@ OUTPUTS = Outputs("tolerance", names=("report.html", "tolerance.json", "toleranc
 
 
 def run_tolerance(options: argparse.Namespace, console: Console) -> int:
-    """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
+    """``workbench tolerance``: sensitivities, yield, and the uncertainty to halve first."""
     chip = read_chip(options.chip)
     model = model_options(options, chip)
     registry = replace(model.registry, assumed_losses=True)
@@ -68,7 +68,7 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
         write_samples(found, folder / "tolerance.parquet")
     write_json(folder / "tolerance.json", {**tolerance_record(found), "chip_file": str(options.chip)})
     write_tolerance_report(found, folder)
-    _tell(found, console)
+    _print_results(found, console)
     return 0
 
 
@@ -79,7 +79,7 @@ def _statements(options: argparse.Namespace) -> list[Statement]:
 
 
 def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]:
-    """Thermal resistances (K/W) by region; "" for all that are not named."""
+    """Thermal resistances (K/W) by region; "" for all others."""
     found: dict[str, float] = {}
     for text in texts:
         region, equals, written = text.rpartition("=")
@@ -94,17 +94,17 @@ def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]
     return found
 
 
-def _tell(found: Tolerance, console: Console) -> None:
-    """Print what was found."""
+def _print_results(found: Tolerance, console: Console) -> None:
+    """Print the results."""
     title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
     print_table(title, uncertain_figures_table(found))
-    print_table("what matters", sensitivities_table(found))
+    print_table("sensitivities", sensitivities_table(found))
     if found.sobol is not None:
         print_table("shares of the variance", sobol_table(found))
     if found.yields is not None:
         print_table("yield", yields_table(found))
         if any(each.is_clear for each in found.yields.tightenings):
-            print_table("what to make more exactly", tightening_table(found))
+            print_table("uncertainties to reduce", tightening_table(found))
         if words := unclear_tightenings(found):
             print_line(words)
     for text in found.findings:
