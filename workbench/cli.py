@@ -169,10 +169,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
 def _interrupted(
     output: Path | None, console: Console, interrupted: Interruption, error: BaseException | None = None
 ) -> int:
-    """Print the files on disk and the saved entries; the exit status.
-
-    It waits until nothing is written any more.
-    """
+    """Print the files on disk and the saved entries; the exit status. It waits until nothing is written any more."""
     from workbench.jobs import interruption
 
     interruption.wait()

@@ -51,10 +51,7 @@ class Control(Number):
 
     @property
     def shown_tolerance(self) -> str:
-        """The displayed tolerance, in ``shown_unit``; "" for none.
-
-        The assumed one of a film is a factor.
-        """
+        """The displayed tolerance, in ``shown_unit``; "" for none. The assumed one of a film is a factor."""
         if self.tolerance is not None:
             return f"{self.tolerance * self.factor:.4g}"
         if not self.is_dimension:
@@ -72,10 +69,7 @@ class Control(Number):
         return min(ends), max(ends)
 
     def saved(self, length: float) -> float:
-        """A length (m or rad) rounded as in a saved chip file.
-
-        It has :data:`SAVED_DIGITS` digits in its unit.
-        """
+        """A length (m or rad) rounded as in a saved chip file. It has :data:`SAVED_DIGITS` digits in its unit."""
         unit = self.shown_unit.replace("µ", "u")
         return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.quantity,
                               source="live view", field=self.name)

@@ -41,18 +41,12 @@ def address(port: int, token: str) -> str:
 
 
 def cookie_name(port: int) -> str:
-    """The name of a port's cookie.
-
-    All ports of a host share cookies.
-    """
+    """The name of a port's cookie. All ports of a host share cookies."""
     return f"workbench_{port}"
 
 
 def protect(application: Application, token: str) -> None:
-    """Make `application` refuse unauthorised requests with status 403.
-
-    Call it before the application starts.
-    """
+    """Make `application` refuse unauthorised requests with status 403. Call it before the application starts."""
     from aiohttp import web
 
     @web.middleware

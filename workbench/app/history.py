@@ -20,10 +20,7 @@ class History:
     future: tuple[Numbers, ...] = ()
 
     def then(self, numbers: Numbers) -> History:
-        """The history after `numbers` were set, without a future.
-
-        It is unchanged if they are the present ones.
-        """
+        """The history after `numbers` were set, without a future. It is unchanged if they are the present ones."""
         if dict(numbers) == dict(self.present):
             return self
         return History(dict(numbers), (*self.past, self.present))

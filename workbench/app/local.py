@@ -56,10 +56,7 @@ class LocalModel:
 
 
 def in_halves(model: RangeModel, values: Mapping[str, float]) -> Response:
-    """The answer of a range model, by two threads.
-
-    Each solves half of the band.
-    """
+    """The answer of a range model, by two threads. Each solves half of the band."""
     there = placed(model.problem.values, values)
     compact, middle = model.compact, model.frequency.size // 2 + 1
     with ThreadPoolExecutor(2) as pool:

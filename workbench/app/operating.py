@@ -30,10 +30,7 @@ class EnergyPeaks:
         self._sounds: WeakKeyDictionary[ReducedModel, SoundEnergy] = WeakKeyDictionary()
 
     def __call__(self, response: Response) -> EnergyPeak | None:
-        """The largest peak of a spectrum.
-
-        None without a liquid in the cavity or a peak in the band.
-        """
+        """The largest peak of a spectrum. None without a liquid in the cavity or a peak in the band."""
         if not self._is_wet:
             return None
         prediction = response.prediction

@@ -91,10 +91,7 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
 
 
 def _with_unit(number: float, unit: str) -> str:
-    """A deviation with its prefixed unit.
-
-    One to three digits are before the point.
-    """
+    """A deviation with its prefixed unit. One to three digits are before the point."""
     if not unit or not np.isfinite(number) or number == 0.0:
         return f"{number:.2g} {unit}".rstrip()
     prefix, factor = next(((name, size) for name, size in _PREFIXES if number < 999.5 / size), _PREFIXES[-1])
@@ -102,10 +99,7 @@ def _with_unit(number: float, unit: str) -> str:
 
 
 def described(section: SectionFields, *, stated: bool) -> str:
-    """Description of the fields: frequency, drive and results.
-
-    `stated` is whether the chip names the particle.
-    """
+    """Description of the fields: frequency, drive and results. `stated` is whether the chip names the particle."""
     fields = section.fields
     words = f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}, {1e3 * fields.power:.3g} mW"
     if section.traps is None:
@@ -124,10 +118,7 @@ def embedded(png: bytes) -> str:
 
 
 def picture(drawn: DrawnField) -> dict[str, Any]:
-    """A picture in the form of the page.
-
-    Its box is as wide as the picture has dots.
-    """
+    """A picture in the form of the page. Its box is as wide as the picture has dots."""
     left, right, bottom, top = drawn.window
     width = plot.WIDTH if drawn.tall == 1.0 else 0.5 * plot.WIDTH
     dots = width / (right - left)

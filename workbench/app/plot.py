@@ -57,10 +57,7 @@ class PlotScale:
         return np.asarray(PHASE[1] - (PHASE[1] - PHASE[0]) * (np.asarray(degrees) + 90.0) / 180.0)
 
     def frequency_at(self, share: float) -> float:
-        """The frequency (Hz) at a `share` of the picture's width.
-
-        Beside the panel, it is that of the nearer end.
-        """
+        """The frequency (Hz) at a `share` of the picture's width. Beside the panel, it is that of the nearer end."""
         low, high = self.band
         inside = (share * WIDTH - LEFT) / (RIGHT - LEFT)
         return low + (high - low) * min(max(inside, 0.0), 1.0)

@@ -47,10 +47,7 @@ def section_fields(
     chip: Chip, model: RangeModel, values: Mapping[str, float], frequency: float, drive: Drive,
     particle: Particle | None,
 ) -> SectionFields:
-    """The fields at one `frequency` (Hz) under `drive`, with `values` (SI).
-
-    `chip` is that of the `model`.
-    """
+    """The fields at one `frequency` (Hz) under `drive`, with `values` (SI). `chip` is that of the `model`."""
     numbers = placed(model.problem.values, values)
     compact = model.compact
     solution = compact.solve(np.array([frequency]), numbers)

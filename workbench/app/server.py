@@ -57,10 +57,7 @@ class Drawing:
 
 
 class LiveView:
-    """A session on a page of its own server, started by :meth:`serve`.
-
-    ``address`` opens the page.
-    """
+    """A session on a page of its own server, started by :meth:`serve`. ``address`` opens the page."""
 
     def __init__(self, session: Session, drawing: Drawing, folder: Path, diagnosing: Diagnosing, *,
                  campaign: Path | None = None) -> None:
@@ -253,10 +250,7 @@ class LiveView:
         self._draw()
 
     def _save(self, name: str) -> None:
-        """Save the chip under a plain name in the folder.
-
-        Older files are not overwritten.
-        """
+        """Save the chip under a plain name in the folder. Older files are not overwritten."""
         path = self.folder / str(name)
         try:
             if path.name != name or path.suffix != ".toml" or name.startswith("."):
@@ -483,10 +477,7 @@ class LiveView:
             self._show_dots()
 
     async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
-        """Draw the fields; a move abandons this.
-
-        They are then requested again.
-        """
+        """Draw the fields; a move abandons this. They are then requested again."""
         section = await self._loop.run_in_executor(pool, self.session.section, self._shown())
         shown: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
         if self._moved:

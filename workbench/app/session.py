@@ -303,10 +303,7 @@ class Session:
                          if not each.low <= self._values[name] <= each.high)
 
     def widen(self) -> tuple[str, ...]:
-        """Widen the ranges of parameters outside them; returns their names.
-
-        :meth:`grow` then makes a model of them.
-        """
+        """Widen the ranges of parameters outside them; returns their names. :meth:`grow` then makes a model of them."""
         with self._lock:
             names = self.outside()
             for name in names:
@@ -399,12 +396,7 @@ class Session:
             self._models = (*kept, model)
 
     def _best(self, values: Mapping[str, float]) -> RangeModel:
-        """The most accurate model that covers these `values`.
-
-        Raises:
-            NotReady: there is none yet.
-            OutOfRange: no model covers them.
-        """
+        """The most accurate model that covers these `values`."""
         if not self._models:
             raise NotReady("the first model is being made")
         fit = [each for each in self._models if is_inside(each.ranges, values)]
@@ -490,10 +482,7 @@ class Session:
         return complex(np.conj(found.impedance[0]))
 
     def present(self, values: Mapping[str, float] | None = None) -> Present:
-        """The chip with its present values, for another process.
-
-        With `values` (SI), only these are set.
-        """
+        """The chip with its present values, for another process. With `values` (SI), only these are set."""
         with self._lock:
             chosen = self.values if values is None else values
             constants = {name: number for name, number in chosen.items() if not self._controls[name].is_dimension}

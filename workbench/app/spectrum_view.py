@@ -48,10 +48,7 @@ class SpectrumView:
 
     @property
     def estimate(self) -> float:
-        """Largest estimated relative error of the impedance.
-
-        It is many times too large over wide ranges.
-        """
+        """Largest estimated relative error of the impedance. It is many times too large over wide ranges."""
         return float(self.response.error.max())
 
 

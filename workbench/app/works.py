@@ -79,10 +79,7 @@ class Works:
         self._checks.close()
 
     def full(self, report: Report, stopped: Stopped, solved: Callable[[float, complex], None]) -> str:
-        """Solve the whole band in full, on a new mesh.
-
-        `solved` is called with every result.
-        """
+        """Solve the whole band in full, on a new mesh. `solved` is called with every result."""
         report(f"0 of {SOLVED} frequencies")
         found: list[tuple[float, complex]] = []
         model = self._session.spectrum().spectrum.interpolant()
@@ -133,10 +130,7 @@ class Works:
         return result
 
     def diagnose(self, report: Report, stopped: Stopped) -> str:
-        """Run ``workbench diagnose`` in a process.
-
-        It is of the campaign or of the one recording.
-        """
+        """Run ``workbench diagnose`` in a process. It is of the campaign or of the one recording."""
         folder = self.report.parent
         campaign = self.one_recording(folder / "input") if self.campaign is None else self.campaign
         report(f"of {campaign}; takes minutes, and goes on beside")

@@ -33,10 +33,7 @@ _BEND = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A recorded load and its true ``resistance`` (ohm).
-
-    ``tolerance`` are limits, as a fraction.
-    """
+    """A recorded load and its true ``resistance`` (ohm). ``tolerance`` are limits, as a fraction."""
 
     recorded: Spectrum
     resistance: float
@@ -45,10 +42,7 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Recordings of the fixture, or None.
-
-    The ``uncertainty`` of each is that of its noise.
-    """
+    """Recordings of the fixture, or None. The ``uncertainty`` of each is that of its noise."""
 
     open: Spectrum | None = None
     short: Spectrum | None = None
@@ -103,11 +97,7 @@ def _noise(spectrum: Spectrum) -> Real:
 
 
 def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
-    """A standard (n,) ohm and its noise, interpolated on `frequency`.
-
-    Raises:
-        InputError: its band is too narrow, or interpolation is not accurate enough.
-    """
+    """A standard (n,) ohm and its noise, interpolated on `frequency`."""
     places = np.minimum(np.searchsorted(standard.frequency, frequency - 0.005), len(standard.frequency) - 1)
     if np.all(np.abs(standard.frequency[places] - frequency) <= 0.005):  # half the generator's resolution
         return standard.impedance[places], _noise(standard)[places]

@@ -74,10 +74,7 @@ class Rig:
             self.disconnect()
 
     def connect(self) -> None:
-        """Open both instruments with the drive off.
-
-        Their settings are unknown, so everything is set again.
-        """
+        """Open both instruments with the drive off. Their settings are unknown, so everything is set again."""
         self.disconnect()
         try:
             self._generator, self._oscilloscope = open_bench(self.setup.generator, self.setup.oscilloscope)

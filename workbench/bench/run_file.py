@@ -113,10 +113,7 @@ def journal_path(path: Path) -> Path:
 
 
 class Journal:
-    """A run that is being written.
-
-    An added entry is on the disk when :meth:`add` returns.
-    """
+    """A run that is being written. An added entry is on the disk when :meth:`add` returns."""
 
     def __init__(self, path: Path, run: Run) -> None:
         """Open the journal of `run` after its last complete record.

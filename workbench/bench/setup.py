@@ -63,10 +63,7 @@ DIRECTIONS = ("up", "down", "both")
 
 @dataclass(frozen=True)
 class ReferenceResistor:
-    """The resistor in series with the device.
-
-    ``resistance`` is in ohm, ``tolerance`` are limits, as a fraction.
-    """
+    """The resistor in series with the device. ``resistance`` is in ohm, ``tolerance`` are limits, as a fraction."""
 
     resistance: float
     tolerance: float = 0.0
@@ -146,10 +143,7 @@ class Standards:
 
 @dataclass(frozen=True)
 class BenchSetup:
-    """The content of BENCH.toml.
-
-    ``levels`` are in V peak to peak (open circuit), ``metadata`` are texts.
-    """
+    """The content of BENCH.toml. ``levels`` are in V peak to peak (open circuit), ``metadata`` are texts."""
 
     path: str
     text: str

@@ -74,10 +74,7 @@ def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
 
 
 def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tuple[LevelSpectrum, ...]:
-    """A spectrum for every drive level with two frequencies or more.
-
-    Levels are in the setup's order.
-    """
+    """A spectrum for every drive level with two frequencies or more. Levels are in the setup's order."""
     by_level = [(level, [point for point in run.points if point.level == level]) for level in setup.levels]
     return tuple(_level_spectrum(level, points, run, setup, compensation) for level, points in by_level
                  if len({point.frequency for point in points}) >= 2)
@@ -131,10 +128,7 @@ def _level_spectrum(
 
 
 def _drift(points: Sequence[RunPoint], mean: Spectrum) -> float:
-    """Root of the reduced chi-square of repeated points about their mean.
-
-    nan if there are none.
-    """
+    """Root of the reduced chi-square of repeated points about their mean. nan if there are none."""
     value = dict(zip(mean.frequency, mean.impedance, strict=True))
     squares = sum(abs(p.impedance - value[p.frequency]) ** 2 / p.uncertainty**2 for p in points)
     freedom = 2 * (len(points) - len(mean.frequency))

@@ -41,10 +41,7 @@ _OVER = 1.05
 
 
 class BenchFailure(RuntimeError):
-    """The sweep had to end.
-
-    The message gives the reason, the data on the disk and the way to continue.
-    """
+    """The sweep had to end. The message gives the reason, the data on the disk and the way to continue."""
 
 
 class LimitExceeded(RuntimeError):
@@ -206,11 +203,7 @@ def _doubts(
     setup: BenchSetup, pairs: list[tuple[Waveform, Waveform]], fits: list[SineFit], value: complex, amplitude: float,
     target: Target,
 ) -> list[str]:
-    """Doubts about a point; the part before the colon is the kind.
-
-    Raises:
-        Implausible: the signal does not have the amplitude that was set.
-    """
+    """Doubts about a point; the part before the colon is the kind."""
     flags = []
     whole = value + setup.reference.resistance
     expected = 0.5 * amplitude * abs(whole / (whole + SOURCE_RESISTANCE))

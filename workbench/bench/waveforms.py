@@ -89,10 +89,7 @@ def _content(path: Path) -> bytes:
 
 
 def _is_tds(data: bytes) -> bool:
-    """Whether it is CSV of the TDS1000 and TDS2000.
-
-    Its settings are beside samples in columns 4 and 5.
-    """
+    """Whether it is CSV of the TDS1000 and TDS2000. Its settings are beside samples in columns 4 and 5."""
     return b"Record Length," in data[:2000] and any(
         re.match(rb'"?(Record Length|Sample Interval)"?,[^,]*,\s*,\s*"?[-+.\d][^,]*,\s*"?[-+.\d]', line)
         for line in data[:4000].splitlines()[:12])
@@ -223,10 +220,7 @@ def _setting(path: str, settings: Mapping[str, str], name: str) -> float:
 
 
 def _read_isf(path: str, data: bytes) -> Waveform:
-    """The only record of samples in the file.
-
-    Some firmware appends an envelope of the same acquisition.
-    """
+    """The only record of samples in the file. Some firmware appends an envelope of the same acquisition."""
     samples, others, place = [], [], 0
     while place < len(data):
         header, block, place = _next_record(path, data, place)

@@ -139,10 +139,7 @@ def _stated(
 def _uncertainty(
     table: FileTable, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
 ) -> float:
-    """A standard uncertainty in SI.
-
-    A percentage is of the value in the first of `states` with the parameter.
-    """
+    """A standard uncertainty in SI. A percentage is of the value in the first of `states` with the parameter."""
     entry, parsed = table.content[written], ParameterName.parse(name)
     if entry == ASSUMED and parsed.is_dimension:
         material = next((state.numbers[parsed.shared].material for state in states if parsed.shared in state.numbers),

@@ -65,10 +65,7 @@ def _is_live_on_top(state: DeviceState) -> bool:
 
 
 def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, Admissible]:
-    """The range of a loss up to 5 %.
-
-    The loss has the sign `sign`; 0 allows both.
-    """
+    """The range of a loss up to 5 %. The loss has the sign `sign`; 0 allows both."""
     size = 0.05 * abs(complex(getattr(material, coefficient)).real)
     low, high = sorted((0.0, sign * size)) if sign else (-size, size)
     name = f"{material.name}.{coefficient}{LOSS}"

@@ -76,10 +76,7 @@ def _list(options: argparse.Namespace, console: Console) -> int:
 
 
 def _check(options: argparse.Namespace, console: Console) -> int:
-    """Identify both instruments, set and read back, capture once, print faults.
-
-    The drive is off at the end.
-    """
+    """Identify both instruments, set and read back, capture once, print faults. The drive is off at the end."""
     setup = read_bench(options.bench)
     try:
         with Rig(setup, marker_path(options.bench)) as rig:
@@ -214,11 +211,7 @@ _FAULT = re.compile(r"(?P<instrument>\w+):(?P<kind>\w+)@(?P<at>\d+)(?:x(?P<count
 
 
 def _fault(text: str) -> Fault:
-    """A fault from ``generator:silence@120`` or ``generator:silence@120x3``.
-
-    Raises:
-        InputError: not of this form, or a fault that cannot happen to the instrument.
-    """
+    """A fault from ``generator:silence@120`` or ``generator:silence@120x3``."""
     read = _FAULT.fullmatch(text)
     if read is None:
         raise InputError("command line", "--fault", text, "INSTRUMENT:KIND@COMMAND, such as generator:silence@120")

@@ -90,11 +90,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
 def _common_band(
     options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """The overlap (Hz) of the requested band and the recording.
-
-    Raises:
-        InputError: fewer than two recorded points lie in the band.
-    """
+    """The overlap (Hz) of the requested band and the recording."""
     inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
     if inside.size < 2:
         raise InputError(

@@ -29,10 +29,7 @@ if TYPE_CHECKING:
 
 
 def is_of_energy(options: argparse.Namespace) -> bool:
-    """Whether the recording is a table of focusing.
-
-    One with stated columns or format is of impedance.
-    """
+    """Whether the recording is a table of focusing. One with stated columns or format is of impedance."""
     return options.columns is None and options.format is None and recognises_energy(load_text(options.recording))
 
 

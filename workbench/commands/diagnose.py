@@ -123,11 +123,7 @@ def _of_one_recording(options: argparse.Namespace, console: Console) -> Campaign
 
 
 def _effort_options(options: argparse.Namespace) -> tuple[int, float | None]:
-    """Processes and minutes of the options.
-
-    Raises:
-        InputError: no process, or no time.
-    """
+    """Processes and minutes of the options."""
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError("command line", "--minutes", options.minutes, "more than no time")
     return jobs_option(options), options.minutes

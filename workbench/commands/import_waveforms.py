@@ -93,11 +93,7 @@ def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Wa
 def _check_units(
     waveforms: tuple[Waveform, Waveform], files: tuple[Path, Path], *, probe: bool, resistance: float | None
 ) -> None:
-    """Check the units of voltage and current.
-
-    Raises:
-        InputError: a voltage in amperes, or a current whose probe's volts per ampere are missing or superfluous.
-    """
+    """Check the units of voltage and current."""
     total, second = waveforms
     if total.unit == "A":
         raise InputError(str(files[0]), f"CH{total.channel}", "A", "V: --total names the channel of the voltage")

@@ -89,10 +89,7 @@ class _live:
 
 
 def sketch(frequency: NDArray[np.float64], magnitude: NDArray[np.float64]) -> list[str]:
-    """|Z| (n,) ohm, logarithmic, over frequency (n,) Hz as lines of text.
-
-    Empty for less than two frequencies.
-    """
+    """|Z| (n,) ohm, logarithmic, over frequency (n,) Hz as lines of text. Empty for less than two frequencies."""
     low, high = frequency.min(), frequency.max()
     if not high > low:
         return []
@@ -112,10 +109,7 @@ def sketch(frequency: NDArray[np.float64], magnitude: NDArray[np.float64]) -> li
 def _write_results(
     setup: BenchSetup, run: Run, compensation: Compensation, path: Path, console: Console
 ) -> None:
-    """Write RUN.csv, RUN.html and the results in RUN.h5.
-
-    Several levels have RUN_5Vpp.csv and so on.
-    """
+    """Write RUN.csv, RUN.html and the results in RUN.h5. Several levels have RUN_5Vpp.csv and so on."""
     levels = level_spectra(run, setup, compensation)
     if not levels:
         return

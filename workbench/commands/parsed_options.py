@@ -34,10 +34,7 @@ ROOM = 20e6
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """The model of the options.
-
-    Frequencies are in Hz, the rest as in `workbench.simulation.run.simulate`.
-    """
+    """The model of the options. Frequencies are in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]

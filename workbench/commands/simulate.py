@@ -93,10 +93,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
 def _print_results(
     chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], console: Console, *, is_stated: bool
 ) -> None:
-    """Print the results, the last state's first.
-
-    The frequency of a dry state is printed if it `is_stated`.
-    """
+    """Print the results, the last state's first. The frequency of a dry state is printed if it `is_stated`."""
     first = straight_findings(chip.measure, chip.electrodes)
     for text in first:
         say_finding(text, console)

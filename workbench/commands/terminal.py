@@ -61,19 +61,13 @@ def print_line(text: str) -> None:
 
 
 def print_paragraph(text: str) -> None:
-    """Print a result in sentences, wrapped to the terminal.
-
-    It has 80 columns without a terminal.
-    """
+    """Print a result in sentences, wrapped to the terminal. It has 80 columns without a terminal."""
     print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_long_words=False,
                              break_on_hyphens=False))
 
 
 def print_table(title: str, table: TextTable) -> None:
-    """Print a table of results to standard output.
-
-    It is at most as wide as the terminal, 80 columns without one.
-    """
+    """Print a table of results to standard output. It is at most as wide as the terminal, 80 columns without one."""
     from rich.console import Console
 
     console = Console(highlight=False)
@@ -113,10 +107,7 @@ def table_parts(title: str, table: TextTable, *, width: int) -> list[RenderableT
 
 
 def _widths(table: TextTable, width: int) -> list[int] | None:
-    """Column widths of a table in `width` cells, or None.
-
-    None if its words would be broken.
-    """
+    """Column widths of a table in `width` cells, or None. None if its words would be broken."""
     from rich.cells import cell_len
 
     room = width - (3 * len(table.columns) + 1)

@@ -84,10 +84,7 @@ def expect_whole(value: object, expected: str, *, source: str, field: str, low: 
 
 
 def one_of(names: Collection[str], name: object) -> str:
-    """The choices for a message.
-
-    For more than :data:`LISTED` choices, their count and the three nearest to `name`.
-    """
+    """The choices for a message. For more than :data:`LISTED` choices, their count and the three nearest to `name`."""
     if len(names) <= LISTED:
         return "one of " + ", ".join(names)
     folded = {each.casefold(): each for each in names}

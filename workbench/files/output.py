@@ -55,10 +55,7 @@ ATTEMPTS, PAUSE = 5, 0.02
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files of earlier runs in a folder.
-
-    ``removed`` are gone; ``remaining`` are (name, command) of the others.
-    """
+    """Files of earlier runs in a folder. ``removed`` are gone; ``remaining`` are (name, command) of the others."""
 
     removed: tuple[str, ...]
     remaining: tuple[tuple[str, str], ...]
@@ -72,10 +69,7 @@ class Leftovers:
 
 
 class OutputFolder:
-    """The folder ``path`` of a run, locked until :meth:`finish`.
-
-    The end of a ``with`` block finishes it.
-    """
+    """The folder ``path`` of a run, locked until :meth:`finish`. The end of a ``with`` block finishes it."""
 
     def __init__(self, path: Path, outputs: Outputs, lock: int, inputs: frozenset[str]) -> None:
         self.path, self.outputs, self._lock, self._inputs = path, outputs, lock, inputs
@@ -127,10 +121,7 @@ class OutputFolder:
         self._lock = -1
 
     def tidy(self) -> Leftovers:
-        """Remove files of the command's earlier runs, except those written again.
-
-        Only for a complete run.
-        """
+        """Remove files of the command's earlier runs, except those written again. Only for a complete run."""
         manifest, written = Manifest(self.path), self._written()
         removed, remaining = [], []
         for name, command in self._before.items():
@@ -233,11 +224,7 @@ def now() -> str:
 
 
 def _locked(path: Path, source: str, field: str) -> int:
-    """A handle with the lock of a folder.
-
-    Raises:
-        InputError: another run has locked it, or its state was not made by the workbench.
-    """
+    """A handle with the lock of a folder."""
     state = path / STATE
     with suppress(FileExistsError):
         state.mkdir()
@@ -267,11 +254,7 @@ def _locked(path: Path, source: str, field: str) -> int:
 
 
 def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> None:
-    """Raise if the run would write over files of the user.
-
-    Raises:
-        InputError: there are such files.
-    """
+    """Raise if the run would write over files of the user."""
     clear(path)
     manifest = Manifest(path)
     theirs = [name for name in in_the_way(path, (*outputs.names, *([MARK] if outputs.marked else [])))
@@ -286,11 +269,7 @@ def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> Non
 def _refuse_inputs(
     path: Path, outputs: Outputs, inputs: Sequence[Path], source: str, field: str
 ) -> frozenset[str]:
-    """The relative paths of inputs in the folder.
-
-    Raises:
-        InputError: the run would replace one of them.
-    """
+    """The relative paths of inputs in the folder."""
     real = Path(os.path.realpath(path))
     inside = {each: Path(os.path.realpath(each)) for each in inputs}
     names = {each: at.relative_to(real).as_posix() for each, at in inside.items() if at.is_relative_to(real)}

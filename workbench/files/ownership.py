@@ -97,10 +97,7 @@ class Manifest:
                 self.commands[name] = str(line.get("command"))
 
     def owns(self, name: str, working: Iterable[str] = ()) -> bool:
-        """Whether a relative path is an unchanged file of a run.
-
-        A file that matches `working` may be changed.
-        """
+        """Whether a relative path is an unchanged file of a run. A file that matches `working` may be changed."""
         path = self.folder / name
         if name not in self.digests or link_above(self.folder, path) is not None or not path.is_file():
             return False
@@ -113,10 +110,7 @@ def entry(name: str, digest: str, command: str) -> str:
 
 
 def lines(path: Path) -> Iterator[Mapping[str, Any]]:
-    """Entries of a manifest; an incomplete line is skipped.
-
-    Its file never took its place.
-    """
+    """Entries of a manifest; an incomplete line is skipped. Its file never took its place."""
     if not path.is_file():
         return
     for line in path.read_bytes().split(b"\n"):
@@ -154,10 +148,7 @@ def stays_inside(name: str) -> bool:
 
 
 def link_above(folder: Path, path: Path) -> Path | None:
-    """The first link among a path and its folders, or None.
-
-    Only folders within `folder` are checked.
-    """
+    """The first link among a path and its folders, or None. Only folders within `folder` are checked."""
     return next((each for each in (path, *path.parents) if folder in each.parents and each.is_symlink()), None)
 
 

@@ -210,10 +210,7 @@ class FileTable:
         return tuple(value)
 
     def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
-        """A quantity with its unit, in SI.
-
-        `dimension` is a key of `workbench.files.quantities.UNITS`.
-        """
+        """A quantity with its unit, in SI. `dimension` is a key of `workbench.files.quantities.UNITS`."""
         if key not in self and default is not None:
             return default
         return parse_quantity(self.content.get(key), dimension, source=self.source, field=self.at(key))
@@ -223,10 +220,7 @@ class FileTable:
         return self.quantity(key, dimension) if key in self else None
 
     def quantities(self, key: str, dimension: str, *, expected: str, numbered: bool = False) -> tuple[float, float]:
-        """Two quantities with their units, in SI.
-
-        If `numbered`, errors name ``key[0]`` or ``key[1]``.
-        """
+        """Two quantities with their units, in SI. If `numbered`, errors name ``key[0]`` or ``key[1]``."""
         value = self.content.get(key)
         if not isinstance(value, list) or len(value) != 2:
             raise self.error(key, expected)

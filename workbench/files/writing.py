@@ -70,10 +70,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Make errors of the system in this block name the file `path`.
-
-    Only if they name no file or a temporary one.
-    """
+    """Make errors of the system in this block name the file `path`. Only if they name no file or a temporary one."""
     try:
         yield
     except OSError as error:
@@ -91,10 +88,7 @@ def _number(error: OSError) -> int | None:
 
 
 def remedy(error: OSError, output: Path | None = None) -> str:
-    """A description of an error on a file, with a remedy.
-
-    `output` is the folder that a command writes to, if any.
-    """
+    """A description of an error on a file, with a remedy. `output` is the folder that a command writes to, if any."""
     if error.errno is None:
         return str(error)
     where = error.filename if error.filename is not None else output
@@ -123,10 +117,7 @@ def write_atomic(path: Path, content: str | bytes) -> None:
 
 
 def _numbers(record: object, key: str = "") -> Iterator[tuple[str, float]]:
-    """The floating-point numbers of a record with their keys.
-
-    Keys are such as ``states.filled.q``.
-    """
+    """The floating-point numbers of a record with their keys. Keys are such as ``states.filled.q``."""
     if isinstance(record, float):
         yield key, record
     elif isinstance(record, Mapping):

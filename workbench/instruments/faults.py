@@ -92,10 +92,7 @@ def fits(kind: FaultKind, line: bytes) -> bool:
 
 
 class FaultyInstrument:
-    """A simulated instrument with faults.
-
-    ``struck`` lists the faults that occurred, with the number of the command.
-    """
+    """A simulated instrument with faults. ``struck`` lists the faults that occurred, with the number of the command."""
 
     def __init__(
         self, name: str, instrument: SimulatedGenerator | SimulatedOscilloscope, *, random: np.random.Generator,

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 
 class InstrumentError(RuntimeError):
-    """A failure of an instrument or its link.
-
-    The message names the port, and the sent, expected and received text.
-    """
+    """A failure of an instrument or its link. The message names the port, and the sent, expected and received text."""
 
 
 class Silence(InstrumentError):
@@ -79,10 +76,7 @@ class Waveform:
 
 
 class Generator(Protocol):
-    """A sine generator with one output.
-
-    A value out of range raises ValueError before anything is written.
-    """
+    """A sine generator with one output. A value out of range raises ValueError before anything is written."""
 
     def identify(self) -> str:
         """The model. Raises InstrumentError for another instrument."""
@@ -97,10 +91,7 @@ class Generator(Protocol):
         """Set the safe state: amplitude zero."""
 
     def close(self) -> None:
-        """Close the port.
-
-        It does not change the output; call :meth:`off` first.
-        """
+        """Close the port. It does not change the output; call :meth:`off` first."""
 
 
 class Oscilloscope(Protocol):
@@ -110,10 +101,7 @@ class Oscilloscope(Protocol):
         """The identification. Raises InstrumentError for another instrument."""
 
     def set_scale(self, channel: int, volts_per_division: float) -> float:
-        """Set and return the 1-2-5 step at or above `volts_per_division`.
-
-        Volts are at the probe's tip.
-        """
+        """Set and return the 1-2-5 step at or above `volts_per_division`. Volts are at the probe's tip."""
 
     def set_timebase(self, seconds_per_division: float) -> float:
         """Set and return the 1-2.5-5 step at or above `seconds_per_division`."""

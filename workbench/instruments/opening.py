@@ -41,10 +41,7 @@ class FoundPort:
 
 
 def found_ports() -> list[FoundPort]:
-    """The serial ports and USBTMC device files of this computer.
-
-    VISA resources are not searched.
-    """
+    """The serial ports and USBTMC device files of this computer. VISA resources are not searched."""
     from serial.tools.list_ports import comports
 
     serial = [FoundPort(port.device, port.description or "serial port") for port in comports()]

@@ -138,10 +138,7 @@ class SimulatedBench:
         return self._instruments[instrument].commands
 
     def settings(self, *, timeout: float = 0.25) -> tuple[GeneratorSettings, OscilloscopeSettings]:
-        """Settings for the simulated instruments, without pauses.
-
-        `timeout` (s) is short for tests.
-        """
+        """Settings for the simulated instruments, without pauses. `timeout` (s) is short for tests."""
         return (
             GeneratorSettings(self.generator_port, self._generator.model, timeout=timeout, pause=0.0),
             OscilloscopeSettings(self.oscilloscope_port, self._oscilloscope.model, probe_total=self._probes[0],

@@ -17,10 +17,7 @@ _SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
 
 @dataclass
 class Output:
-    """One channel, in hundredths of Hz and of V peak to peak.
-
-    Waveform 0 is sine.
-    """
+    """One channel, in hundredths of Hz and of V peak to peak. Waveform 0 is sine."""
 
     frequency: int
     amplitude: int
@@ -51,10 +48,7 @@ class SimulatedGenerator:
 
     @property
     def amplitude(self) -> float:
-        """Open-circuit amplitude (Vpp) of the main channel's sine.
-
-        It is 0 for another waveform.
-        """
+        """Open-circuit amplitude (Vpp) of the main channel's sine. It is 0 for another waveform."""
         return self.main.amplitude / 100 if self.main.waveform == 0 else 0.0
 
     def respond(self, line: bytes) -> bytes:

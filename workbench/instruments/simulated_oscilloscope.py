@@ -27,10 +27,7 @@ TRIGGER_DIVISIONS = 0.2
 
 @dataclass(frozen=True)
 class Tone:
-    """A sine at the probe's tip.
-
-    ``amplitude`` is complex (V, e^{+j w t}), ``frequency`` in Hz.
-    """
+    """A sine at the probe's tip. ``amplitude`` is complex (V, e^{+j w t}), ``frequency`` in Hz."""
 
     amplitude: complex
     frequency: float
@@ -90,10 +87,7 @@ WHOLE = ("HEADer", "VERBose", "ACQuire:NUMAVg", "DATa:WIDth", "DATa:STARt", "DAT
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One channel of the last acquisition.
-
-    ``raw`` (2500,) are its samples, the others its settings.
-    """
+    """One channel of the last acquisition. ``raw`` (2500,) are its samples, the others its settings."""
 
     raw: NDArray[np.int64]
     volts_per_division: float
@@ -288,10 +282,7 @@ class SimulatedOscilloscope:
     def _record(
         self, channel: int, tone: Tone | None, times: NDArray[np.float64], seconds: float, start: float
     ) -> Record:
-        """Sample at `times` (captures, 2500), convert, average and round.
-
-        Conversion to 8 bit is capture by capture.
-        """
+        """Sample at `times` (captures, 2500), convert, average and round. Conversion to 8 bit is capture by capture."""
         scale, position = self._tip_scale(channel), self._number(f"CH{channel}:POSition")
         coupling = self._word(f"CH{channel}:COUPling")
         volts = np.zeros_like(times)
@@ -309,10 +300,7 @@ class SimulatedOscilloscope:
         return Record(raw, shown, position, seconds, start, len(times), coupling)
 
     def _selected(self) -> Record | None:
-        """The requested record.
-
-        None, and two events, if its channel is not displayed.
-        """
+        """The requested record. None, and two events, if its channel is not displayed."""
         if self._running and self._word("ACQuire:STOPAfter") == "RUNSTOP":
             self._acquire()
         channel = self.source()
@@ -363,10 +351,7 @@ class SimulatedOscilloscope:
 
 
 def _fits(name: str, full: str) -> bool:
-    """Whether `name` (capitals) abbreviates `full`.
-
-    The short form is the capitals in `full`.
-    """
+    """Whether `name` (capitals) abbreviates `full`. The short form is the capitals in `full`."""
     given, parts = name.split(":"), full.split(":")
     if len(given) != len(parts):
         return False

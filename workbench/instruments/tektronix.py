@@ -116,10 +116,7 @@ class Tektronix:
         return step
 
     def set_timebase(self, seconds_per_division: float) -> float:
-        """Set and return the 1-2.5-5 step at or above `seconds_per_division`.
-
-        Raises like :meth:`set_scale`.
-        """
+        """Set and return the 1-2.5-5 step at or above `seconds_per_division`. Raises like :meth:`set_scale`."""
         step = _step_above(seconds_per_division, TIMEBASES, "s per division")
         self._set("HORIZONTAL:MAIN:SCALE", _number(step))
         self._timebase = step
@@ -167,10 +164,7 @@ class Tektronix:
         return found
 
     def set_up(self) -> None:
-        """Make all settings for the whole run.
-
-        They are formats, channels, trigger, and single sequence.
-        """
+        """Make all settings for the whole run. They are formats, channels, trigger, and single sequence."""
         link, settings = self._link, self._settings
         link.send("HEADER OFF")
         link.synchronise()
@@ -285,19 +279,13 @@ def _step_above(value: float, steps: Sequence[float], unit: str) -> float:
 
 
 def _number(value: float) -> str:
-    """A number in the instrument's format: 2.0E-1.
-
-    All its settings have one or two digits.
-    """
+    """A number in the instrument's format: 2.0E-1. All its settings have one or two digits."""
     mantissa, exponent = f"{value:.1E}".split("E")
     return f"{mantissa}E{int(exponent)}"
 
 
 def _same(found: str, value: str) -> bool:
-    """Whether a setting reads back as `value`.
-
-    Words may be answered in their short form.
-    """
+    """Whether a setting reads back as `value`. Words may be answered in their short form."""
     try:
         number = float(value)
     except ValueError:

@@ -38,10 +38,7 @@ Reply = TypeVar("Reply")
 
 
 class Port(Protocol):
-    """Bytes in and out; ``name`` is the user's name of the port.
-
-    InstrumentError is raised if the port is gone.
-    """
+    """Bytes in and out; ``name`` is the user's name of the port. InstrumentError is raised if the port is gone."""
 
     name: str
 
@@ -147,10 +144,7 @@ class SerialPort:
 
 
 class UsbtmcPort:
-    """The device file of a USBTMC instrument under Linux.
-
-    Its driver frames the messages.
-    """
+    """The device file of a USBTMC instrument under Linux. Its driver frames the messages."""
 
     #: ``_IO(91, 2)`` clears the device, ``_IOW(91, 10, __u32)`` sets the time-out in ms (linux/usb/tmc.h).
     CLEAR, SET_TIMEOUT = 0x5B02, 0x40045B0A
@@ -238,10 +232,7 @@ class VisaPort:
 
 @dataclass(frozen=True)
 class Query:
-    """A query, and the pattern of a whole line of reply.
-
-    ``expected`` describes ``reply`` in words.
-    """
+    """A query, and the pattern of a whole line of reply. ``expected`` describes ``reply`` in words."""
 
     command: str
     reply: re.Pattern[str]

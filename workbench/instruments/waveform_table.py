@@ -62,10 +62,7 @@ _START, _STEP = (re.compile(rf"\b{word}\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(
 
 @dataclass(frozen=True)
 class WaveformColumn:
-    """A column (from 0) and its unit ("" for none).
-
-    ``envelope`` is whether it has extremes.
-    """
+    """A column (from 0) and its unit ("" for none). ``envelope`` is whether it has extremes."""
 
     place: int
     unit: str
@@ -102,10 +99,7 @@ def decoded(data: bytes) -> tuple[str, ...]:
 
 
 def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
-    """The place of the samples in these `lines`.
-
-    None if the head is not that of an oscilloscope's table.
-    """
+    """The place of the samples in these `lines`. None if the head is not that of an oscilloscope's table."""
     for index, line in enumerate(lines[:HEAD_LINES]):
         for delimiter in (",", ";", "\t"):
             if len(_cells(line, delimiter)) < 2:
@@ -198,10 +192,7 @@ def _channel(heading: str) -> tuple[int, str, bool] | None:
 
 
 def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Columns of channels, with start and step in the heading line.
-
-    Example: CH1(V),CH2(V),t0 = ..., tInc.
-    """
+    """Columns of channels, with start and step in the heading line. Example: CH1(V),CH2(V),t0 = ..., tInc."""
     start, step = _START.search(lines[index]), _STEP.search(lines[index])
     if start is None or step is None or start[2].lower() not in _TIMES or step[2].lower() not in _TIMES:
         return None
@@ -267,10 +258,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
 
 
 def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Headings that are units, with the channels above (Siglent).
-
-    Example: Source,CH1,CH2 over Second,Volt,Volt.
-    """
+    """Headings that are units, with the channels above (Siglent). Example: Source,CH1,CH2 over Second,Volt,Volt."""
     cells = _cells(lines[index], delimiter)
     if cells[0].lower() not in _TIMES or not all(cell.lower() in {*_VOLTS, "value"} for cell in cells[1:]):
         return None
@@ -291,10 +279,7 @@ def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTabl
 
 
 def _by_file(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """The only channel, whose file is named after it (LeCroy).
-
-    The head is LECROY..., then Time,Ampl.
-    """
+    """The only channel, whose file is named after it (LeCroy). The head is LECROY..., then Time,Ampl."""
     if [cell.lower() for cell in _cells(lines[index], delimiter)] != ["time", "ampl"] or not lines[0].lstrip(
             '"').upper().startswith("LECROY"):
         return None
@@ -303,10 +288,7 @@ def _by_file(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
 
 
 def _units_below(lines: Sequence[str], index: int, delimiter: str) -> tuple[list[str], int]:
-    """A line of units below the headings, and the head's end.
-
-    The end is the index of the line after the head.
-    """
+    """A line of units below the headings, and the head's end. The end is the index of the line after the head."""
     if index + 1 >= len(lines):
         return [], index + 1
     cells = [cell.strip("()[] ") for cell in _cells(lines[index + 1], delimiter)]
@@ -326,10 +308,7 @@ def _settings(lines: Sequence[str], delimiter: str) -> dict[str, tuple[str, ...]
 
 
 def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[list[str], dict[int, NDArray[np.float64]]]:
-    """The time column as printed, and the samples of every channel.
-
-    Times are "" without a column.
-    """
+    """The time column as printed, and the samples of every channel. Times are "" without a column."""
     places = {number: columns[0].place for number, columns in table.channels.items()}
     extremes = {number: columns[1].place for number, columns in table.channels.items() if len(columns) > 1}
     for number, columns in table.channels.items():

@@ -59,10 +59,7 @@ def draw_from_above(found: Trajectories, path: Path, *, at: float, transparent: 
 
 
 def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> Path:
-    """Draw the particles on the Gor'kov potential of the section.
-
-    There is a panel for each of the times `at` (s).
-    """
+    """Draw the particles on the Gor'kov potential of the section. There is a panel for each of the times `at` (s)."""
     tall = _heights_enlarged(found)
     # Panels that are about as high as wide are side by side.
     columns = min(len(at), 1 if _flatness(found) * tall < _BESIDE else 2)
@@ -146,10 +143,7 @@ def animate_beads(found: Trajectories, path: Path, *, frames: int = FRAMES) -> P
 
 
 def scale_bar_length(width: float) -> float:
-    """A round length, at most :data:`SCALE_BAR` of a `width` (m).
-
-    It is 1, 2 or 5 times a power of ten.
-    """
+    """A round length, at most :data:`SCALE_BAR` of a `width` (m). It is 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(SCALE_BAR * width))
     return power * max(each for each in (1.0, 2.0, 5.0) if each * power <= SCALE_BAR * width * (1.0 + 1e-9))
 

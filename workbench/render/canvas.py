@@ -161,10 +161,7 @@ def photograph(
 
 
 def surface(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Any:
-    """A vtkPolyData of `points` (N, 3) m and `cells` (M, k).
-
-    Cells are polygons, or lines if k is 2.
-    """
+    """A vtkPolyData of `points` (N, 3) m and `cells` (M, k). Cells are polygons, or lines if k is 2."""
     model, core, support = vtk_modules("vtkCommonDataModel", "vtkCommonCore", "util.numpy_support")
     data, holder, array = model.vtkPolyData(), core.vtkPoints(), model.vtkCellArray()
     holder.SetData(support.numpy_to_vtk(np.ascontiguousarray(points), deep=1))
@@ -208,10 +205,7 @@ def role_colour(region: str) -> str:
 
 
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and label for values up to `largest`, from 1 to 1000.
-
-    Example: (1e9, "nm") for 5.4e-8 m.
-    """
+    """Factor and label for values up to `largest`, from 1 to 1000. Example: (1e9, "nm") for 5.4e-8 m."""
     if not largest > 0.0 or not math.isfinite(largest):
         return 1.0, unit
     exponent = min(max(3 * math.floor(math.log10(largest) / 3 + 1e-9), min(_PREFIXES)), max(_PREFIXES))
@@ -224,10 +218,7 @@ def typeset(excitation: Excitation) -> str:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty matplotlib figure (inches), outside pyplot's global state.
-
-    Its texts are not read as formulas.
-    """
+    """An empty matplotlib figure (inches), outside pyplot's global state. Its texts are not read as formulas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figure = text_figure(width, height)

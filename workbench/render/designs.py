@@ -26,10 +26,7 @@ class Course:
 
 
 def draw_descents(courses: Sequence[Course], path: Path, *, label: str, maximise: bool, title: str = "") -> Path:
-    """Draw the best figure so far of every descent.
-
-    Colours are by the optimum at its end.
-    """
+    """Draw the best figure so far of every descent. Colours are by the optimum at its end."""
     figure = new_figure(8.0, 4.2)
     axes = figure.subplots()
     best_of = np.fmax.accumulate if maximise else np.fmin.accumulate

@@ -13,10 +13,7 @@ if TYPE_CHECKING:
 
 
 def text_figure(width: float, height: float) -> Figure:
-    """A figure (inches) that prints every name literally.
-
-    A name between two ``$`` is not a formula.
-    """
+    """A figure (inches) that prints every name literally. A name between two ``$`` is not a formula."""
     from matplotlib.figure import Figure
 
     class LiteralFigure(Figure):

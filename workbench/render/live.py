@@ -51,10 +51,7 @@ class LivePicture:
 
 
 def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePicture]:
-    """The pictures of displacement, cavity pressure and potential, drawn on request.
-
-    The potential has its traps.
-    """
+    """The pictures of displacement, cavity pressure and potential, drawn on request. The potential has its traps."""
     mesh = fields.mesh
     yield _signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)
     if CAVITY in fields.fluid_regions:

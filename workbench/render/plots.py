@@ -25,10 +25,7 @@ BETWEEN, MOST_POINTS = 8, 20_000
 
 
 class SpectrumLike(Protocol):
-    """A spectrum to draw.
-
-    Frequency (n,) is in Hz, impedance (n,) in ohm, complex, e^{+j w t}.
-    """
+    """A spectrum to draw. Frequency (n,) is in Hz, impedance (n,) in ohm, complex, e^{+j w t}."""
 
     @property
     def frequency(self) -> NDArray[np.float64]: ...
@@ -204,10 +201,7 @@ def draw_convergence(
 
 
 def tidy(axes: Axes, *, both: bool = False) -> None:
-    """Set light grid lines behind curves, and hide two frame lines.
-
-    With `both`, minor grid lines too.
-    """
+    """Set light grid lines behind curves, and hide two frame lines. With `both`, minor grid lines too."""
     axes.grid(visible=True, which="both" if both else "major", color="#e4e4e4", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

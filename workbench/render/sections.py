@@ -77,10 +77,7 @@ class _Window:
 
 
 def draw_axial_displacement(fields: Fields, path: Path) -> Path:
-    """Draw u_z in the solids, with white fluids.
-
-    As in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS).
-    """
+    """Draw u_z in the solids, with white fluids. As in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS)."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
         fields.mesh, values, path, unit="m", label="axial displacement u_z",
@@ -104,10 +101,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
 
 
 def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
-    """Draw the Gor'kov potential with its traps.
-
-    As in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS).
-    """
+    """Draw the Gor'kov potential with its traps. As in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS)."""
     forces = report.forces
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
@@ -244,10 +238,7 @@ def phase_title(fields: Fields, phase: float) -> str:
 def _draw_signed(
     mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
 ) -> Path:
-    """Draw regions with a value at all nodes, the others white.
-
-    Colours are symmetric about zero.
-    """
+    """Draw regions with a value at all nodes, the others white. Colours are symmetric about zero."""
     largest = float(np.nanmax(np.abs(values)))
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
@@ -324,10 +315,7 @@ def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
 
 
 def _nodal(mesh: NodalMesh, values: FloatArray, window: _Window) -> FloatArray:
-    """Nodal `values` (N,) at the points of a picture.
-
-    NaN in regions without all values.
-    """
+    """Nodal `values` (N,) at the points of a picture. NaN in regions without all values."""
     regions = [name for name in mesh.regions if np.isfinite(values[mesh.nodes_of([name])]).all()]
     return raster(mesh, values, *_raster_points(window), regions)
 

@@ -43,10 +43,7 @@ _FINER = 4
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A named closed surface.
-
-    ``vertices`` (N, 3) are in m, ``triangles`` (M, 3) are vertex numbers.
-    """
+    """A named closed surface. ``vertices`` (N, 3) are in m, ``triangles`` (M, 3) are vertex numbers."""
 
     name: str
     vertices: FloatArray
@@ -222,10 +219,7 @@ def _turned(points: FloatArray, angle: float) -> FloatArray:
 
 
 def _cut_faces(mesh: NodalMesh, *, degrees: float) -> tuple[FloatArray, IntArray]:
-    """Points and quadrilaterals of the cells on the two cut faces.
-
-    The points are the nodes of the mesh, twice.
-    """
+    """Points and quadrilaterals of the cells on the two cut faces. The points are the nodes of the mesh, twice."""
     cells = mesh.cells
     quads = np.stack([cells[:, :-1, :-1], cells[:, 1:, :-1], cells[:, 1:, 1:], cells[:, :-1, 1:]], axis=-1)
     points = [_turned(mesh.points, angle) for angle in (0.0, np.radians(degrees))]
@@ -248,10 +242,7 @@ def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatAr
 
 
 def _section_outlines(mesh: NodalMesh, degrees: float) -> tuple[FloatArray, IntArray]:
-    """Points and lines of the outlines of regions on both cut faces.
-
-    They are slightly in front of the faces.
-    """
+    """Points and lines of the outlines of regions on both cut faces. They are slightly in front of the faces."""
     edges = border_lines(mesh, mesh.region)
     pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()

@@ -56,10 +56,7 @@ class StudyColumn:
         return found if len(found) <= FEW_VALUES else np.zeros(0)
 
     def edges(self, points_in_bin: int, dimensions: int) -> Real:
-        """Ends of bins with about `points_in_bin` points on average.
-
-        `dimensions` is that of the binning.
-        """
+        """Ends of bins with about `points_in_bin` points on average. `dimensions` is that of the binning."""
         few = self.few
         if len(few) > 1:
             middles = 0.5 * (few[1:] + few[:-1])
@@ -192,10 +189,7 @@ def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path,
 
 def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
                  count: int = MOST_IN_PAIRS) -> tuple[StudyColumn, ...]:
-    """The `count` parameters along which a figure's local median varies most.
-
-    They are in their original order.
-    """
+    """The `count` parameters along which a figure's local median varies most. They are in their original order."""
     def spread(parameter: StudyColumn) -> float:
         _, _, middle, _ = _quantiles(parameter, found)
         return float(np.ptp(middle)) if middle.size else 0.0
@@ -214,10 +208,7 @@ def _ends(values: Real) -> tuple[float, float]:
 
 
 def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real, Real]:
-    """Places (k,) along a parameter, and local quantiles of a figure.
-
-    The quantiles are 5, 50 and 95 %.
-    """
+    """Places (k,) along a parameter, and local quantiles of a figure. The quantiles are 5, 50 and 95 %."""
     edges, few = parameter.edges(10 * POINTS_IN_BIN, 1), parameter.few
     bins = np.clip(np.digitize(parameter.values, edges) - 1, 0, len(edges) - 2)
     where, quantiles = [], []
@@ -231,10 +222,7 @@ def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, 
 
 
 def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real]:
-    """Edges along both parameters, and the mean (n, m) in every bin.
-
-    NaN in an empty bin.
-    """
+    """Edges along both parameters, and the mean (n, m) in every bin. NaN in an empty bin."""
     edges = [each.edges(POINTS_IN_BIN, 2) for each in (first, second)]
     known = np.isfinite(found.values)
     at = first.values[known], second.values[known]
@@ -256,9 +244,6 @@ def _label(axes: Axes, column: StudyColumn, side: str) -> None:
 
 
 def _broken(text: str) -> str:
-    """A name on several lines.
-
-    It is broken after slashes, and before its last part and its unit.
-    """
+    """A name on several lines. It is broken after slashes, and before its last part and its unit."""
     name, bracket, unit = text.partition(" (")
     return name.replace("/", "/\n").replace(".", "\n.") + (f"\n({unit}" if bracket else "")

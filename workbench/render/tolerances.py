@@ -39,10 +39,7 @@ class Tornado:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Samples (n,) of one figure, in the unit of its ``title``.
-
-    Limits are infinite if there are none.
-    """
+    """Samples (n,) of one figure, in the unit of its ``title``. Limits are infinite if there are none."""
 
     title: str
     values: Real

@@ -318,11 +318,7 @@ class _Search:
         self._seen: tuple[Real, Complex] | None = None
 
     def look_at(self, window: float) -> None:
-        """Use the measured points within `window` (relative) of the resonance.
-
-        Raises:
-            InputError: there are fewer of them than parameters.
-        """
+        """Use the measured points within `window` (relative) of the resonance."""
         self._window = window
         if window not in self._models:
             frequency = self.measured.frequency[self._points]
@@ -404,10 +400,7 @@ class _Search:
 
 
 def simplex(start: Real) -> Real:
-    """The first simplex (n + 1, n) of ``fminsearch``.
-
-    It has the start, and then each variable 5 % larger.
-    """
+    """The first simplex (n + 1, n) of ``fminsearch``. It has the start, and then each variable 5 % larger."""
     corners = np.tile(start, (start.size + 1, 1))
     for i, value in enumerate(start):
         corners[i + 1, i] = (1.0 + SIMPLEX) * value if value != 0.0 else SIMPLEX_AT_ZERO

@@ -115,10 +115,7 @@ class Sensitivity(Brief):
         return np.asarray(steep[:, near].max(axis=1))
 
     def normalised(self, index: Real) -> Real:
-        """An index (p,) over the largest of its kind, real or imaginary.
-
-        It is zero if all of a kind are zero.
-        """
+        """An index (p,) over the largest of its kind, real or imaginary. It is zero if all of a kind are zero."""
         result = np.zeros(index.size)
         for kind in (self.is_loss, ~self.is_loss):
             if kind.any() and index[kind].max() > 0.0:

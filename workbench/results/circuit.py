@@ -90,10 +90,7 @@ class FittedResonance:
 
     @property
     def merit(self) -> float:
-        """Figure of merit Q k^2 / (1 - k^2).
-
-        Below 10 the dip of |Z| shows neither the frequency nor the Q.
-        """
+        """Figure of merit Q k^2 / (1 - k^2). Below 10 the dip of |Z| shows neither the frequency nor the Q."""
         return self.q.value * self.k_eff.value**2 / (1.0 - self.k_eff.value**2)
 
 

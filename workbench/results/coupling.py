@@ -98,10 +98,7 @@ def planar_root(poisson_ratio: float) -> float:
 
 
 def plate_of(chip: Chip, materials: Mapping[str, Material]) -> Plate | None:
-    """The bare plate of a chip.
-
-    None for a stack, and for a shape or electrodes without the formulas.
-    """
+    """The bare plate of a chip. None for a stack, and for a shape or electrodes without the formulas."""
     layer = chip.transducer
     material = materials[layer.region]
     thickness, across = layer.thickness.value, 2.0 * layer.outer_radius

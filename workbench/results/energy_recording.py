@@ -68,19 +68,13 @@ class EnergyRecording(Brief):
 
     @property
     def rate(self) -> Real:
-        """1/t* (1/s) or E_ac (J/m^3) at every frequency (n,).
-
-        It is per Vpp^2 if the voltage is stated.
-        """
+        """1/t* (1/s) or E_ac (J/m^3) at every frequency (n,). It is per Vpp^2 if the voltage is stated."""
         rate = self.values if self.kind == ENERGY_DENSITY else 1.0 / self.values
         return rate if self.voltage is None else rate / self.voltage**2
 
     @property
     def is_absolute(self) -> bool:
-        """Whether the rate is an energy density per Vpp^2.
-
-        Otherwise it has an unknown factor.
-        """
+        """Whether the rate is an energy density per Vpp^2. Otherwise it has an unknown factor."""
         return self.kind == ENERGY_DENSITY and self.voltage is not None
 
     @property

@@ -130,10 +130,7 @@ class _Data:
                 np.tile([np.inf, 1.0 + BESIDE, np.log(end / (NARROWEST * self.step))], peaks))
 
     def parts(self, x: Real) -> tuple[Real, Real, Real]:
-        """ln of every peak (..., peaks, n), y, and Q f/f0^2.
-
-        The parameters x have the shape (..., peaks, 3).
-        """
+        """ln of every peak (..., peaks, n), y, and Q f/f0^2. The parameters x have the shape (..., peaks, 3)."""
         place, q = self.low + self.span * x[..., 1, None], np.exp(x[..., 2, None])
         y = 2.0 * q * (self.frequency / place - 1.0)
         return x[..., 0, None] - np.log1p(y**2), y, q * self.frequency / place**2
@@ -257,10 +254,7 @@ def _peak_points(data: _Data, found: OptimizeResult) -> list[int]:
 
 
 def _peaks(data: _Data, found: OptimizeResult, reach: float, findings: list[str]) -> tuple[FittedPeak, ...]:
-    """The peaks, the highest first; adds `findings`.
-
-    `reach` is the half width of an interval at unit weight.
-    """
+    """The peaks, the highest first; adds `findings`. `reach` is the half width of an interval at unit weight."""
     parameters, points = found.x.reshape(-1, OF_PEAK), _peak_points(data, found)
     low, high = (bound.reshape(-1, OF_PEAK) for bound in data.bounds(len(parameters)))
     at_bound = (parameters < low + AT_BOUND) | (parameters > high - AT_BOUND)

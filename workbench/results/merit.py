@@ -205,10 +205,7 @@ def named(merit: Figures, plate: Plate | None) -> Figures:
 
 
 def measured_figures(spectrum: Spectrum, plate: Plate | None = None) -> tuple[Figures | None, str]:
-    """Figures of a spectrum with the coupling factors of a bare `plate`.
-
-    None, and the reason, without a resonance.
-    """
+    """Figures of a spectrum with the coupling factors of a bare `plate`. None, and the reason, without a resonance."""
     try:
         return named(figures(spectrum), plate), ""
     except NoResonance as missing:
@@ -287,10 +284,7 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
 
 
 def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance | None:
-    """The largest Re Y within a bandwidth of `f0`.
-
-    None if it is at the edge, or if the grid does not resolve it.
-    """
+    """The largest Re Y within a bandwidth of `f0`. None if it is at the edge, or if the grid does not resolve it."""
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     impedance = at(grid)

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A result in short: title, rows of a table, spectra by label.
-
-    Spectra in ``measured`` are drawn as dots.
-    """
+    """A result in short: title, rows of a table, spectra by label. Spectra in ``measured`` are drawn as dots."""
 
     title: str
     rows: tuple[tuple[str, ...], ...]
@@ -30,10 +27,7 @@ class Summary:
 
 
 class Shown(Brief):
-    """Base of a result that notebook and prompt show by :meth:`summary`.
-
-    Its dataclass has ``repr=False``.
-    """
+    """Base of a result that notebook and prompt show by :meth:`summary`. Its dataclass has ``repr=False``."""
 
     def summary(self) -> Summary:
         """The result in short."""

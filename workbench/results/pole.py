@@ -59,10 +59,7 @@ def fit_pole(
 
 
 def _fit(spectrum: Spectrum, start: Figures) -> PoleFit:
-    """Fit the pole p of Y = A/(x-p) + b + cx.
-
-    x is the frequency from f0 in half-power half widths.
-    """
+    """Fit the pole p of Y = A/(x-p) + b + cx. x is the frequency from f0 in half-power half widths."""
     half = 0.5 * (start.f2 - start.f1)
     x = (spectrum.frequency - start.f0) / half
     measured = spectrum.admittance

@@ -132,10 +132,7 @@ def unresolved(found: SolvedCircuit) -> str | None:
 
 
 def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
-    """Frequency (Hz), Q and series capacitance (F) of peaks of Re Y.
-
-    The most prominent one is first.
-    """
+    """Frequency (Hz), Q and series capacitance (F) of peaks of Re Y. The most prominent one is first."""
     conductance = spectrum.admittance.real
     if not np.max(conductance) > 0.0:
         return []
@@ -173,10 +170,7 @@ def _nothing(spectrum: Spectrum) -> NoResonance:
 
 
 def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
-    """A plain circuit of the peaks.
-
-    Its capacitances minimise the relative error of Y.
-    """
+    """A plain circuit of the peaks. Its capacitances minimise the relative error of Y."""
     peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
     if not peaks:
         raise _nothing(spectrum)
@@ -247,10 +241,7 @@ def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
 
 
 def _sound(found: SolvedCircuit) -> bool:
-    """Whether the last branch is a resonance in the band.
-
-    It must be narrow and determined, and have a small phase.
-    """
+    """Whether the last branch is a resonance in the band. It must be narrow and determined, and have a small phase."""
     last = len(found.circuit.branches) - 1
     low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
     at, width = float(found.circuit.frequencies[last]), float(found.circuit.bandwidths[last])

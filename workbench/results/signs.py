@@ -64,10 +64,7 @@ def lost_signs(impedance: Complex) -> NDArray[np.intp]:
 
 
 def _gain(plain: Complex, signed: Complex, point: int) -> float:
-    """Roughness after a `point` as recorded, relative to that with signs.
-
-    It is the largest ratio for Z, Y and S.
-    """
+    """Roughness after a `point` as recorded, relative to that with signs. It is the largest ratio for Z, Y and S."""
     around = slice(max(point - 1, 0), point + 3)
     size = abs(plain[point])
     one, other = plain[around] / size, signed[around] / size

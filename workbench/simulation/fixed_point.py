@@ -98,10 +98,7 @@ class HeatPaths:
 
     @classmethod
     def of(cls, problem: Problem, solution: Solution, up: WarmUp, lawful: frozenset[str] = frozenset()) -> HeatPaths:
-        """The paths for losses that are distributed as in a full `solution`.
-
-        ``others`` has the `lawful` materials.
-        """
+        """The paths for losses that are distributed as in a full `solution`. ``others`` has the `lawful` materials."""
         model, _ = conduction_of(problem, convection=up.convection, holder=up.holder)
         source = heat_source(solution, 1.0)
         unheated = np.nan_to_num(model.temperature(np.zeros(model.size)))
@@ -181,10 +178,7 @@ class _Chip:
         return self.sound.on(self.model.basis)
 
     def levels_of(self, solution: Solution, sound: SoundEnergy, values: Mapping[str, complex]) -> _Levels:
-        """The levels of a full or reduced solution.
-
-        `values` are its parameters, `sound` is its energy.
-        """
+        """The levels of a full or reduced solution. `values` are its parameters, `sound` is its energy."""
         voltage = np.abs(self.drive.amplitude(solution.impedance))
         squared = voltage**2
         return _Levels(sound.density(solution.frequency, solution.states, values) * squared,
@@ -192,10 +186,7 @@ class _Chip:
                        solution.input_power() * squared)
 
     def accurate(self, rise: float, frequencies: Real, tolerance: float = ACCURATE) -> _Chip:
-        """The chip with a model that is accurate at a rise.
-
-        It is so at the `frequencies` (n,) Hz.
-        """
+        """The chip with a model that is accurate at a rise. It is so at the `frequencies` (n,) Hz."""
         values = self.values(rise)
         if self.model.worst(frequencies, values)[1] <= tolerance:
             return self
@@ -237,10 +228,7 @@ class _Chip:
         return None
 
     def _zoomed(self, rise: float, near: float, half: float) -> float:
-        """The frequency (Hz) of a peak, refined within its window.
-
-        `half` is the relative half width of the window.
-        """
+        """The frequency (Hz) of a peak, refined within its window. `half` is the relative half width of the window."""
         for _ in range(ZOOMS):
             half *= 2.0 / (POINTS - 1)
             window = near * (1.0 + half * np.linspace(-1.0, 1.0, POINTS))
@@ -331,10 +319,7 @@ def _solved(chip: _Chip, cold: Solution, up: WarmUp) -> Warmed:
 
 
 def _along(chip: _Chip, low: float, high: float) -> _Chip:
-    """The chip with a model that is accurate along the rise.
-
-    The frequency is that of the drive.
-    """
+    """The chip with a model that is accurate along the rise. The frequency is that of the drive."""
     # The end first: its basis is sufficient for most of the other rises.
     for rise in (high, *np.linspace(low, high, max(4, int((high - low) / CHECKED) + 2))):
         chip = chip.accurate(float(rise), np.array([chip.frequency]))
@@ -342,10 +327,7 @@ def _along(chip: _Chip, low: float, high: float) -> _Chip:
 
 
 def _following(chip: _Chip, low: float, high: float) -> tuple[_Chip, float]:
-    """The chip whose drive follows its peak, with an accurate model.
-
-    Also the rise (K) up to which the peak exists.
-    """
+    """The chip whose drive follows its peak, with an accurate model. Also the rise (K) up to which the peak exists."""
     found, end = dict[float, float](), high
     for side in (high, low):
         near = chip.frequency
@@ -367,10 +349,7 @@ def _following(chip: _Chip, low: float, high: float) -> tuple[_Chip, float]:
 
 
 def _ends(chip: _Chip) -> tuple[float, float]:
-    """The lowest and the highest mean rise (K) of the liquid.
-
-    Its warmest place stays within all laws.
-    """
+    """The lowest and the highest mean rise (K) of the liquid. Its warmest place stays within all laws."""
     low = max(min(0.0, chip.heat.offset), chip.laws[0].lowest)
     highest = [law.highest / (chip.heat.others.get(law.material.name, chip.heat.spread)) for law in chip.laws]
     return low, min(highest)

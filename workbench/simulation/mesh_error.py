@@ -87,10 +87,7 @@ class MeshErrorEstimate(Brief):
 
 
 def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorEstimate:
-    """The mesh's error of Z by a reduced model.
-
-    It is estimated at `frequency` (n,) Hz.
-    """
+    """The mesh's error of Z by a reduced model. It is estimated at `frequency` (n,) Hz."""
     indices, weights = samples(frequency, model.solve(frequency, values).impedance)
     solution = model.solve(frequency[indices], values)
     surplus, g = _surplus(model.full), solution.coefficients
@@ -185,10 +182,7 @@ def _map(
 
 
 def _restricted(place: Place, nodes: Integers, own: Integers, functions: Real) -> Place:
-    """A place with the surplus functions `own` (functions, cells).
-
-    They replace those of the `nodes` (nodes, cells).
-    """
+    """A place with the surplus functions `own` (functions, cells). They replace those of the `nodes` (nodes, cells)."""
     if place.dofs.shape == nodes.shape:
         change = functions
     else:  # a boundary has the functions of its own nodes only
@@ -218,9 +212,6 @@ def _surplus_functions(low: int, high: int) -> Real:
 
 
 def _bubble(order: int, points: Real) -> Real:
-    """The integral of the Legendre polynomial of `order` - 1, scaled.
-
-    It is over [0, x] and vanishes at both ends.
-    """
+    """The integral of the Legendre polynomial of `order` - 1, scaled. It is over [0, x] and vanishes at both ends."""
     series = legendre.legint([0.0] * (order - 1) + [1.0], lbnd=-1)
     return np.asarray(np.sqrt(2.0 * order - 1.0) * legendre.legval(2.0 * points - 1.0, series))

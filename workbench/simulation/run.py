@@ -184,10 +184,7 @@ class Simulation(Snapshot, Shown):
         return Summary(f"{self.chip.name}, {self.state}", tuple(rows), {self.state: self.spectrum})
 
     def to_xarray(self) -> xarray.Dataset:
-        """The spectrum (:meth:`Spectrum.to_xarray`) with figures as attributes.
-
-        They are in Hz, ohm and 1.
-        """
+        """The spectrum (:meth:`Spectrum.to_xarray`) with figures as attributes. They are in Hz, ohm and 1."""
         found = self.spectrum.to_xarray().assign_attrs(chip=self.chip.name, state=self.state,
                                                        estimated_relative_error=self.error)
         if self.figures is not None:
@@ -385,10 +382,7 @@ def _snapshot(
     device: FilledChip, problem: Problem, system: System, frequency: float, drive: Drive, warm: WarmUp | None,
     registry: Registry, model: ReducedModel | None = None,
 ) -> Snapshot:
-    """The full solution of a device, warm if that matters.
-
-    Particles are those of the stated temperature.
-    """
+    """The full solution of a device, warm if that matters. Particles are those of the stated temperature."""
     check_mesh(problem, frequency)
     device.check_validity((frequency, frequency))
     solution, state = solution_near(system, frequency), None
