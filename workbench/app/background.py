@@ -25,10 +25,8 @@ FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError, MemoryErr
 
 
 class Background:
-    """Works by their kind ("model", "fit"), each in its own thread.
-
-    ``changed`` is called, from any thread, with a kind, its words, and whether it is at work.
-    """
+    """Works by their kind ("model", "fit"), each in its own thread. ``changed`` is called, from any thread, with a
+    kind, its words, and whether it is at work."""
 
     def __init__(self, changed: Callable[[str, str, bool], None]) -> None:
         self._changed = changed

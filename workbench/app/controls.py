@@ -162,10 +162,8 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
 
 
 def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
-    """The parameter of that name and `value` (SI), with its uncertainty.
-
-    A length without one has that assumed by its role.
-    """
+    """The parameter of that name and `value` (SI), with its uncertainty. A length without one has that assumed by its
+    role."""
     parsed = ParameterName.parse(name)
     if parsed.is_dimension:
         found = length_number(chip, name)

@@ -86,5 +86,4 @@ def refusal(request: Any, token: str) -> str:
 
 
 def _port(request: Any) -> int:
-    """The port of a request."""
     return int(request.transport.get_extra_info("sockname")[1])

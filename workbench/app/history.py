@@ -10,10 +10,8 @@ Numbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class History:
-    """The ``present`` values by name, with the ``past`` and ``future``.
-
-    ``past`` is oldest first, ``future`` next first.
-    """
+    """The ``present`` values by name, with the ``past`` and ``future``. ``past`` is oldest first, ``future`` next
+    first."""
 
     present: Numbers
     past: tuple[Numbers, ...] = ()

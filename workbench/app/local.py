@@ -32,10 +32,8 @@ LEFT_OUT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """A part of a range ``model``, with one moving parameter.
-
-    Others stay at ``centre`` (SI); the moving one stays within its bounds in ``reach`` (SI).
-    """
+    """A part of a range ``model``, with one moving parameter. Others stay at ``centre`` (SI); the moving one stays
+    within its bounds in ``reach`` (SI)."""
 
     model: RangeModel
     centre: Mapping[str, float]
@@ -85,11 +83,8 @@ def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
 def local_model(
     model: RangeModel, centre: Mapping[str, float], reach: Ranges, stopped: Callable[[], bool] = lambda: False
 ) -> LocalModel | None:
-    """The local model about `centre` (SI), or None.
-
-    None for a range model of :data:`SMALL_RANK`, for an error above the range model's tolerance, and once `stopped`.
-    The error is measured between the points of the basis.
-    """
+    """The local model about `centre` (SI), or None. None for a range model of :data:`SMALL_RANK`, for an error above
+    the range model's tolerance, and once `stopped`. The error is measured between the points of the basis."""
     if model.rank <= SMALL_RANK:
         return None
     watched, compact = model.frequency[::EVERY], model.compact

@@ -20,10 +20,8 @@ from workbench.simulation.energy import PER_WATT, EnergyPeak
 
 
 class EnergyPeaks:
-    """The largest energy peaks in the cavity, for models of one chip.
-
-    They are under a ``drive``. The energy form of a model is computed once.
-    """
+    """The largest energy peaks in the cavity, for models of one chip. They are under a ``drive``. The energy form of a
+    model is computed once."""
 
     def __init__(self, device: FilledChip, drive: Drive) -> None:
         self.drive, self._is_wet = drive, device.is_wet
@@ -54,10 +52,8 @@ class EnergyPeaks:
 
 
 def operating_frequency(chip: Chip, peak: EnergyPeak | None, f0: float | None, band: tuple[float, float]) -> float:
-    """The operating point (Hz) of a chip.
-
-    It is stated in its file, or else the energy's peak, f0 or the middle of the band.
-    """
+    """The operating point (Hz) of a chip. It is stated in its file, or else the energy's peak, f0 or the middle of the
+    band."""
     if isinstance(chip.operating_point, float):
         return chip.operating_point
     if peak is not None and chip.operating_point != AT_F0:

@@ -25,11 +25,8 @@ _REACH = 5.0
 
 @dataclass(frozen=True)
 class Refit:
-    """Result of a fit.
-
-    ``values`` and standard ``errors`` (SI) are by name, ``before`` and ``after`` are mean errors of |Z| in per cent,
-    ``findings`` are in words.
-    """
+    """Result of a fit. ``values`` and standard ``errors`` (SI) are by name, ``before`` and ``after`` are mean errors of
+    |Z| in per cent, ``findings`` are in words."""
 
     values: Mapping[str, float]
     errors: Mapping[str, float]
@@ -73,10 +70,8 @@ def refit(
 
 
 def known_to(parameter: Parameter, uncertainty: float | None) -> Parameter:
-    """A material's `parameter` with a standard `uncertainty` (SI), if given.
-
-    Its range is five of them. A loss keeps its bounds, and no parameter changes its sign.
-    """
+    """A material's `parameter` with a standard `uncertainty` (SI), if given. Its range is five of them. A loss keeps
+    its bounds, and no parameter changes its sign."""
     if uncertainty is None:
         return parameter
     start, low, high = parameter.start, parameter.low, parameter.high

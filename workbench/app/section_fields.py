@@ -33,10 +33,8 @@ BEAD = ("polystyrene", 5e-6)
 
 @dataclass(frozen=True, eq=False)
 class SectionFields:
-    """The fields of a chip with these ``values`` (SI, by name).
-
-    ``traps`` is None without a fluid in the cavity, or without a particle.
-    """
+    """The fields of a chip with these ``values`` (SI, by name). ``traps`` is None without a fluid in the cavity, or
+    without a particle."""
 
     values: Mapping[str, float]
     fields: Fields
@@ -71,10 +69,8 @@ def usual_bead(registry: Registry) -> Particle:
 
 
 def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:
-    """A copy of `chip` with the lengths among `values` (SI).
-
-    Coinciding radii move together, under their canonical name. An unchanged length keeps its tolerance and its note.
-    """
+    """A copy of `chip` with the lengths among `values` (SI). Coinciding radii move together, under their canonical
+    name. An unchanged length keeps its tolerance and its note."""
     first = canonical_names(chip)
     return chip.with_dimensions({
         name: values[first.get(name, name)] for name in chip.dimensions() if first.get(name, name) in values})

@@ -47,10 +47,8 @@ _STEPS = 200
 
 @dataclass(frozen=True)
 class Drawing:
-    """The functions that draw fields.
-
-    ``section`` yields one picture after the other; ``space`` draws the chip in space (PNG).
-    """
+    """The functions that draw fields. ``section`` yields one picture after the other; ``space`` draws the chip in space
+    (PNG)."""
 
     section: Callable[[SectionFields], Iterable[DrawnField]]
     space: Callable[[SectionFields], bytes]
@@ -61,11 +59,8 @@ class LiveView:
 
     def __init__(self, session: Session, drawing: Drawing, folder: Path, diagnosing: Diagnosing, *,
                  campaign: Path | None = None) -> None:
-        """Prepare the page of a session.
-
-        Chip files and reports are written to `folder`, which is created when needed; `diagnosing` runs a diagnosis, of
-        the `campaign` or of the one recording.
-        """
+        """Prepare the page of a session. Chip files and reports are written to `folder`, which is created when needed;
+        `diagnosing` runs a diagnosis, of the `campaign` or of the one recording."""
         from trame.app import get_server
 
         self.session, self.drawing, self.folder = session, drawing, folder
@@ -164,7 +159,6 @@ class LiveView:
             self._state.change(f"x_{index}")(lambda index=index, **_state: self._move(index))
 
     def _move(self, index: int) -> None:
-        """Handle a moved slider."""
         control, entered = self.session.controls[index], self._state[f"x_{index}"]
         try:
             if entered == slider_number(self.session.values[control.name] * control.factor):
@@ -177,7 +171,6 @@ class LiveView:
         self._follow_move()
 
     def _enter(self, name: str, text: str) -> None:
-        """Handle a typed number."""
         self._entries[str(name)] += 1
         try:
             self.session.move(name, typed_number(text, self.session.control(name), name))
@@ -220,7 +213,6 @@ class LiveView:
         self._changed()
 
     def _tolerate(self, name: str, text: str) -> None:
-        """Handle a typed tolerance."""
         self._entries[str(name)] += 1
         try:
             self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
@@ -337,17 +329,14 @@ class LiveView:
         self._show_numbers()
 
     def _touch(self) -> None:
-        """Request a spectrum."""
         self._moved, self._moved_at = True, self._loop.time()
         self._requested.set()
 
     def _draw(self) -> None:
-        """Request the fields."""
         self._picked = True
         self._later.set()
 
     def _changed(self) -> None:
-        """Update the page after a change of values."""
         with self._state:
             self._show_rows()
             self._show_numbers()
@@ -453,10 +442,8 @@ class LiveView:
         return self._moved
 
     async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
-        """Show the spectrum and its figures, then the effect of tolerances.
-
-        The latter follows separately if it takes long.
-        """
+        """Show the spectrum and its figures, then the effect of tolerances. The latter follows separately if it takes
+        long."""
         view = await self._loop.run_in_executor(pool, partial(self.session.spectrum, hurried=True))
         await self._show_spectrum(pool, view)
         if not view.complete and not self._requested.is_set():

@@ -73,10 +73,8 @@ class Present:
     accuracy: float | Discretisation
 
     def solve(self, send: Callable[[tuple[float, complex]], None], frequencies: Sequence[float]) -> None:
-        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves.
-
-        They are on a mesh of this chip, and each is sent as soon as it is solved.
-        """
+        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves. They are on a mesh of this chip, and
+        each is sent as soon as it is solved."""
         problem = build(fill(self.chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
         operators = assemble(problem.mesh, problem.terms)
         for solution in sweep(operators, np.array(frequencies), placed(problem.values, self.constants)):
@@ -235,10 +233,8 @@ class Session:
             return self._controls[choose(name, self._controls, source="live view", field=field)]
 
     def stated_chip(self, values: Mapping[str, float] = MappingProxyType({})) -> Chip:
-        """The chip with lengths among `values` (SI) and present tolerances.
-
-        Tolerances are stated in its file or typed. Coinciding radii share theirs.
-        """
+        """The chip with lengths among `values` (SI) and present tolerances. Tolerances are stated in its file or typed.
+        Coinciding radii share theirs."""
         with self._lock:
             stated = {name: each.tolerance for name, each in self._controls.items()
                       if each.is_dimension and each.tolerance is not None}
@@ -366,10 +362,8 @@ class Session:
             return any(each.error <= each.relative_error and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
-        """Make models of `ranges` from at most `limit` full solves.
-
-        It yields descriptions, and ends once values are outside.
-        """
+        """Make models of `ranges` from at most `limit` full solves. It yields descriptions, and ends once values are
+        outside."""
         wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
                         self.accuracy, limit)
         models = self._growing(wanted)
@@ -445,11 +439,8 @@ class Session:
         return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
 
     def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
-        """Make a small model for the next answer; whether one was made.
-
-        They are for any one parameter near the present values, and for the last moved one over its range. Abandoned
-        once `stopped`, when a spectrum is requested.
-        """
+        """Make a small model for the next answer; whether one was made. They are for any one parameter near the present
+        values, and for the last moved one over its range. Abandoned once `stopped`, when a spectrum is requested."""
         with self._lock:
             values, name = self.values, self._last_moved
             if not self.is_covered():

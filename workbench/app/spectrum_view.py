@@ -55,10 +55,8 @@ class SpectrumView:
 def spectrum_view(
     response: Response, deviations: Mapping[str, float], error: float, recording: Spectrum | None, peaks: EnergyPeaks,
 ) -> SpectrumView:
-    """The results of the spectrum of a model with this `error`.
-
-    `deviations` are standard deviations of independent parameters (SI, by name).
-    """
+    """The results of the spectrum of a model with this `error`. `deviations` are standard deviations of independent
+    parameters (SI, by name)."""
     names = tuple(name for name, each in deviations.items() if each > 0.0)
     changes = response.gradient(names) * np.array([deviations[name] for name in names]) if names else None
     merit: dict[str, float] = {}

@@ -42,11 +42,8 @@ SOLVED = 41
 
 
 class Works:
-    """The works on a session; ``free`` names the parameters of a fit.
-
-    A diagnosis is written to a folder within `folder`. It is of the `campaign` or, without one, of the session's
-    recording; `diagnosing` runs it.
-    """
+    """The works on a session; ``free`` names the parameters of a fit. A diagnosis is written to a folder within
+    `folder`. It is of the `campaign` or, without one, of the session's recording; `diagnosing` runs it."""
 
     def __init__(self, session: Session, folder: Path, campaign: Path | None, diagnosing: Diagnosing) -> None:
         self._session, self._folder, self.campaign, self._diagnosing = session, folder, campaign, diagnosing
@@ -179,7 +176,6 @@ def _solve(send: Send, *, present: Present, frequencies: Sequence[float]) -> Non
 
 
 def _impedance(present: Present, frequency: float) -> complex:
-    """The impedance (ohm, e^{+j w t}) by a full solve."""
     found: list[tuple[float, complex]] = []
     present.solve(found.append, [frequency])
     return found[0][1]

@@ -118,11 +118,8 @@ def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
 
 
 def _bend(standard: Spectrum) -> float:
-    """Rms error of the prediction of inner points by their neighbours.
-
-    It is relative to the allowed error, and divided by four, since the error of a line between points is a quarter of
-    its error over twice the distance.
-    """
+    """Rms error of the prediction of inner points by their neighbours. It is relative to the allowed error, and divided
+    by four, since the error of a line between points is a quarter of its error over twice the distance."""
     if len(standard.frequency) < 3:
         return math.inf
     f, z, noise = standard.frequency, standard.impedance, _noise(standard)

@@ -65,9 +65,6 @@ def impedance(fits: Sequence[SineFit], resistance: float, *, probe: bool = False
 
 
 def common_uncertainty(tolerance: float, gain_accuracy: float) -> float:
-    """Relative standard uncertainty that all points share.
-
-    It is of the resistor, and of the ratio of two channels' gains. Both are limits of uniform laws (JCGM 100:2008,
-    4.3.7).
-    """
+    """Relative standard uncertainty that all points share. It is of the resistor, and of the ratio of two channels'
+    gains. Both are limits of uniform laws (JCGM 100:2008, 4.3.7)."""
     return math.hypot(tolerance, math.sqrt(2.0) * gain_accuracy) / math.sqrt(3.0)

@@ -92,13 +92,11 @@ def _unvisited(sweep: SweepPlan, number: int, rising: Sequence[float], points: S
 
 
 def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
-    """The next frequency of an adaptive sweep.
-
-    First points are evenly spaced. Then each point is added in the middle of the interval at whose end the other points
-    predict the point worst, beyond the noise; see :func:`_missed`. The band within half a width about the half-power
-    points of the deepest resonance, where f0, Z_min and Q are read, has more weight. Once the shape is known to the
-    resolution or to the noise, the remaining points repeat the existing frequencies.
-    """
+    """The next frequency of an adaptive sweep. First points are evenly spaced. Then each point is added in the middle
+    of the interval at whose end the other points predict the point worst, beyond the noise; see :func:`_missed`. The
+    band within half a width about the half-power points of the deepest resonance, where f0, Z_min and Q are read, has
+    more weight. Once the shape is known to the resolution or to the noise, the remaining points repeat the existing
+    frequencies."""
     even = max(8, round(_EVEN_SHARE * sweep.points))
     seen = {point.frequency for point in points}
     for start in _settable(np.linspace(sweep.low, sweep.high, even)).tolist():
@@ -139,11 +137,9 @@ def _deepest(spectrum: Spectrum) -> tuple[float, float]:
 
 
 def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Relative error (n,) of prediction of each point by its neighbours.
-
-    Also the error due to noise. The prediction is the cubic through the two nearest points on either side, of the
-    reflection coefficient, as in :meth:`Spectrum.interpolant`, because that is bounded. It is zero at the ends.
-    """
+    """Relative error (n,) of prediction of each point by its neighbours. Also the error due to noise. The prediction is
+    the cubic through the two nearest points on either side, of the reflection coefficient, as in
+    :meth:`Spectrum.interpolant`, because that is bounded. It is zero at the ends."""
     frequency, impedance = spectrum.frequency, spectrum.impedance
     assert spectrum.uncertainty is not None  # combined_points() always states it
     count = len(frequency)
@@ -167,10 +163,8 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def combined_points(points: Sequence[Measured]) -> Spectrum:
-    """Points as a spectrum in rising order.
-
-    Equal frequencies are combined by weighted mean; the uncertainty (ohm) is of the noise alone.
-    """
+    """Points as a spectrum in rising order. Equal frequencies are combined by weighted mean; the uncertainty (ohm) is
+    of the noise alone."""
     frequency = np.array([point.frequency for point in points])
     impedance = np.array([point.impedance for point in points])
     weight = np.array([point.uncertainty for point in points]) ** -2.0

@@ -147,10 +147,8 @@ class Rig:
         self._sleep(self.setup.acquisition.settle)
 
     def capture(self) -> tuple[Waveform, Waveform]:
-        """Capture both channels once, on the present ranges.
-
-        The first is across device and resistor, the second across the resistor.
-        """
+        """Capture both channels once, on the present ranges. The first is across device and resistor, the second across
+        the resistor."""
         _, oscilloscope = self._opened()
         total, reference = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
         captured = oscilloscope.capture((total, reference))
@@ -163,10 +161,8 @@ class Rig:
         return captured[total], captured[reference]
 
     def ranged_capture(self) -> tuple[Waveform, Waveform]:
-        """Capture with suitable ranges of both channels, found by trying.
-
-        A channel that clips on the coarsest range, or is small on the finest, is returned unchanged, and flagged later.
-        """
+        """Capture with suitable ranges of both channels, found by trying. A channel that clips on the coarsest range,
+        or is small on the finest, is returned unchanged, and flagged later."""
         if not self._scales:
             self._prepare()
         pair = self.capture()

@@ -93,11 +93,8 @@ class Event:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Brief):
-    """A run on disk.
-
-    ``setup_text`` is the text of BENCH.toml; ``instruments`` are their identifications; ``complete`` is whether every
-    requested point was measured.
-    """
+    """A run on disk. ``setup_text`` is the text of BENCH.toml; ``instruments`` are their identifications; ``complete``
+    is whether every requested point was measured."""
 
     run_id: str
     created: float
@@ -222,10 +219,8 @@ def read_run(path: Path) -> Run:
 
 
 def _with(run: Run, record: Mapping[str, Any]) -> Run:
-    """The run with a record of its journal, added at most once.
-
-    A kill between merging and unlinking makes duplicates.
-    """
+    """The run with a record of its journal, added at most once. A kill between merging and unlinking makes
+    duplicates."""
     if record["kind"] == "event":
         event = Event(record["time"], record["text"])
         return run if event in run.events else replace(run, events=(*run.events, event))
@@ -313,7 +308,6 @@ def _read_hdf5(path: Path) -> Run:
 
 
 def _run_of(file: Any) -> Run:
-    """The run in an open HDF5 file."""
     table = file["points"]
     numbers = {name: table[name][()] for name in (*_NUMBERS, "impedance")}
     flags = [tuple(json.loads(text)) for text in table["flags"].asstr()[()]]

@@ -127,11 +127,8 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Standards:
-    """Recordings (run files or spectra) of open, short and load.
-
-    ``load_resistance`` (ohm) and ``load_tolerance`` (limits, a fraction) are those of the load; ``columns`` is a column
-    map.
-    """
+    """Recordings (run files or spectra) of open, short and load. ``load_resistance`` (ohm) and ``load_tolerance``
+    (limits, a fraction) are those of the load; ``columns`` is a column map."""
 
     open: Path | None = None
     short: Path | None = None
@@ -159,10 +156,8 @@ class BenchSetup:
 
     @property
     def safe_amplitude(self) -> float:
-        """The open-circuit amplitude (Vpp) within the limits for any passive device.
-
-        The device has at most all of this voltage, and the current is limited by the source resistance.
-        """
+        """The open-circuit amplitude (Vpp) within the limits for any passive device. The device has at most all of this
+        voltage, and the current is limited by the source resistance."""
         return min(self.limits.device_voltage, self.limits.device_current * SOURCE_RESISTANCE)
 
 

@@ -86,11 +86,9 @@ def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) 
 def _settle(
     signal: NDArray[np.float64], time: NDArray[np.float64], omega: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Angular frequency, parameters (channels, 3), and residual (channels, n).
-
-    Parameters are cosine, sine and offset. It is Gauss-Newton on the frequency alone: for each frequency the rest is
-    linear, and is solved (IEEE Std 1057, 4.1.4.3 takes all steps together; the solution is the same).
-    """
+    """Angular frequency, parameters (channels, 3), and residual (channels, n). Parameters are cosine, sine and offset.
+    It is Gauss-Newton on the frequency alone: for each frequency the rest is linear, and is solved (IEEE Std 1057,
+    4.1.4.3 takes all steps together; the solution is the same)."""
     reach = np.pi / (time[-1] - time[0])  # beyond it the residual has other minima
     begin = omega
     for _ in range(_STEPS):
@@ -117,11 +115,8 @@ def _settle(
 
 
 def _search(signal: NDArray[np.float64], step: float) -> float:
-    """An estimate of the frequency (Hz) of the common sine.
-
-    It is the peak of the periodogram, refined by the least residual of three-parameter fits about it, since one to four
-    periods in the record give a coarse periodogram.
-    """
+    """An estimate of the frequency (Hz) of the common sine. It is the peak of the periodogram, refined by the least
+    residual of three-parameter fits about it, since one to four periods in the record give a coarse periodogram."""
     centred = signal - signal.mean(axis=1, keepdims=True)
     scale = np.sqrt(np.mean(centred**2, axis=1))
     samples = signal.shape[1]
@@ -139,14 +134,11 @@ def _search(signal: NDArray[np.float64], step: float) -> float:
 
 
 def _quantisation(amplitude: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard error (in steps) of an amplitude due to rounding.
-
-    The part in the residual is excluded. The fundamental of the error of rounding a sine of `amplitude` steps is (2 /
-    pi) J_1(2 pi amplitude), to leading order, of size (2 / pi) / (pi sqrt(amplitude)) at its crests and a root of two
-    less on average; Gaussian noise of s steps before the converter multiplies it by exp(-2 pi^2 s^2) (Widrow and
-    Kollar, Quantization Noise, 2008, chapters 17 and 20). The residual contains 1/12 of a squared step of the rounding
-    itself.
-    """
+    """Standard error (in steps) of an amplitude due to rounding. The part in the residual is excluded. The fundamental
+    of the error of rounding a sine of `amplitude` steps is (2 / pi) J_1(2 pi amplitude), to leading order, of size (2 /
+    pi) / (pi sqrt(amplitude)) at its crests and a root of two less on average; Gaussian noise of s steps before the
+    converter multiplies it by exp(-2 pi^2 s^2) (Widrow and Kollar, Quantization Noise, 2008, chapters 17 and 20). The
+    residual contains 1/12 of a squared step of the rounding itself."""
     dither = np.maximum(noise**2 - 1.0 / 12.0, 0.0)
     crest = 2.0 / (np.pi**2 * np.sqrt(np.maximum(amplitude, 0.25)))
     return np.asarray(crest / math.sqrt(2.0) * np.exp(-2.0 * np.pi**2 * dither))

@@ -50,10 +50,8 @@ class LevelSpectrum(Brief):
 
 
 def read_compensation(standards: Standards) -> Compensation:
-    """The recordings of the fixture named in BENCH.toml.
-
-    They are run files, or spectra in any format of :mod:`workbench.readers`.
-    """
+    """The recordings of the fixture named in BENCH.toml. They are run files, or spectra in any format of
+    :mod:`workbench.readers`."""
     columns = None if standards.columns is None else readers.read_column_map(standards.columns)
     load = None
     if standards.load is not None and standards.load_resistance is not None:

@@ -170,11 +170,8 @@ def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> RunPoi
 
 
 def _allowed(setup: BenchSetup, rig: Rig, target: Target) -> float:
-    """The amplitude (Vpp, open circuit) within the limits of the device.
-
-    It is at most the level of the target. If the level could exceed a limit with some passive device, the device is
-    first measured below it.
-    """
+    """The amplitude (Vpp, open circuit) within the limits of the device. It is at most the level of the target. If the
+    level could exceed a limit with some passive device, the device is first measured below it."""
     safe = math.floor(setup.safe_amplitude / AMPLITUDE_RESOLUTION + 1e-9) * AMPLITUDE_RESOLUTION
     if target.level <= safe:
         return target.level

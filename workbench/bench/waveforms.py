@@ -77,7 +77,6 @@ def read_channels(path: Path, *, wanted: Collection[int] | None = None) -> dict[
 
 
 def _channel_of(path: Path) -> re.Match[str] | None:
-    """The channel in the name of a file."""
     return _PAIR.search(path.name) or _SHORT.search(path.name)
 
 
@@ -299,11 +298,8 @@ def _value(path: str, header: Mapping[str, str], name: str) -> float:
 
 
 def _flat_topped(raw: NDArray[np.float64]) -> bool:
-    """Whether a crest is far flatter than that of a sine.
-
-    The file does not state the edge of the screen. A share arccos(1 - 1 / a) / pi of the samples of a sine of amplitude
-    a steps is within one step of a crest.
-    """
+    """Whether a crest is far flatter than that of a sine. The file does not state the edge of the screen. A share
+    arccos(1 - 1 / a) / pi of the samples of a sine of amplitude a steps is within one step of a crest."""
     amplitude = 0.5 * float(np.ptp(raw))
     if amplitude < 10.0:
         return False

@@ -219,7 +219,6 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
 
 
 def _own_materials(head: FileTable, folder: Path) -> Iterator[Path]:
-    """The campaign's own folder of materials, if it has one."""
     if "materials" in head:
         own = folder / str(head.content["materials"])
         if not own.is_dir():
@@ -242,7 +241,6 @@ def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[Devi
 
 
 def _inhomogeneity(table: FileTable) -> float | None:
-    """The relative inhomogeneity within parts; None if not stated."""
     model = table.table("model")
     found = model.optional_quantity("inhomogeneity", "share")
     if found is not None and not 0.0 <= found < 1.0:

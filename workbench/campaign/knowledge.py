@@ -55,10 +55,8 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class _Statement:
-    """One standard uncertainty of a parameter.
-
-    It applies to one ``state``, or to all (""). ``field`` is its place in the campaign's file, "" for other sources.
-    """
+    """One standard uncertainty of a parameter. It applies to one ``state``, or to all (""). ``field`` is its place in
+    the campaign's file, "" for other sources."""
 
     name: str
     state: str
@@ -98,7 +96,6 @@ def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from
 
 
 def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
-    """The statements of [states.NAME.known]."""
     table = campaign.table("states").table(state.name).table("known", expected=f"a table [states.{state.name}.known]")
     yield from _stated(table, numbers, lambda _: ((state.name, (state,)),), of=(state,))
 
@@ -106,10 +103,8 @@ def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -
 def _stated(
     table: FileTable, numbers: DeviceNumbers, groups: Groups, *, of: Sequence[DeviceState] = ()
 ) -> Iterator[_Statement]:
-    """The statements of a table about parameters, or about those `of` states.
-
-    Coinciding radii are one parameter: several names may state the same uncertainty.
-    """
+    """The statements of a table about parameters, or about those `of` states. Coinciding radii are one parameter:
+    several names may state the same uncertainty."""
     known, written_as = of or numbers.states, dict[str, tuple[str, float]]()
     for written in table:
         name, field = numbers.named(written), table.at(written)
@@ -220,10 +215,8 @@ def _together(
     numbers: DeviceNumbers, statements: Iterable[_Statement], fixed: tuple[str, ...],
     correlations: Mapping[tuple[str, str], float],
 ) -> Knowledge:
-    """One uncertainty for each shared parameter and each offset.
-
-    A parameter that only one state has combines its shared uncertainty and that of its offset.
-    """
+    """One uncertainty for each shared parameter and each offset. A parameter that only one state has combines its
+    shared uncertainty and that of its offset."""
     by_number: dict[tuple[str, str], list[_Statement]] = {}
     for each in statements:
         alone = len(numbers.having(each.name)) == 1

@@ -30,10 +30,8 @@ def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class DeviceNumbers:
-    """The parameters of all ``states`` of a device.
-
-    Coinciding radii are one parameter, under the first of their names.
-    """
+    """The parameters of all ``states`` of a device. Coinciding radii are one parameter, under the first of their
+    names."""
 
     states: tuple[DeviceState, ...]
 
@@ -43,11 +41,8 @@ class DeviceNumbers:
         return canonical_names(*(state.chip for state in self.states))
 
     def named(self, written: str) -> str:
-        """The full name of a parameter from its name in a file.
-
-        A file may omit the source of a material and the version of a saved material, or name any of several coinciding
-        radii.
-        """
+        """The full name of a parameter from its name in a file. A file may omit the source of a material and the
+        version of a saved material, or name any of several coinciding radii."""
         full = full_names(written, (m.name for s in self.states for m in s.materials.values()))
         name = full[0] if len(full) == 1 else written
         return self.first.get(name, name)
@@ -67,11 +62,8 @@ class DeviceNumbers:
         return replace(found, name=name, tied=together[1:])
 
     def is_one(self, name: str) -> bool:
-        """Whether it is one parameter in all states.
-
-        A fluid at two temperatures differs by a factor, which is shared; the gel below a sample and the gel below a
-        chip may be two layers.
-        """
+        """Whether it is one parameter in all states. A fluid at two temperatures differs by a factor, which is shared;
+        the gel below a sample and the gel below a chip may be two layers."""
         having = self.having(name)
         owner = ParameterName.parse(name).owner
         if any(isinstance(m, Fluid) and m.name == owner for s in having for m in s.materials.values()):

@@ -47,10 +47,8 @@ VAGUEST = 0.5
 
 @dataclass(frozen=True)
 class Cooling:
-    """The part whose mean temperature rises, and its heat loss.
-
-    ``convection`` is in W/(m^2 K). The boundary ``holder``, if any, is at ambient temperature.
-    """
+    """The part whose mean temperature rises, and its heat loss. ``convection`` is in W/(m^2 K). The boundary
+    ``holder``, if any, is at ambient temperature."""
 
     part: str
     convection: float = STILL_AIR
@@ -137,7 +135,6 @@ def _read(
 
 
 def _values(table: FileTable, kind: str) -> list[float]:
-    """The value of an observation, or all radii of rings."""
     dimension = OBSERVABLES[kind][0]
     if kind != RING_RADII:
         return [table.quantity("value", dimension)]

@@ -104,11 +104,8 @@ class DeviceState:
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """The fit of one state under one hypothesis.
-
-    ``reduced`` is the reduced chi-square, ``rms`` that of ln(Z / Z_measured), ``correlation`` the correlation length of
-    the residuals in points, ``impedance`` (n,) in ohm.
-    """
+    """The fit of one state under one hypothesis. ``reduced`` is the reduced chi-square, ``rms`` that of ln(Z /
+    Z_measured), ``correlation`` the correlation length of the residuals in points, ``impedance`` (n,) in ohm."""
 
     name: str
     reduced: float
@@ -124,18 +121,14 @@ def data_rows(states: Sequence[DeviceState]) -> list[slice]:
 
 
 def reduced_chi_square(log: Complex, noise: Real, data: int) -> float:
-    """Reduced chi-square of ln(Z_model / Z_measured) (n,).
-
-    `data` is the number of real data per point (`DeviceState.data`).
-    """
+    """Reduced chi-square of ln(Z_model / Z_measured) (n,). `data` is the number of real data per point
+    (`DeviceState.data`)."""
     return float(np.mean(np.abs(log / noise) ** 2) / data)
 
 
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real, *, data: int = 2) -> StateFit:
-    """The fit of a state with residuals `log` (n,), ln(Z_model / Z_measured).
-
-    `data` is the number of real data per point (`DeviceState.data`).
-    """
+    """The fit of a state with residuals `log` (n,), ln(Z_model / Z_measured). `data` is the number of real data per
+    point (`DeviceState.data`)."""
     return StateFit(name, reduced_chi_square(log, noise, data), rms(log), correlation_length(log / noise), impedance)
 
 
@@ -216,7 +209,6 @@ def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str, tuple[str
 
 
 def _expected(table: FileTable, value: str, file: str) -> str:
-    """The expected value of a field, in words."""
     path = f"the path of its {file}"
     return f"{value} or {path}" if isinstance(table.source, ProgramSource) else path
 

@@ -105,10 +105,8 @@ def effects(device: Device) -> tuple[Effect, ...]:
 
 
 def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """The hypotheses about a device, and the reasons for those left out.
-
-    A hypothesis is left out if it needs a layer without a profile, needs an axis, or cannot be built.
-    """
+    """The hypotheses about a device, and the reasons for those left out. A hypothesis is left out if it needs a layer
+    without a profile, needs an axis, or cannot be built."""
     usable, others = list[Effect](), list[str]()
     for effect in (effect for source in SOURCES for effect in _made(source, device, others)):
         profiled = _profiled(device, effect)

@@ -61,7 +61,6 @@ def filling(device: Device) -> Iterator[Effect]:
 
 
 def _height(state: DeviceState) -> float:
-    """The height (m) of the cavity."""
     return state.chip.holes[-1].z_top - state.chip.holes[0].z_bottom
 
 

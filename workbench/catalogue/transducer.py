@@ -90,10 +90,8 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
 
 
 def _gauge(material: str) -> Effect:
-    """A disc whose constants were fitted with a wrong density.
-
-    Its spectrum is the right one without a load, and a wrong one under a load.
-    """
+    """A disc whose constants were fitted with a wrong density. Its spectrum is the right one without a load, and a
+    wrong one under a load."""
     name, limit = f"{TRANSDUCER}.gauge", MISTAKEN_GAUGE
     powers = tuple((f"{material}.{coefficient}", power) for coefficient, power in GAUGE.items())
     return Effect("density that the constants were fitted with", TRANSDUCER, "mass", "the disc's constants come from a "

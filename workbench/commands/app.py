@@ -77,11 +77,9 @@ def diagnose_as_command(send: Send, *, campaign: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _cancelling() -> Iterator[None]:
-    """Let Ctrl-C and other signals cancel `asyncio.run` in good order.
-
-    asyncio cancels its main task, without an exception in it, if the handler of SIGINT is the interpreter's own. The
-    other signals that interrupt a command raise SIGINT.
-    """
+    """Let Ctrl-C and other signals cancel `asyncio.run` in good order. asyncio cancels its main task, without an
+    exception in it, if the handler of SIGINT is the interpreter's own. The other signals that interrupt a command raise
+    SIGINT."""
     ours = threading.current_thread() is threading.main_thread()
     before = {end: handler for end in ENDS if ours and (handler := signal.getsignal(end)) is not signal.SIG_IGN}
     for end in before:

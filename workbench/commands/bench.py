@@ -135,7 +135,6 @@ def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
 
 
 def _simulate(options: argparse.Namespace, console: Console) -> int:
-    """Serve a simulated bench until interrupted."""
     device, title = _connected(options, console)
     reference = parse_quantity(options.reference, "resistance", source="command line", field="--reference")
     if not 0.0 < reference < math.inf:
@@ -173,7 +172,6 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
 
 
 def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, str]:
-    """The device between the clips, and its name."""
     match options.connect:
         case "device":
             pass

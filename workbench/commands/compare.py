@@ -43,10 +43,8 @@ OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv",
 
 
 def run_compare(options: argparse.Namespace, console: Console) -> int:
-    """``workbench compare``: compare a recording with the simulation of a chip.
-
-    The recording is of impedance or of focusing.
-    """
+    """``workbench compare``: compare a recording with the simulation of a chip. The recording is of impedance or of
+    focusing."""
     if is_of_energy(options):
         return run_compare_energy(options, OUTPUTS, console)
     reading = reading_option(options, options.recording, console)

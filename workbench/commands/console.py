@@ -16,10 +16,8 @@ KEPT = "\n\t"
 
 
 def error_console() -> Console:
-    """A console on standard error that prints texts literally.
-
-    It has no markup and no emoji, and control characters are escapes.
-    """
+    """A console on standard error that prints texts literally. It has no markup and no emoji, and control characters
+    are escapes."""
     from rich.console import Console
 
     class LiteralConsole(Console):

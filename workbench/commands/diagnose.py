@@ -47,10 +47,8 @@ OUTPUTS = Outputs("diagnose", names=("report.html", "diagnosis.json", "states.pn
 
 
 def run_diagnose(options: argparse.Namespace, console: Console) -> int:
-    """``workbench diagnose``: locate differences and attribute them to physics.
-
-    If incomplete, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and the results claim nothing.
-    """
+    """``workbench diagnose``: locate differences and attribute them to physics. If incomplete, it returns
+    :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and the results claim nothing."""
     accuracy, (jobs, minutes) = accuracy_option(options), _effort_options(options)
     campaign = (_of_file if options.chip is None else _of_one_recording)(options, console)
     folder = output_folder(options, OUTPUTS)
@@ -88,7 +86,6 @@ def print_diagnosis(found: Diagnosis) -> None:
 
 
 def _of_file(options: argparse.Namespace, console: Console) -> Campaign:
-    """The campaign of a file."""
     found = read_campaign(options.diagnosed, materials=options.materials)
     for state in found.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
@@ -123,7 +120,6 @@ def _of_one_recording(options: argparse.Namespace, console: Console) -> Campaign
 
 
 def _effort_options(options: argparse.Namespace) -> tuple[int, float | None]:
-    """Processes and minutes of the options."""
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError("command line", "--minutes", options.minutes, "more than no time")
     return jobs_option(options), options.minutes

@@ -14,10 +14,8 @@ KEPT_COLD: Mapping[str, object] = {"cold": True, "follow": False, "convection": 
 
 
 def with_warmth(sub: argparse.ArgumentParser) -> None:
-    """The options of a drive that warms the chip.
-
-    In commands without them the chip stays cold, by a default of the parser, which the options replace.
-    """
+    """The options of a drive that warms the chip. In commands without them the chip stays cold, by a default of the
+    parser, which the options replace."""
     sub.add_argument("--follow", action="store_true", default=False, help="keep the frequency on the peak of the "
                      "energy while the chip warms up (default: fixed)")
     sub.add_argument("--cold", action="store_true", default=False, help="a liquid kept at its stated temperature, "

@@ -159,7 +159,6 @@ def _is_toml(path: Path) -> bool:
 
 
 def _is_chip_file(path: Path) -> bool:
-    """Whether a file is TOML with tables of a chip."""
     try:
         return any(key in OF_CHIPS for key in read_toml(path))
     except InputError:

@@ -171,10 +171,8 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
 
 
 def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Workers, show: Show) -> dict[str, str]:
-    """Fit jobs into their own folders.
-
-    The errors of failed jobs are returned by name. Finished fits stay when the rest is interrupted.
-    """
+    """Fit jobs into their own folders. The errors of failed jobs are returned by name. Finished fits stay when the rest
+    is interrupted."""
     failed: dict[str, str] = {}
 
     def tasks() -> Iterator[tuple[str, Task[None]]]:
@@ -192,5 +190,4 @@ def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Work
 
 @one_thread()
 def _fitted(job: Job, settings: Settings, folder: Path) -> None:
-    """Fit a job into its folder."""
     run_job(job, settings, folder)

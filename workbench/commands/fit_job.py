@@ -49,10 +49,8 @@ from workbench.results.spectrum import write_spectrum
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A finished fit: its result, and the content of its ``fit.json``.
-
-    ``saved_before`` is whether the registry had its content already, under the name ``saved_as`` of the record.
-    """
+    """A finished fit: its result, and the content of its ``fit.json``. ``saved_before`` is whether the registry had its
+    content already, under the name ``saved_as`` of the record."""
 
     result: FitResult
     prepared: Prepared

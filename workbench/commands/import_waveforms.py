@@ -27,10 +27,8 @@ OUTPUTS = Outputs("import", names=("ratios.csv", "spectrum.csv"))
 
 
 def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
-    """``workbench import``: ratios of pairs of waveforms, and the impedance.
-
-    The impedance needs a resistor or a current probe.
-    """
+    """``workbench import``: ratios of pairs of waveforms, and the impedance. The impedance needs a resistor or a
+    current probe."""
     resistance, tolerance = _resistor(options)
     probe = options.current is not None
     second = options.current if probe else options.reference
@@ -83,7 +81,6 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
 
 
 def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Waveform, Waveform]:
-    """The two channels of a pair, in one file or in two."""
     if total[0] == reference[0]:
         channels = read_channels(total[0], wanted=(total[1], reference[1]))
         return channels[total[1]], channels[reference[1]]
@@ -93,7 +90,6 @@ def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Wa
 def _check_units(
     waveforms: tuple[Waveform, Waveform], files: tuple[Path, Path], *, probe: bool, resistance: float | None
 ) -> None:
-    """Check the units of voltage and current."""
     total, second = waveforms
     if total.unit == "A":
         raise InputError(str(files[0]), f"CH{total.channel}", "A", "V: --total names the channel of the voltage")

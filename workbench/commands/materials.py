@@ -61,7 +61,6 @@ def run_materials(options: argparse.Namespace, _console: Console) -> int:
 
 
 def _print_remarks(registry: Registry, name: str) -> None:
-    """Print the title, the conditions and the note of an entry."""
     content = read_toml(registry.find(name)[1])
     for key in ("title", "conditions", "note"):
         if key in content:

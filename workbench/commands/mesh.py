@@ -50,10 +50,8 @@ def run_mesh(options: argparse.Namespace, console: Console) -> int:
 
 
 def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, model: ModelOptions) -> int:
-    """Compare the meshes of every accuracy with a finer one.
-
-    The exit status is whether the requested one meets its accuracy.
-    """
+    """Compare the meshes of every accuracy with a finer one. The exit status is whether the requested one meets its
+    accuracy."""
     wanted = accuracy_option(options)
     folder = None if options.output is None else output_folder(options, OUTPUTS)
     accuracies = sorted({*ROWS, wanted}, reverse=True)

@@ -88,10 +88,8 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
 
 
 def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
-    """The field at the requested frequency, or at the operating point.
-
-    A finding reports an operating point that is only the middle of the band.
-    """
+    """The field at the requested frequency, or at the operating point. A finding reports an operating point that is
+    only the middle of the band."""
     if not isinstance(model.at, float):
         run = run_state(chip, name, model, show)
         return run if run.figures is not None or run.operating.peaks else replace(run, findings=(
@@ -102,7 +100,6 @@ def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
 
 
 def _quantity(text: str | None, dimension: str, field: str) -> float | None:
-    """A quantity (SI) of an option; None without the option."""
     return None if text is None else parse_quantity(text, dimension, source="command line", field=field)
 
 

@@ -116,7 +116,6 @@ def _print_results(
 
 
 def _of_state(failed: Mapping[str, RuntimeError]) -> RuntimeError:
-    """The error of the first failed state, with the state's name."""
     name, error = next(iter(failed.items()))
     return RuntimeError(f"state {name}: {error}")
 
@@ -134,12 +133,10 @@ def _simulated(
     chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path],
     wants: WantedFiles, failed: dict[str, RuntimeError],
 ) -> Iterator[Simulation]:
-    """The simulation of every state in turn.
-
-    Its spectrum is in the `folder` as soon as it is known. The next state is computed while this one is drawn, if there
-    is memory for both. `failed` gets the errors of states that cannot be solved; the others are finished. Full spectra
-    are computed one after the other: they take long, and must stop when they are interrupted.
-    """
+    """The simulation of every state in turn. Its spectrum is in the `folder` as soon as it is known. The next state is
+    computed while this one is drawn, if there is memory for both. `failed` gets the errors of states that cannot be
+    solved; the others are finished. Full spectra are computed one after the other: they take long, and must stop when
+    they are interrupted."""
     files = {name: folder / f"spectrum_{name}.csv" for name in states}
     if unfinished:
         for name in states:
@@ -222,11 +219,9 @@ class _Beside:
         self._own[run.state] = gallery.draw_state(run, self._folder, of=gallery.FIELDS[:halfway])
 
     def pictures(self) -> dict[str, list[Picture]]:
-        """The finished pictures by state."""
         return {state: [*self._own[state], *drawn.result()] for state, drawn in self._drawn.items()}
 
     def solid_view(self) -> list[Picture]:
-        """The finished picture of the solid model."""
         try:
             return [] if self._solids is None else self._solids.result()
         except Exception as error:
@@ -234,7 +229,6 @@ class _Beside:
 
 
 def _solid_model(chip: Chip, folder: Path, wants: WantedFiles) -> list[Picture]:
-    """Write the solids of a chip, and draw them."""
     solids = export_solids(chip, folder)[1] if wants.cad else {}
     if not wants.pictures:
         return []

@@ -27,11 +27,8 @@ def run_state(
     chip: Chip, state: str | None, model: ModelOptions, show: Show, *, unfinished: Path | None = None,
     spectrum: Path | None = None,
 ) -> Simulation:
-    """The simulation of a state, by default the last one.
-
-    A full spectrum continues from the file `unfinished`. The spectrum is written to the file `spectrum` as soon as it
-    is known, in case of an interruption.
-    """
+    """The simulation of a state, by default the last one. A full spectrum continues from the file `unfinished`. The
+    spectrum is written to the file `spectrum` as soon as it is known, in case of an interruption."""
     name = chip.state(state).name
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, model)
     return simulate_state(
@@ -56,11 +53,9 @@ def simulated(show: Show, state: str, activity: str, fraction: float) -> None:
 
 
 class _UnfinishedSpectrum:
-    """Points of a full spectrum on disk, for a continued run.
-
-    The first line is a digest of all inputs of the impedance: the chip, its materials with their values, and the mesh.
-    Points with another digest are not used. Numbers are hexadecimal, hence exact.
-    """
+    """Points of a full spectrum on disk, for a continued run. The first line is a digest of all inputs of the
+    impedance: the chip, its materials with their values, and the mesh. Points with another digest are not used. Numbers
+    are hexadecimal, hence exact."""
 
     def __init__(self, path: Path, chip: Chip, state: str, model: ModelOptions) -> None:
         filling = fill(chip, state, replace(model.registry, assumed_losses=True)).materials
@@ -85,10 +80,8 @@ def _hexadecimal(frequency: float, impedance: complex) -> str:
 
 
 def field_files(state: str) -> tuple[str, ...]:
-    """Names of the files of the fields of a state.
-
-    They are pictures (`workbench.render.gallery`) and a file for ParaView.
-    """
+    """Names of the files of the fields of a state. They are pictures (`workbench.render.gallery`) and a file for
+    ParaView."""
     pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh")
     return (f"fields_{state}.vtu", *(f"{name}_{state}.png" for name in pictures))
 

@@ -146,13 +146,11 @@ def _folded(table: TextTable, width: int) -> list[TextTable] | None:
 
 
 def _chosen(table: TextTable, columns: Sequence[int]) -> TextTable:
-    """The table with these columns only."""
     heads, *rows = (tuple(row[column] for column in columns) for row in (table.columns, *table.rows))
     return TextTable(heads, tuple(rows))
 
 
 def _as_list(table: TextTable, width: int) -> RenderableType:
-    """Every row as a list of headings and values."""
     from rich.box import HORIZONTALS
     from rich.table import Table
     from rich.text import Text

@@ -73,7 +73,6 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
 
 
 def _statements(options: argparse.Namespace) -> list[Statement]:
-    """Statements of a file, then those of the command line."""
     of_file = [] if options.uncertainties is None else list(read_statements(options.uncertainties))
     return of_file + [parse_statement(text) for text in options.uncertainty]
 
@@ -95,7 +94,6 @@ def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]
 
 
 def _print_results(found: Tolerance, console: Console) -> None:
-    """Print the results."""
     title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
     print_table(title, uncertain_figures_table(found))
     print_table("sensitivities", sensitivities_table(found))

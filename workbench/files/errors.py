@@ -19,11 +19,8 @@ LISTED = 15
 
 @dataclass
 class InputError(ValueError):
-    """A mistake in a user's input.
-
-    ``source`` is the file or command, ``field`` the place in it, ``value`` the received value and ``expected`` a
-    description of a correct one; ``nearest`` lists valid choices close to a mistyped name.
-    """
+    """A mistake in a user's input. ``source`` is the file or command, ``field`` the place in it, ``value`` the received
+    value and ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a mistyped name."""
 
     source: str
     field: str
@@ -99,10 +96,8 @@ def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[s
 
 
 def nearest_files(path: Path, wanted: Callable[[Path], bool]) -> tuple[str, ...]:
-    """Names of `wanted` files with names similar to `path`.
-
-    They are in its folder or, if there is no such folder, in the working directory.
-    """
+    """Names of `wanted` files with names similar to `path`. They are in its folder or, if there is no such folder, in
+    the working directory."""
     folder = path.parent if path.parent.is_dir() else Path()
     return nearest_names(path.name, (each.name for each in folder.iterdir() if wanted(each)))
 

@@ -101,11 +101,8 @@ class OutputFolder:
         self.finish(complete=error is None)
 
     def finish(self, *, complete: bool) -> None:
-        """Unlock the folder, and remove its mark if the results are `complete`.
-
-        The mark is also removed if nothing was written. The mark of an earlier incomplete run is restored, unless this
-        run of the same command is complete.
-        """
+        """Unlock the folder, and remove its mark if the results are `complete`. The mark is also removed if nothing was
+        written. The mark of an earlier incomplete run is restored, unless this run of the same command is complete."""
         if self._lock < 0:
             return
         written, mark, earlier = self._written(), self.path / MARK, self._earlier_mark
@@ -140,7 +137,6 @@ class OutputFolder:
         return Leftovers(tuple(removed), tuple(remaining))
 
     def _written(self) -> set[str]:
-        """Relative paths of the files that this run has written."""
         entered = list(lines(self.path / STATE / MANIFEST))[1 + len(self._before):]
         return {str(line.get("file")) for line in entered} - {MARK}
 
@@ -285,7 +281,6 @@ def _is_old_mark(mark: Path) -> bool:
 
 
 def _unmake(made: Sequence[Path]) -> None:
-    """Remove folders that were created for a rejected run."""
     for each in made:
         with suppress(OSError):
             if each.name == LOCK:

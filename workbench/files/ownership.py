@@ -58,11 +58,8 @@ def matches(name: str, patterns: Iterable[str]) -> bool:
 
 
 def in_the_way(folder: Path, patterns: Iterable[str]) -> Iterator[str]:
-    """Relative paths of entries in a folder with one of the names.
-
-    Also of a file or link in the place of a folder. Hidden entries are left out; links and other folders are not
-    followed.
-    """
+    """Relative paths of entries in a folder with one of the names. Also of a file or link in the place of a folder.
+    Hidden entries are left out; links and other folders are not followed."""
     wanted = [pattern.split("/") for pattern in patterns]
     for here, folders, files in os.walk(folder, followlinks=False):
         above = () if Path(here) == folder else Path(here).relative_to(folder).parts
@@ -81,10 +78,8 @@ def in_the_way(folder: Path, patterns: Iterable[str]) -> Iterator[str]:
 
 
 class Manifest:
-    """The files that runs wrote in a folder.
-
-    ``digests`` and ``commands`` are by relative path; the command is that which wrote the file last.
-    """
+    """The files that runs wrote in a folder. ``digests`` and ``commands`` are by relative path; the command is that
+    which wrote the file last."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -197,11 +192,8 @@ class Claim:
 
 
 def claim_of(path: Path) -> Claim | None:
-    """The claim of the run at work on a file.
-
-    None for a file outside the folder of a run, or that the user named. The lock on the disk shows whether a run is at
-    work, so its threads and processes need no message.
-    """
+    """The claim of the run at work on a file. None for a file outside the folder of a run, or that the user named. The
+    lock on the disk shows whether a run is at work, so its threads and processes need no message."""
     here = Path(os.path.abspath(path))
     for folder in list(here.parents)[:DEPTH]:
         if folder.name == STATE:

@@ -74,10 +74,8 @@ SHOWN: Mapping[str, tuple[str, float]] = {
 
 
 class ProgramSource(str):
-    """The source of a value from a program, for error messages.
-
-    Numbers from such a source are in SI and need no unit; in a file a length needs its unit.
-    """
+    """The source of a value from a program, for error messages. Numbers from such a source are in SI and need no unit;
+    in a file a length needs its unit."""
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

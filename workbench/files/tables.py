@@ -128,10 +128,8 @@ class FileTable:
 
     @classmethod
     def made(cls, source: str, content: Mapping[str, Any]) -> FileTable:
-        """A table of values from a program.
-
-        Tuples and arrays become lists, and paths become texts. Values of None are omitted.
-        """
+        """A table of values from a program. Tuples and arrays become lists, and paths become texts. Values of None are
+        omitted."""
         return cls(source, "", _plain(content))
 
     @classmethod

@@ -48,10 +48,8 @@ class Circuit:
                              f"{self.reference_resistance!r} ohm; expected both above zero")
 
     def responses(self, frequency: float, device: complex) -> tuple[complex, complex]:
-        """Volts of both channels per volt of the open circuit.
-
-        They are complex, the total channel first; `device` is in ohm.
-        """
+        """Volts of both channels per volt of the open circuit. They are complex, the total channel first; `device` is
+        in ohm."""
         s = 2j * pi * frequency
         reference = self.reference_resistance + s * self.reference_inductance
         reference = reference / (1.0 + s * self.probe_capacitance * reference)
@@ -81,10 +79,8 @@ def open_circuit() -> Device:
 
 
 def device_of(spectrum: Spectrum) -> Device:
-    """A device with this impedance.
-
-    Outside the band, it is that of the nearer end, since a bench may be set there too.
-    """
+    """A device with this impedance. Outside the band, it is that of the nearer end, since a bench may be set there
+    too."""
     impedance = spectrum.interpolant()
     low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
     return lambda frequency: complex(impedance(min(max(frequency, low), high)))

@@ -63,11 +63,8 @@ _STRUCK = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault, of the first `count` matching commands of this instrument.
-
-    It starts at command number `at`; the first command after opening the bench has number 0. ``seconds`` is the
-    duration of a disconnection.
-    """
+    """One fault, of the first `count` matching commands of this instrument. It starts at command number `at`; the first
+    command after opening the bench has number 0. ``seconds`` is the duration of a disconnection."""
 
     instrument: str
     kind: FaultKind

@@ -119,10 +119,8 @@ class FeelTech:
         self._confirm(f"after {text!r}")
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
-        """Set the open-circuit amplitude (V peak to peak).
-
-        The frequency is read back, to check that the instrument listened. Raises like :meth:`set_frequency`.
-        """
+        """Set the open-circuit amplitude (V peak to peak). The frequency is read back, to check that the instrument
+        listened. Raises like :meth:`set_frequency`."""
         text = AMPLITUDE.text(volts_peak_to_peak)
         self._link.send(text)
         self._confirm(f"after {text!r}")
@@ -162,7 +160,6 @@ class FeelTech:
         self._link.close()
 
     def _confirm(self, when: str) -> None:
-        """Read the frequency and compare it with the last set one."""
         found = int(self._link.ask(READ_FREQUENCY)[1])
         if self._counts is not None and found != self._counts:
             expected, self._counts = self._counts, None

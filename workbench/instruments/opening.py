@@ -19,11 +19,8 @@ from workbench.instruments.transport import Link, open_port
 
 
 def open_bench(generator: GeneratorSettings, oscilloscope: OscilloscopeSettings) -> tuple[Generator, Oscilloscope]:
-    """Open both instruments, identified and ready, with the drive off.
-
-    The generator is first: if anything else fails, its drive is already off. Raises like :func:`open_feeltech` and
-    :func:`open_tektronix`.
-    """
+    """Open both instruments, identified and ready, with the drive off. The generator is first: if anything else fails,
+    its drive is already off. Raises like :func:`open_feeltech` and :func:`open_tektronix`."""
     drive = open_feeltech(generator)
     try:
         return drive, open_tektronix(oscilloscope)

@@ -40,10 +40,8 @@ USUAL_ERRORS = Errors()
 
 @dataclass(frozen=True)
 class Drift:
-    """Relative change per second of a device's frequencies and impedance.
-
-    A transducer that becomes warmer has about -1e-7 in frequency.
-    """
+    """Relative change per second of a device's frequencies and impedance. A transducer that becomes warmer has about
+    -1e-7 in frequency."""
 
     frequency: float = 0.0
     impedance: float = 0.0
@@ -175,7 +173,6 @@ class SimulatedBench:
             time.sleep(seconds * self._pace)
 
     def _tones(self) -> Mapping[int, Tone]:
-        """The present signals at the tips of the two probes."""
         frequency = self._generator.frequency * (1.0 + self._frequency_error)
         responses = self._circuit.responses(frequency, self.truth(frequency))
         volts = 0.5 * self._generator.amplitude
@@ -198,7 +195,6 @@ class _Line:
         self._away = seconds
 
     def close(self) -> None:
-        """End the thread and remove the port."""
         self._ended.set()
         self._thread.join()
         if self._plugged_in:

@@ -35,11 +35,8 @@ class Tone:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of the oscilloscope, rms.
-
-    Noise is of the converter (counts) and at the tip (V), jitter of the trigger (s; common to all channels of one
-    capture).
-    """
+    """Errors of the oscilloscope, rms. Noise is of the converter (counts) and at the tip (V), jitter of the trigger (s;
+    common to all channels of one capture)."""
 
     noise_counts: float = 0.4
     noise_volts: float = 0.0
@@ -48,11 +45,8 @@ class Errors:
 
 @dataclass(frozen=True)
 class Item:
-    """A setting: name, initial value, and legal values.
-
-    The short form of names and words is in capitals. ``legal`` has words, or steps to which a number is rounded; it is
-    empty for any number.
-    """
+    """A setting: name, initial value, and legal values. The short form of names and words is in capitals. ``legal`` has
+    words, or steps to which a number is rounded; it is empty for any number."""
 
     name: str
     initial: str | float

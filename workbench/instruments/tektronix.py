@@ -123,10 +123,8 @@ class Tektronix:
         return step
 
     def set_averages(self, count: int) -> None:
-        """Set a single capture (1), or a number of averages.
-
-        They are 4, 16, 64 or 128, and need a trigger. Raises like :meth:`set_scale`.
-        """
+        """Set a single capture (1), or a number of averages. They are 4, 16, 64 or 128, and need a trigger. Raises like
+        :meth:`set_scale`."""
         if count not in AVERAGES:
             raise ValueError(f"averages {count!r}; expected one of {', '.join(map(str, AVERAGES))}")
         if count == 1:

@@ -426,7 +426,6 @@ def _text(line: bytes) -> str:
 
 
 def _came(data: bytes) -> str:
-    """Received bytes as short text."""
     if not data:
         return "nothing"
     return f"{data!r}" if len(data) <= 60 else f"{data[:40]!r} and {len(data) - 40} more bytes"

@@ -206,10 +206,8 @@ def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
 def _channels(
     headings: Iterable[tuple[int, str]], units: Sequence[str], *, bare: bool = False
 ) -> dict[int, tuple[WaveformColumn, ...]]:
-    """The columns by channel, from places and headings.
-
-    `units` are those of a line below; with `bare`, a number names a channel.
-    """
+    """The columns by channel, from places and headings. `units` are those of a line below; with `bare`, a number names
+    a channel."""
     channels: dict[int, tuple[WaveformColumn, ...]] = {}
     for place, cell in headings:
         named = (int(cell), "", False) if bare and re.fullmatch("[1-8]", cell) else _channel(cell)

@@ -86,10 +86,8 @@ def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> P
 
 
 def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]], path: Path) -> Path:
-    """Draw shares of the particles over time.
-
-    There is a curve for each of the named `windows`, and for focused, levitating, trapped and stopped particles.
-    """
+    """Draw shares of the particles over time. There is a curve for each of the named `windows`, and for focused,
+    levitating, trapped and stopped particles."""
     figure = new_figure(7.5, 4.5)
     axes = figure.add_subplot()
     curves = [(f"in the window, {name}", light_curve(found, window), "-") for name, window in windows]
@@ -149,7 +147,6 @@ def scale_bar_length(width: float) -> float:
 
 
 def _field_words(found: Trajectories) -> str:
-    """The line that describes the field at the trajectories' voltage."""
     return typeset(found.forces.excitation)
 
 
@@ -177,7 +174,6 @@ class _View:
         return self.half_length / self.half_width
 
     def outline(self, axes: Axes) -> None:
-        """Draw the walls: a circle, or the two sides of the channel."""
         from matplotlib.patches import Circle
 
         if self.is_round:

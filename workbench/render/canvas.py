@@ -51,10 +51,8 @@ _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3:
 
 
 def coloured_dots(values: NDArray[np.float64], shades: Colormap, limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """The dots (m, n, 3) of a picture of `values`, NaN white.
-
-    `values` have POINTS_PER_DOT points each way to a dot, downwards and to the right.
-    """
+    """The dots (m, n, 3) of a picture of `values`, NaN white. `values` have POINTS_PER_DOT points each way to a dot,
+    downwards and to the right."""
     from matplotlib.colors import Normalize
 
     down, across = (size // POINTS_PER_DOT for size in values.shape)
@@ -229,11 +227,8 @@ def new_figure(width: float, height: float) -> Figure:
 def panel_grid(
     count: int, *, across: int, panel: tuple[float, float], margin: tuple[float, float], sharey: bool = False
 ) -> tuple[Figure, NDArray[Any]]:
-    """A figure of `count` panels, at most `across` a row.
-
-    Its axes (rows, columns) are hidden if they have no panel. Every panel takes `panel` inches (width, height), the
-    figure a `margin` besides.
-    """
+    """A figure of `count` panels, at most `across` a row. Its axes (rows, columns) are hidden if they have no panel.
+    Every panel takes `panel` inches (width, height), the figure a `margin` besides."""
     columns = min(across, count)
     rows = -(-count // columns)
     figure = new_figure(margin[0] + panel[0] * columns, margin[1] + panel[1] * rows)

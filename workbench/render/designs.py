@@ -15,11 +15,8 @@ from workbench.render.plots import LINE_COLOURS, tidy
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One descent of a search.
-
-    ``values`` (n,) are those of the figure at its evaluations, NaN if a constraint was broken or there was no figure.
-    ``optimum`` is the number of its end, 0 for the best.
-    """
+    """One descent of a search. ``values`` (n,) are those of the figure at its evaluations, NaN if a constraint was
+    broken or there was no figure. ``optimum`` is the number of its end, 0 for the best."""
 
     values: NDArray[np.float64]
     optimum: int
@@ -58,10 +55,8 @@ def draw_front(
     members: NDArray[np.float64], confirmed: NDArray[np.float64], present: NDArray[np.float64], path: Path, *,
     labels: tuple[str, str], title: str = "",
 ) -> Path:
-    """Draw the Pareto front (n, 2) of two objectives.
-
-    Also its chips `confirmed` by full solves (k, 2), and the `present` one (2,); NaN values are left out.
-    """
+    """Draw the Pareto front (n, 2) of two objectives. Also its chips `confirmed` by full solves (k, 2), and the
+    `present` one (2,); NaN values are left out."""
     figure = new_figure(6.5, 5.0)
     axes = figure.subplots()
     axes.plot(members[:, 0], members[:, 1], "o-", color=LINE_COLOURS[0], markersize=4.0, linewidth=1.0,

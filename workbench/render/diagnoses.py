@@ -28,10 +28,8 @@ _ORDERS = 10.0
 
 @dataclass(frozen=True, eq=False)
 class StatePicture:
-    """A state as ``measured``, and as modelled ``before`` and ``after``.
-
-    Impedances (n,) are in ohm, ``frequency`` (n,) in Hz; ``noise`` (n,) is that of a point, relative.
-    """
+    """A state as ``measured``, and as modelled ``before`` and ``after``. Impedances (n,) are in ohm, ``frequency`` (n,)
+    in Hz; ``noise`` (n,) is that of a point, relative."""
 
     name: str
     frequency: NDArray[np.float64]

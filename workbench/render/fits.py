@@ -17,10 +17,8 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Interval:
-    """A fitted parameter: value, interval, start and prior uncertainty.
-
-    All are in one unit; ``prior`` is None without a prior; ``remark`` is printed beside the interval.
-    """
+    """A fitted parameter: value, interval, start and prior uncertainty. All are in one unit; ``prior`` is None without
+    a prior; ``remark`` is printed beside the interval."""
 
     name: str
     value: float
@@ -34,10 +32,8 @@ class Interval:
 def draw_fit(
     measured: SpectrumLike, start: SpectrumLike, fitted: SpectrumLike, path: Path, *, title: str = ""
 ) -> Path:
-    """Draw magnitude and phase of recording, start and fit, with residuals.
-
-    As in Fig. 5 of Acevedo-Espinosa et al. (RP-UEIS). All three have the same frequencies.
-    """
+    """Draw magnitude and phase of recording, start and fit, with residuals. As in Fig. 5 of Acevedo-Espinosa et al.
+    (RP-UEIS). All three have the same frequencies."""
     figure = new_figure(9.0, 9.0)
     panels = figure.subplots(4, 1, sharex=True, height_ratios=(3.0, 1.3, 2.2, 1.3))
     magnitude, magnitude_residual, phase, phase_residual = panels

@@ -87,10 +87,8 @@ def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, 
 def draw_energy(
     energy: Mapping[str, EnergySpectrum], peaks: Mapping[str, Sequence[float]], path: Path | str, *, title: str = ""
 ) -> Path:
-    """Draw |Z| and the cavity's energy density per Vpp^2 over frequency.
-
-    Both are logarithmic. The `peaks` (Hz) of each label are marked with their frequency.
-    """
+    """Draw |Z| and the cavity's energy density per Vpp^2 over frequency. Both are logarithmic. The `peaks` (Hz) of each
+    label are marked with their frequency."""
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1, sharex=True)
     for index, (label, each) in enumerate(energy.items()):
@@ -120,11 +118,8 @@ def draw_residuals(
     frequency: NDArray[np.float64], residuals: Mapping[str, NDArray[np.float64]], path: Path, *, label: str,
     title: str = "", band: float | None = None,
 ) -> Path:
-    """Draw labelled residuals (n,) over `frequency` (n,) in Hz.
-
-    `label` names the quantity with its unit; the shaded `band` of plus and minus that value is the effect of noise
-    alone.
-    """
+    """Draw labelled residuals (n,) over `frequency` (n,) in Hz. `label` names the quantity with its unit; the shaded
+    `band` of plus and minus that value is the effect of noise alone."""
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     if band is not None:

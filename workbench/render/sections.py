@@ -57,11 +57,8 @@ _FLATTEST = 0.08
 
 @dataclass(frozen=True)
 class _Window:
-    """The drawn rectangle of the r-z plane (m).
-
-    ``tall`` is the factor by which heights are enlarged. ``measure`` is that of the section, with the sign of the
-    mirror image in the left half, if any.
-    """
+    """The drawn rectangle of the r-z plane (m). ``tall`` is the factor by which heights are enlarged. ``measure`` is
+    that of the section, with the sign of the mirror image in the left half, if any."""
 
     left: float
     right: float
@@ -72,7 +69,6 @@ class _Window:
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether the left half is a mirror image of the right one."""
         return self.measure.mirror != 0
 
 
@@ -124,10 +120,8 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 
 
 def draw_streaming(flow: Streaming, path: Path) -> Path:
-    """Draw the speed at which the liquid carries particles, with arrows.
-
-    Arrows have one length, and are omitted below :data:`_STILL` of the largest speed; the title gives the limit.
-    """
+    """Draw the speed at which the liquid carries particles, with arrows. Arrows have one length, and are omitted below
+    :data:`_STILL` of the largest speed; the title gives the limit."""
     speed = np.linalg.norm(flow.carrier_velocity, axis=1)
     factor, unit = prefixed(flow.largest_speed, "m/s")
     least = _STILL * flow.largest_speed
@@ -225,10 +219,8 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
 
 
 def phase_title(fields: Fields, phase: float) -> str:
-    """Two lines: frequency and drive, and the instant of a `phase`.
-
-    The instant in the cycle is after the maximum of the voltage; `phase` is in degrees, e^{-i w t}.
-    """
+    """Two lines: frequency and drive, and the instant of a `phase`. The instant in the cycle is after the maximum of
+    the voltage; `phase` is in degrees, e^{-i w t}."""
     # With e^{-i w t} a larger phase comes later; 360 degrees later is the same time.
     later = round(phase - np.degrees(np.angle(fields.voltage))) % 360
     return (f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}\n"
@@ -303,10 +295,8 @@ def _dots(window: _Window) -> tuple[int, int]:
 
 
 def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
-    """Radii and heights (m) of the points of a picture, ascending.
-
-    They are right of the axis, or everywhere if the section has no mirror image.
-    """
+    """Radii and heights (m) of the points of a picture, ascending. They are right of the axis, or everywhere if the
+    section has no mirror image."""
     width, height = _dots(window)
     across, up = POINTS_PER_DOT * width // (2 if window.is_mirrored else 1), POINTS_PER_DOT * height
     left = 0.0 if window.is_mirrored else window.left
@@ -324,11 +314,8 @@ def _show(
     axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str],
     signed: bool = False,
 ) -> None:
-    """Draw `values` at :func:`_raster_points` and mirrored, NaN white.
-
-    `colours` is the name of a map, or one colour for every step between `limits`. `signed` values change sign beyond a
-    plane of odd symmetry.
-    """
+    """Draw `values` at :func:`_raster_points` and mirrored, NaN white. `colours` is the name of a map, or one colour
+    for every step between `limits`. `signed` values change sign beyond a plane of odd symmetry."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
@@ -343,7 +330,6 @@ def _show(
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:
-    """Draw hair lines around every region."""
     from matplotlib.collections import LineCollection
 
     axes.add_collection(LineCollection(region_edges(mesh), colors=_OUTLINE, linewidths=0.25))

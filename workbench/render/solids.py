@@ -227,10 +227,8 @@ def _cut_faces(mesh: NodalMesh, *, degrees: float) -> tuple[FloatArray, IntArray
 
 
 def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatArray, IntArray, IntArray]:
-    """Points and quadrilaterals of a surface swept by `edges` (L, k).
-
-    Edges are lines through k nodes. The node of every point is returned too.
-    """
+    """Points and quadrilaterals of a surface swept by `edges` (L, k). Edges are lines through k nodes. The node of
+    every point is returned too."""
     nodes, numbers = np.unique(edges, return_inverse=True)
     numbers = numbers.reshape(edges.shape)
     turns = np.radians(np.linspace(0.0, degrees, round(degrees / 2.0) + 1))

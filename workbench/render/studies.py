@@ -40,10 +40,8 @@ MOST_IN_PAIRS = 6
 
 @dataclass(frozen=True, eq=False)
 class StudyColumn:
-    """A varied parameter or a figure: ``label`` with unit, ``values`` (n,).
-
-    If there are ``words``, the values are their indices.
-    """
+    """A varied parameter or a figure: ``label`` with unit, ``values`` (n,). If there are ``words``, the values are
+    their indices."""
 
     label: str
     values: Real
@@ -117,10 +115,8 @@ def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Pat
 
 
 def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """Draw a figure over each parameter, with all points as dots.
-
-    Also the median and the range of 5 to 95 % of near points.
-    """
+    """Draw a figure over each parameter, with all points as dots. Also the median and the range of 5 to 95 % of near
+    points."""
     figure, panels = panel_grid(len(parameters), across=PANELS_ACROSS, panel=(3.4, 2.8), margin=(0.6, 0.4), sharey=True)
     for axes, parameter in zip(panels.flat, parameters, strict=False):
         # Few points are large and dark; many are faint, so that their density shows.
@@ -232,7 +228,6 @@ def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> t
 
 
 def _label(axes: Axes, column: StudyColumn, side: str) -> None:
-    """Set the label of one side, and words instead of numbers."""
     (axes.set_xlabel if side == "x" else axes.set_ylabel)(_broken(column.label), fontsize=8)
     axes.tick_params(labelsize=7)
     if column.words:

@@ -27,10 +27,8 @@ PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
 
 @dataclass(frozen=True, eq=False)
 class Tornado:
-    """Influences on one figure: ``changes`` (k,) of it, largest first.
-
-    ``title`` has the unit, ``labels`` name the parameters with their steps.
-    """
+    """Influences on one figure: ``changes`` (k,) of it, largest first. ``title`` has the unit, ``labels`` name the
+    parameters with their steps."""
 
     title: str
     labels: tuple[str, ...]
@@ -60,10 +58,8 @@ class YieldBar:
 
 
 def draw_tolerance(found: Tolerance, folder: Path | str) -> dict[str, Picture]:
-    """Draw a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``.
-
-    The pictures are in `folder`. Figures without derivatives are left out of the tornado.
-    """
+    """Draw a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``. The pictures are in `folder`.
+    Figures without derivatives are left out of the tornado."""
     folder = Path(folder)
     pictures: dict[str, Picture] = {}
     panels = _tornados(found)

@@ -22,10 +22,8 @@ POINTS, BETWEEN = 240, 8
 
 
 def draw_warmth(state: WarmState, path: Path | str, *, title: str = "") -> Path:
-    """Draw the energy density of a cold and a warming chip.
-
-    It is over the drive; below it is the peak of the energy over frequency, at several temperatures of the liquid.
-    """
+    """Draw the energy density of a cold and a warming chip. It is over the drive; below it is the peak of the energy
+    over frequency, at several temperatures of the liquid."""
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1)
     match state.drive:

@@ -81,11 +81,8 @@ CONVERGED = "the simplex met both tolerances"
 
 @dataclass(frozen=True)
 class SimplexRun:
-    """One run of the simplex.
-
-    ``window`` is in Hz with ``points`` in it; ``start`` and ``cost`` are the costs at its start and end; ``reason`` is
-    that of its end.
-    """
+    """One run of the simplex. ``window`` is in Hz with ``points`` in it; ``start`` and ``cost`` are the costs at its
+    start and end; ``reason`` is that of its end."""
 
     name: str
     iteration: int
@@ -250,7 +247,6 @@ def fit_polymer(
 
 
 def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float]) -> dict[str, float]:
-    """The start of every parameter, by full name."""
     known = {p.parsed.within(material): p for p in free}
     for name, value in start.items():
         if name not in known:
@@ -333,7 +329,6 @@ class _Search:
         return np.abs(self.measured.frequency / self.resonance - 1.0) <= self._window
 
     def spectrum(self, values: Mapping[str, float]) -> Complex:
-        """The impedance (n,) at the points of the window."""
         prediction = self._models[self._window](placed(self.problem.values, values))
         self._models[self._window] = self._models[self._window].holding(prediction.model)
         return prediction.impedance
@@ -388,7 +383,6 @@ class _Search:
         return block
 
     def result(self, costs: Sequence[float], changes: Sequence[float], converged: bool, reason: str) -> PaperFit:
-        """The result in the window of the last spectrum."""
         frequency, impedance = self._seen or (np.zeros(0), np.zeros(0, dtype=complex))
         measured = self.measured.impedance[np.isin(self.measured.frequency, frequency)]
         ratio = np.abs(impedance) / np.abs(measured)

@@ -61,10 +61,8 @@ REAL_THRESHOLD, LOSS_THRESHOLD = 0.1, 0.3
 
 @dataclass(frozen=True)
 class Rank:
-    """One row of the ranking.
-
-    ``slope`` is relative to the largest of its kind; ``kept`` is whether the part is fitted.
-    """
+    """One row of the ranking. ``slope`` is relative to the largest of its kind; ``kept`` is whether the part is
+    fitted."""
 
     name: str
     slope: float

@@ -17,10 +17,8 @@ _FEW = 4
 
 
 class Brief:
-    """Base of a dataclass (with ``repr=False``) with a short text.
-
-    The text has the names of the fields, and the shapes of arrays instead of their numbers.
-    """
+    """Base of a dataclass (with ``repr=False``) with a short text. The text has the names of the fields, and the shapes
+    of arrays instead of their numbers."""
 
     def __repr__(self) -> str:
         assert dataclasses.is_dataclass(self)

@@ -158,7 +158,6 @@ def fit_circuit(
 
 
 def _unexplained(found: CircuitFit) -> tuple[str, ...]:
-    """The finding that one resonance does not explain a spectrum."""
     stated = found.reduced_chi_square
     if found.rms_residual <= LARGE_RESIDUAL or (stated is not None and stated <= LARGE_CHI_SQUARE):
         return ()
@@ -186,10 +185,8 @@ def bvd_impedance(
     static_capacitance: float,
     series_resistance: float = 0.0,
 ) -> Complex:
-    """Z (n,) ohm of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz.
-
-    The sign convention is e^{+j w t}; values are in SI.
-    """
+    """Z (n,) ohm of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz. The sign convention is e^{+j w t}; values
+    are in SI."""
     omega = 2.0 * np.pi * frequency
     motional = motional_resistance + 1j * (omega * motional_inductance - 1.0 / (omega * motional_capacitance))
     return np.asarray(series_resistance + 1.0 / (1j * omega * static_capacitance + 1.0 / motional))
@@ -225,11 +222,8 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
 
 @dataclass(frozen=True)
 class Freedom:
-    """The free parameters besides f, Q and C of branches and C0.
-
-    ``losses`` are phases and the loss tangent. ``confined`` has ranges of frequency (low, high) in Hz for some
-    branches, by index.
-    """
+    """The free parameters besides f, Q and C of branches and C0. ``losses`` are phases and the loss tangent.
+    ``confined`` has ranges of frequency (low, high) in Hz for some branches, by index."""
 
     losses: bool = False
     series_resistance: bool = False
@@ -238,10 +232,8 @@ class Freedom:
 
 @dataclass(frozen=True, eq=False)
 class BranchCircuit:
-    """The parameters of a circuit.
-
-    ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and Rs.
-    """
+    """The parameters of a circuit. ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and
+    Rs."""
 
     branches: Real
     rest: Real
@@ -311,10 +303,8 @@ class BranchCircuit:
             -1j * omega[:, None] * slopes / admittance[:, None] ** 2, np.ones_like(omega)])
 
     def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
-        """Y / (j w) (n,) in F, without Rs and some branches.
-
-        `without` are the indices of those. Also its derivatives (n, p - 1) by the parameters other than Rs.
-        """
+        """Y / (j w) (n,) in F, without Rs and some branches. `without` are the indices of those. Also its derivatives
+        (n, p - 1) by the parameters other than Rs."""
         columns: list[NDArray[Any]] = []
         static = math.exp(_within(self.rest[0])) * np.ones(len(frequency), dtype=complex)
         total = static * (1.0 - 1j * self.rest[1])
@@ -337,11 +327,8 @@ def _within(logarithm: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SolvedCircuit:
-    """A circuit that was fitted to a spectrum.
-
-    ``squares`` is its sum of weighted squares, ``covariance`` that of its vector, ``free`` the indices of its free
-    parameters.
-    """
+    """A circuit that was fitted to a spectrum. ``squares`` is its sum of weighted squares, ``covariance`` that of its
+    vector, ``free`` the indices of its free parameters."""
 
     spectrum: Spectrum
     circuit: BranchCircuit
@@ -501,10 +488,8 @@ def least_squares_of(
 
 
 def residual_size(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[float, float | None]:
-    """The rms of |Z_model / Z - 1|, and the reduced chi-square.
-
-    The latter is None without an uncertainty of the spectrum.
-    """
+    """The rms of |Z_model / Z - 1|, and the reduced chi-square. The latter is None without an uncertainty of the
+    spectrum."""
     off = np.abs(impedance - spectrum.impedance)
     rms = float(np.sqrt(np.mean((off / spectrum.magnitude) ** 2)))
     if spectrum.uncertainty is None:
@@ -513,10 +498,8 @@ def residual_size(spectrum: Spectrum, impedance: Complex, parameters: int) -> tu
 
 
 def covariance_of(jacobian: Real, squares: float, *, known: bool) -> Real:
-    """Covariance (p, p) of a vector, from its Jacobian (n, p).
-
-    It is scaled by the residual unless the uncertainty is `known`.
-    """
+    """Covariance (p, p) of a vector, from its Jacobian (n, p). It is scaled by the residual unless the uncertainty is
+    `known`."""
     # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
     norm = np.linalg.norm(jacobian, axis=0)
     norm = np.where(norm > 0.0, norm, 1.0)

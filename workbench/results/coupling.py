@@ -62,18 +62,14 @@ class Plate:
 
 
 def effective_coupling(series: float, parallel: float) -> float:
-    """Effective coupling factor of any mode from its two resonances (Hz).
-
-    k^2 = (fp^2 - fs^2) / fp^2 (IEEE Std 176-1987).
-    """
+    """Effective coupling factor of any mode from its two resonances (Hz). k^2 = (fp^2 - fs^2) / fp^2 (IEEE Std
+    176-1987)."""
     return math.sqrt(1.0 - _ratio(series, parallel) ** 2)
 
 
 def thickness_coupling(series: float, parallel: float) -> float:
-    """Coupling factor kt of a thickness mode from its two resonances (Hz).
-
-    kt^2 = (pi / 2) (fs / fp) tan((pi / 2) (fp - fs) / fp), IEEE Std 176-1987.
-    """
+    """Coupling factor kt of a thickness mode from its two resonances (Hz). kt^2 = (pi / 2) (fs / fp) tan((pi / 2) (fp -
+    fs) / fp), IEEE Std 176-1987."""
     ratio = _ratio(series, parallel)
     return math.sqrt(0.5 * math.pi * ratio * math.tan(0.5 * math.pi * (1.0 - ratio)))
 
@@ -90,10 +86,8 @@ def planar_coupling(series: float, parallel: float, poisson_ratio: float) -> flo
 
 
 def planar_root(poisson_ratio: float) -> float:
-    """The first root of x J0(x) = (1 - nu) J1(x).
-
-    It is 2 pi fs a / c of a thin disc of radius a and speed of sound c.
-    """
+    """The first root of x J0(x) = (1 - nu) J1(x). It is 2 pi fs a / c of a thin disc of radius a and speed of sound
+    c."""
     return float(brentq(lambda x: x * float(j0(x)) - (1.0 - poisson_ratio) * float(j1(x)), 1.0, 3.0))
 
 

@@ -121,7 +121,6 @@ class _Data:
 
     @property
     def step(self) -> float:
-        """The least distance (Hz) of two recorded frequencies."""
         return float(np.diff(np.unique(self.frequency)).min())
 
     def bounds(self, peaks: int) -> tuple[Real, Real]:
@@ -193,10 +192,8 @@ def _is_contradicted(found: OptimizeResult, count: int) -> bool:
 
 
 def _criterion(found: OptimizeResult, count: int, is_known: bool) -> float:
-    """The Bayesian information criterion of a fit, without its common constant.
-
-    With a noise from the residual, the penalty is that of small samples (McQuarrie 1999, Stat. Probab. Lett. 44, 79).
-    """
+    """The Bayesian information criterion of a fit, without its common constant. With a noise from the residual, the
+    penalty is that of small samples (McQuarrie 1999, Stat. Probab. Lett. 44, 79)."""
     size = found.x.size
     if is_known:
         return float(_chi_square(found) + size * np.log(count))
@@ -225,10 +222,8 @@ def _double_starts(data: _Data) -> Real:
 
 
 def _ranked(data: _Data, x: Real, group: NDArray[np.generic]) -> Real:
-    """The best start x (starts, peaks, 3) of each `group`, best first.
-
-    The common height of the peaks is by least squares.
-    """
+    """The best start x (starts, peaks, 3) of each `group`, best first. The common height of the peaks is by least
+    squares."""
     away = np.logaddexp.reduce(data.parts(x)[0], axis=1) - data.log_rate
     weight = 1.0 / data.sigma**2
     height = -(away @ weight) / weight.sum()
@@ -241,14 +236,12 @@ def _ranked(data: _Data, x: Real, group: NDArray[np.generic]) -> Real:
 
 
 def _best(data: _Data, starts: Real) -> OptimizeResult:
-    """The best of the fits from all `starts` (starts, peaks, 3)."""
     bounds = data.bounds(starts.shape[1])
     return min((least_squares(data.residual, np.clip(start.ravel(), *bounds), data.jacobian, bounds=bounds,
                               max_nfev=STEPS) for start in starts), key=lambda each: each.cost)
 
 
 def _peak_points(data: _Data, found: OptimizeResult) -> list[int]:
-    """The number of recorded frequencies within the half-power width of every peak."""
     y = data.parts(found.x.reshape(-1, OF_PEAK))[1]
     return [int(each) for each in np.count_nonzero(np.abs(y) <= 1.0, axis=1)]
 
@@ -286,10 +279,8 @@ def _peaks(data: _Data, found: OptimizeResult, reach: float, findings: list[str]
 
 
 def _deviations(jacobian: Real, is_free: NDArray[np.bool_]) -> Real:
-    """Standard deviations of the parameters at unit weight.
-
-    They are infinite for parameters at a bound, and for all if the points do not determine a combination.
-    """
+    """Standard deviations of the parameters at unit weight. They are infinite for parameters at a bound, and for all if
+    the points do not determine a combination."""
     found = np.full(is_free.size, np.inf)
     free = jacobian[:, is_free]
     size = np.linalg.norm(free, axis=0)

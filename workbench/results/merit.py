@@ -132,18 +132,14 @@ class Figures:
 
     @property
     def is_weak(self) -> bool:
-        """Whether the figure of merit M is below :data:`WEAK`.
-
-        Then the dip of |Z| shows neither the frequency nor the Q of the resonance.
-        """
+        """Whether the figure of merit M is below :data:`WEAK`. Then the dip of |Z| shows neither the frequency nor the
+        Q of the resonance."""
         return self.conductance is not None and self.conductance.merit < WEAK
 
     @property
     def pair(self) -> tuple[float, float] | None:
-        """Series and parallel resonance (Hz); None if one is outside the band.
-
-        They are at the smallest and the largest |Z|, or the largest Re Y and Re Z of a weak resonance.
-        """
+        """Series and parallel resonance (Hz); None if one is outside the band. They are at the smallest and the largest
+        |Z|, or the largest Re Y and Re Z of a weak resonance."""
         if self.conductance is not None and self.is_weak:
             found = self.conductance.frequency, self.conductance.parallel
             return None if math.isnan(found[1]) else found
@@ -213,7 +209,6 @@ def measured_figures(spectrum: Spectrum, plate: Plate | None = None) -> tuple[Fi
 
 
 def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
-    """The recorded frequencies with `_FINE` - 1 more between each two."""
     points = np.arange(len(spectrum.frequency))
     fine = np.linspace(0.0, points[-1], points[-1] * _FINE + 1)
     return np.asarray(np.interp(fine, points, spectrum.frequency))
@@ -320,12 +315,10 @@ def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance
 
 
 def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
-    """C0 of a one-mode circuit, from points away from the resonance.
-
-    A lossless one-mode circuit has Im Y / w = C0 (1 + r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The
-    median over the points more than five half-power widths from f0 is insensitive to narrow overtones. Points near fa,
-    where the bracket vanishes and the loss dominates, are left out.
-    """
+    """C0 of a one-mode circuit, from points away from the resonance. A lossless one-mode circuit has Im Y / w = C0 (1 +
+    r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The median over the points more than five half-power
+    widths from f0 is insensitive to narrow overtones. Points near fa, where the bracket vanishes and the loss
+    dominates, are left out."""
     away = np.abs(spectrum.frequency - f0) > 5.0 * bandwidth
     with np.errstate(divide="ignore"):
         bracket = 1.0 + ((fa / f0) ** 2 - 1.0) / (1.0 - (spectrum.frequency / f0) ** 2)

@@ -29,10 +29,8 @@ def find_peaks(values: Real, prominence: float) -> tuple[Indices, Real]:
 
 
 def half_widths(values: Real, places: Indices) -> Real:
-    """Widths (k,), in samples, of peaks of `values` (n,) at half prominence.
-
-    `places` (k,) are the indices of the peaks.
-    """
+    """Widths (k,), in samples, of peaks of `values` (n,) at half prominence. `places` (k,) are the indices of the
+    peaks."""
     widths = []
     for place in map(int, places):
         height = values[place] - 0.5 * _prominence(values, place)

@@ -161,7 +161,6 @@ def _noise(spectrum: Spectrum) -> Real:
 
 
 def _nothing(spectrum: Spectrum) -> NoResonance:
-    """The error that no resonance is prominent."""
     magnitude, lowest = spectrum.magnitude, int(np.argmin(spectrum.magnitude))
     return NoResonance(
         f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
@@ -215,10 +214,8 @@ def _with_surroundings(spectrum: Spectrum, circuit: BranchCircuit) -> SolvedCirc
 
 
 def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
-    """The circuit with one more resonance, if it is better or `needed`.
-
-    The fit starts at the largest residual, and from two halves of the nearest resonance.
-    """
+    """The circuit with one more resonance, if it is better or `needed`. The fit starts at the largest residual, and
+    from two halves of the nearest resonance."""
     if not needed and not _is_incomplete(found):
         return None
     spectrum, circuit = found.spectrum, found.circuit

@@ -21,10 +21,8 @@ Complex = NDArray[np.complex128]
 
 
 def with_signs(impedance: Complex) -> Complex:
-    """The impedance (n,) ohm with the smoothest signs of its reactance.
-
-    It is capacitive below its first zero, or inductive if Foster's theorem requires it.
-    """
+    """The impedance (n,) ohm with the smoothest signs of its reactance. It is capacitive below its first zero, or
+    inductive if Foster's theorem requires it."""
     size = impedance.real + 1j * np.abs(impedance.imag)
     if len(size) < 3:
         return np.conj(size)
@@ -50,10 +48,8 @@ def with_signs(impedance: Complex) -> Complex:
 
 
 def lost_signs(impedance: Complex) -> NDArray[np.intp]:
-    """The points (indices) before kinks where a reactance touches zero.
-
-    Empty if the reactance has both signs, or if no kink shows that signs are lost.
-    """
+    """The points (indices) before kinks where a reactance touches zero. Empty if the reactance has both signs, or if no
+    kink shows that signs are lost."""
     reactance = impedance.imag
     if len(impedance) < FEWEST or not (np.all(reactance >= 0.0) or np.all(reactance <= 0.0)):
         return np.empty(0, np.intp)

@@ -145,10 +145,8 @@ class Spectrum(Shown):
 
     @property
     def noise(self) -> NDArray[np.float64] | None:
-        """Uncertainty of each point, (n,) ohm, without the shared part.
-
-        It is at least a thousandth of the whole, since it is a difference of rounded numbers.
-        """
+        """Uncertainty of each point, (n,) ohm, without the shared part. It is at least a thousandth of the whole, since
+        it is a difference of rounded numbers."""
         if self.uncertainty is None or self.shared_uncertainty == 0.0:
             return self.uncertainty
         shared = self.shared_uncertainty * self.magnitude
@@ -172,10 +170,8 @@ class Spectrum(Shown):
                        ("measured",) if self.origin.kind == "measured" else ())
 
     def to_xarray(self) -> xarray.Dataset:
-        """``resistance``, ``reactance`` and, if known, ``uncertainty`` (ohm) over ``frequency`` (Hz).
-
-        Real numbers only, so that it can be written as NetCDF.
-        """
+        """``resistance``, ``reactance`` and, if known, ``uncertainty`` (ohm) over ``frequency`` (Hz). Real numbers
+        only, so that it can be written as NetCDF."""
         import xarray
 
         parts = {"resistance": self.impedance.real, "reactance": self.impedance.imag}

@@ -128,10 +128,8 @@ class EnergySpectrum(Brief):
     def _half(
         self, drive: Drive, best: float, top: int, step: int, level: Callable[[float], float]
     ) -> float | None:
-        """The frequency (Hz) of half of a peak's energy on one side.
-
-        None if the energy rises again before, or the band ends.
-        """
+        """The frequency (Hz) of half of a peak's energy on one side. None if the energy rises again before, or the band
+        ends."""
         half, energy = level(best) - np.log(2.0), np.log(self.under(drive))
         inner, k = best, top
         while 0 <= k + step < energy.size:

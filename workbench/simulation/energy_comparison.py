@@ -37,10 +37,8 @@ LARGEST_WARMING = 20.0
 
 @dataclass(frozen=True)
 class ComparedPeak:
-    """A recorded peak and its simulated partner.
-
-    One of them is None if it has no partner. Differences are (simulated - recorded) / recorded.
-    """
+    """A recorded peak and its simulated partner. One of them is None if it has no partner. Differences are (simulated -
+    recorded) / recorded."""
 
     recorded: FittedPeak | None
     simulated: EnergyPeak | None
@@ -144,10 +142,8 @@ def compare_energy(
 def _pairs(
     recorded: Sequence[FittedPeak], spectrum: EnergySpectrum, band: tuple[float, float]
 ) -> tuple[ComparedPeak, ...]:
-    """Recorded peaks with the nearest simulated ones, then other simulated ones.
-
-    The latter are within the recorded `band`.
-    """
+    """Recorded peaks with the nearest simulated ones, then other simulated ones. The latter are within the recorded
+    `band`."""
     found = spectrum.peaks(VoltageDrive(1.0))
     seen = [peak for peak in found if peak.per_square_volt >= LEAST_SHARE * found[0].per_square_volt]
     # A recorded peak beyond the simulated ones has no partner.

@@ -72,10 +72,8 @@ INTERVALS, UNEVEN, SMALLEST = 48, 0.15, 0.02
 
 @dataclass(frozen=True, eq=False)
 class Warmed:
-    """The steady ``state`` of a chip, or ``reason`` why it is unknown.
-
-    ``problem`` and full ``solution`` are those of the warm chip if it differs from the cold one, else None.
-    """
+    """The steady ``state`` of a chip, or ``reason`` why it is unknown. ``problem`` and full ``solution`` are those of
+    the warm chip if it differs from the cold one, else None."""
 
     state: WarmState | None
     reason: str = ""
@@ -119,11 +117,8 @@ class HeatPaths:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """Levels under the drive.
-
-    ``energy`` density (n,) is in J/m^3, ``warming`` (n,) of the liquid by the losses in K, ``voltage`` amplitude (n,)
-    in V, ``power`` (n,) in W.
-    """
+    """Levels under the drive. ``energy`` density (n,) is in J/m^3, ``warming`` (n,) of the liquid by the losses in K,
+    ``voltage`` amplitude (n,) in V, ``power`` (n,) in W."""
 
     energy: Real
     warming: Real
@@ -160,7 +155,6 @@ class _Chip:
         return warmer_values(self.problem, self.laws, self.rises(rise))
 
     def levels(self, rise: float, frequencies: Real) -> _Levels:
-        """The levels at some frequencies (Hz), by the reduced model."""
         values = self.values(rise)
         return self.levels_of(self.model.solve(frequencies, values), self._reduced_sound, values)
 
@@ -170,7 +164,6 @@ class _Chip:
 
     @cached_property
     def sound(self) -> SoundEnergy:
-        """The energy of full states."""
         return SoundEnergy.of(self.full)
 
     @cached_property
@@ -195,7 +188,6 @@ class _Chip:
         return replace(self, model=model)
 
     def driven(self, rise: float) -> _Levels:
-        """The levels at the frequency of the drive at a rise."""
         return self.levels(rise, self.path(np.array([rise])))
 
     def reach(self, rise: float) -> Real:
@@ -278,10 +270,8 @@ def warmed(
 def _laws(
     problem: Problem, liquid: Fluid, registry: Registry, up: WarmUp, solution: Solution
 ) -> tuple[MaterialLaw, ...] | str:
-    """The laws of the liquid and of other materials, or an error.
-
-    The error is the sentence that the liquid has no law.
-    """
+    """The laws of the liquid and of other materials, or an error. The error is the sentence that the liquid has no
+    law."""
     lowest = min(0.0, HeatPaths.of(problem, solution, up).offset) if isinstance(up.holder, Mapping) else 0.0
     first = law_of(liquid, registry, lowest=lowest)
     if first is None:

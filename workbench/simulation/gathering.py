@@ -52,11 +52,8 @@ RECORDED, TOLERANCE = 31, 1e-4
 
 @dataclass(frozen=True)
 class GatheredAt:
-    """A place where particles stay.
-
-    ``words`` describe it, ``share`` is that of all particles. ``half`` is the time (s) at which half of the former have
-    arrived, None if they started there or the time is unknown.
-    """
+    """A place where particles stay. ``words`` describe it, ``share`` is that of all particles. ``half`` is the time (s)
+    at which half of the former have arrived, None if they started there or the time is unknown."""
 
     words: str
     share: float
@@ -88,10 +85,8 @@ class Gathering:
 
 
 def gathering(shot: Snapshot, *, registry: Registry | None = None, kept: bool = False) -> Gathering | None:
-    """Whether and where the particles of a state gather; None without cavity.
-
-    A liquid that is `kept` at its stated temperature has no flow by heat.
-    """
+    """Whether and where the particles of a state gather; None without cavity. A liquid that is `kept` at its stated
+    temperature has no flow by heat."""
     if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
@@ -137,10 +132,8 @@ def statement(state: str, report: TrapReport, moving: LiquidMotion, found: Traje
 
 
 def circulates(report: TrapReport, moving: LiquidMotion) -> bool:
-    """Whether the flow moves the particle more than sound does.
-
-    The direction is that in which it would gather first.
-    """
+    """Whether the flow moves the particle more than sound does. The direction is that in which it would gather
+    first."""
     if moving.streaming is None:
         return False
     limit = moving.streaming.critical_diameters[_first_direction(report.forces)]
@@ -305,7 +298,6 @@ def _two_times(trap: Trap, report: TrapReport) -> list[str]:
 
 
 def _circulating(report: TrapReport, critical: Mapping[str, float]) -> list[str]:
-    """Sentences on particles that follow the flow."""
     excitation, direction = report.excitation, _first_direction(report.forces)
     return [f"At {excitation.frequency / 1e6:.4f} MHz and {2.0 * excitation.voltage:.3g} Vpp, "
             f"{particle_words(report.forces)} do not gather: they circulate with the streaming, however large the "
@@ -320,10 +312,8 @@ def _limit_words(limit: float) -> str:
 
 
 def _rests(forces: ParticleForces) -> bool:
-    """Whether weight keeps a particle on the floor against thermal motion.
-
-    The scale height kT over weight is then below the cavity's height.
-    """
+    """Whether weight keeps a particle on the floor against thermal motion. The scale height kT over weight is then
+    below the cavity's height."""
     weight = abs(net_weight(forces.particle, forces.fluid))
     return weight * float(np.ptp(forces.mesh.points[:, 1])) > KT
 
@@ -356,7 +346,6 @@ def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
 
 
 def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
-    """The reason why particles do not gather, and a remedy."""
     forces, excitation = report.forces, report.excitation
     weight = abs(net_weight(forces.particle, forces.fluid))
     falling = [trap for trap in free if not trap.holds and trap.lift is not None and trap.lift < weight]
@@ -378,10 +367,8 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
 
 
 def _enough(report: TrapReport) -> str:
-    """The voltage at which traps in the liquid hold particles.
-
-    Traps are computed with the potential at that voltage.
-    """
+    """The voltage at which traps in the liquid hold particles. Traps are computed with the potential at that
+    voltage."""
     voltage, factor = 2.0 * report.excitation.voltage, 1.0
     while factor < LARGEST_FACTOR:
         factor *= VOLTAGE_STEP

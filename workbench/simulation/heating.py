@@ -116,7 +116,6 @@ def heating(
 
 
 def _unwarmed(result: Snapshot, heat: Heating) -> tuple[str, ...]:
-    """A note on fields at the stated temperature."""
     slope = energy_slope(result, Registry())
     if slope is None:
         return ()
@@ -127,10 +126,8 @@ def _unwarmed(result: Snapshot, heat: Heating) -> tuple[str, ...]:
 
 
 def energy_slope(result: Snapshot, registry: Registry) -> float | None:
-    """Relative change of the mean energy density by a liquid's first kelvin.
-
-    At the frequency and the voltage of the fields; None without a liquid whose law reaches 1 K.
-    """
+    """Relative change of the mean energy density by a liquid's first kelvin. At the frequency and the voltage of the
+    fields; None without a liquid whose law reaches 1 K."""
     problem, solution = result.problem, result.solution
     liquid = problem.materials.get(CAVITY)
     law = law_of(liquid, registry) if isinstance(liquid, Fluid) and not liquid.is_gas else None
@@ -146,10 +143,8 @@ def energy_slope(result: Snapshot, registry: Registry) -> float | None:
 
 
 def softening_words(result: Snapshot, heat: Heating | None) -> tuple[str, ...]:
-    """A sentence for each part above the softening temperature of its polymer.
-
-    The surroundings are at the stated temperature of the liquid.
-    """
+    """A sentence for each part above the softening temperature of its polymer. The surroundings are at the stated
+    temperature of the liquid."""
     liquid = result.stated_problem.materials.get(CAVITY)
     if heat is None or not isinstance(liquid, Fluid) or liquid.temperature is None:
         return ()
@@ -251,11 +246,8 @@ def _check_own(result: Snapshot, heat: Heating) -> None:
 def _resonance_slope(
     result: Snapshot, fluid: str, speed_slope: float, density_slope: float
 ) -> tuple[float, float] | None:
-    """f0 (Hz) and its derivative (Hz/K) by the liquid's temperature.
-
-    L = ln |Z| has its minimum at f0, so that d f0 = -(d^2 L / df d theta) / (d^2 L / df^2) d theta. None if the result
-    has no resonance.
-    """
+    """f0 (Hz) and its derivative (Hz/K) by the liquid's temperature. L = ln |Z| has its minimum at f0, so that d f0 =
+    -(d^2 L / df d theta) / (d^2 L / df^2) d theta. None if the result has no resonance."""
     if not isinstance(result, Simulation) or result.figures is None:
         return None
     system, frequency = FullSystem(result.operators, result.stated_problem.values), result.figures.f0

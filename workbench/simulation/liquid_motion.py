@@ -125,7 +125,6 @@ def _check_warm(shot: Snapshot, heat: Heating, registry: Registry) -> None:
 
 
 def _reaches(fluid: Fluid, rise: float, registry: Registry) -> bool:
-    """Whether the law of a liquid includes a `rise` (K)."""
     assert fluid.temperature is not None
     try:
         registry.load(fluid.name, temperature=fluid.temperature + rise)

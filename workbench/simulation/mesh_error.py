@@ -70,11 +70,8 @@ def samples(frequency: Real, impedance: Complex, count: int = ERROR_FREQUENCIES)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeshErrorEstimate(Brief):
-    """Estimated ln Z of the exact model less that of the mesh.
-
-    ``log_impedance`` (n,), e^{-i w t}, is at ``frequency`` (n,) in Hz. The ``weights`` (n,) are for a mean over the
-    whole spectrum.
-    """
+    """Estimated ln Z of the exact model less that of the mesh. ``log_impedance`` (n,), e^{-i w t}, is at ``frequency``
+    (n,) in Hz. The ``weights`` (n,) are for a mean over the whole spectrum."""
 
     frequency: Real
     log_impedance: Complex
@@ -110,11 +107,9 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorE
 
 @dataclass(frozen=True, eq=False)
 class _Surplus:
-    """The functions that a higher order adds to a mesh's fields.
-
-    ``finer`` is the model of that order; ``embedding`` (its size, size) maps the mesh's own unknowns into it, ``basis``
-    (its size, n) the surplus functions; ``operators`` is the model on these alone, without terms across a layer.
-    """
+    """The functions that a higher order adds to a mesh's fields. ``finer`` is the model of that order; ``embedding``
+    (its size, size) maps the mesh's own unknowns into it, ``basis`` (its size, n) the surplus functions; ``operators``
+    is the model on these alone, without terms across a layer."""
 
     finer: FullOperators
     embedding: sparse.csr_array
@@ -164,12 +159,9 @@ def _map(
     nodes: Integers, functions: Integers, values: Real, rows: Integers, columns: Integers, shape: tuple[int, ...],
     shares: Real | None = None,
 ) -> sparse.csr_array:
-    """The map from unknowns of functions to those of the higher order.
-
-    `values` (nodes, functions) are at the `nodes` (nodes, cells) of every element for the `functions` (functions,
-    cells); `rows` and `columns` are their unknowns, -1 for none; the functions have `shares` of theirs. The electrode
-    is excluded.
-    """
+    """The map from unknowns of functions to those of the higher order. `values` (nodes, functions) are at the `nodes`
+    (nodes, cells) of every element for the `functions` (functions, cells); `rows` and `columns` are their unknowns, -1
+    for none; the functions have `shares` of theirs. The electrode is excluded."""
     node, function = np.nonzero(np.abs(values) > ZERO_ENTRY)
     row, column, value = nodes[node].ravel(), functions[function].ravel(), np.repeat(values[node, function],
                                                                                     nodes.shape[1])
@@ -196,10 +188,8 @@ def _values(low: int, high: int) -> Real:
 
 
 def _surplus_functions(low: int, high: int) -> Real:
-    """Values (local nodes, functions) of the surplus functions at the nodes.
-
-    First are those of the edges bottom, right, top, left, then those inside.
-    """
+    """Values (local nodes, functions) of the surplus functions at the nodes. First are those of the edges bottom,
+    right, top, left, then those inside."""
     nodes = gauss_lobatto(high)
     bubbles = {k: _bubble(k, nodes) for k in range(2, high + 1)}
     ends = (1.0 - nodes, nodes)

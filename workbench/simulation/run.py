@@ -75,19 +75,14 @@ IN_STILL_AIR = WarmUp()
 
 
 class MeshTooCoarse(UserWarning):
-    """The mesh is coarser than requested.
-
-    It has fewer elements per wavelength than its discretisation in some region, or a larger error.
-    """
+    """The mesh is coarser than requested. It has fewer elements per wavelength than its discretisation in some region,
+    or a larger error."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DrawnState(Brief):
-    """One state at one frequency and drive, for pictures.
-
-    ``losses`` (W) are by region, ``closure`` is their relative difference from the electrical input power. ``traps`` is
-    None without a fluid-filled cavity and a particle.
-    """
+    """One state at one frequency and drive, for pictures. ``losses`` (W) are by region, ``closure`` is their relative
+    difference from the electrical input power. ``traps`` is None without a fluid-filled cavity and a particle."""
 
     chip: Chip
     state: str
@@ -307,7 +302,6 @@ def energy_spectrum(
 
 
 def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:
-    """The registry with the assumptions of a simulation."""
     registry = registry or Registry()
     return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses,
                    inviscid=inviscid or registry.inviscid)
@@ -404,10 +398,8 @@ def _snapshot(
 
 
 def check_mesh(problem: Problem, frequency: float) -> None:
-    """Warn of every region that is too coarse at `frequency` (Hz).
-
-    It has fewer elements per wavelength than its discretisation. A mesh of the caller's own is not checked.
-    """
+    """Warn of every region that is too coarse at `frequency` (Hz). It has fewer elements per wavelength than its
+    discretisation. A mesh of the caller's own is not checked."""
     made = problem.discretisation
     if made is None:
         return
@@ -424,11 +416,8 @@ def check_mesh(problem: Problem, frequency: float) -> None:
 
 
 def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
-    """Power (W) by place of the loss, and its closure.
-
-    The closure is the relative difference of their sum from the electrical input power. `voltage` is the amplitude at
-    the electrodes (V); the solution is at one frequency.
-    """
+    """Power (W) by place of the loss, and its closure. The closure is the relative difference of their sum from the
+    electrical input power. `voltage` is the amplitude at the electrodes (V); the solution is at one frequency."""
     parts = solution.dissipation()[0] * voltage**2
     losses: dict[str, float] = {}
     for integral, power in zip(solution.operators.integrals, parts, strict=True):
@@ -446,7 +435,6 @@ def _traps(device: FilledChip, found: Fields) -> TrapReport | None:
 
 
 def _spectrum_of(found: SolvedSpectrum, device: FilledChip, of_mesh: MeshErrorEstimate | None = None) -> Spectrum:
-    """The spectrum with its origin and its known errors."""
     method = "full solves"
     if found.model is not None:
         method = f"reduced model, estimated relative error at most {found.error:.1e}"

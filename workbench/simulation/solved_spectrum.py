@@ -112,7 +112,6 @@ def reduced_spectrum(
 
 
 def _remedy(device: FilledChip, estimate: float) -> str:
-    """Remedies for a reduced model whose error is the `estimate`."""
     power = 10.0 ** math.floor(math.log10(estimate))
     enough = next(each * power for each in (2.0, 5.0, 10.0) if each * power >= 1.2 * estimate)
     inside = device.materials.get(CAVITY)
@@ -127,20 +126,15 @@ def findings_of(
     found: SolvedSpectrum, requested: float, device: FilledChip, left_out: tuple[float, ...], spectrum: Spectrum,
     merit: Figures | None,
 ) -> tuple[str, ...]:
-    """Findings on a spectrum and its resonance.
-
-    They report frequencies (Hz) that are `left_out`, a reduced model above the `requested` error, an unknown energy,
-    and a resonance with too few frequencies.
-    """
+    """Findings on a spectrum and its resonance. They report frequencies (Hz) that are `left_out`, a reduced model above
+    the `requested` error, an unknown energy, and a resonance with too few frequencies."""
     return (*_left_out(device, left_out, found.frequency.size + len(left_out)),
             *_inexact(found, requested, is_wet=device.is_wet), *_unresolved(spectrum, merit))
 
 
 def _inexact(found: SolvedSpectrum, requested: float, *, is_wet: bool) -> tuple[str, ...]:
-    """Findings on a reduced model above the `requested` error, or none.
-
-    Without a reduced model, the energy of the sound over frequency is unknown.
-    """
+    """Findings on a reduced model above the `requested` error, or none. Without a reduced model, the energy of the
+    sound over frequency is unknown."""
     if found.model is None:
         return ("full solves keep no states: the energy of the sound in the liquid is not known over frequency, and "
                 "the fields are not at its peak; --at states their frequency",) if is_wet else ()

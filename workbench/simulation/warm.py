@@ -62,11 +62,8 @@ class SteadyPoint:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarmCurve(Brief):
-    """A warm chip over its drive.
-
-    ``factor`` (n,) of the drive's voltage keeps the liquid ``rise`` (n,) K warmer. ``frequency`` (n,) Hz and
-    ``energy_density`` (n,) J/m^3 are at that factor; NaN if no drive does.
-    """
+    """A warm chip over its drive. ``factor`` (n,) of the drive's voltage keeps the liquid ``rise`` (n,) K warmer.
+    ``frequency`` (n,) Hz and ``energy_density`` (n,) J/m^3 are at that factor; NaN if no drive does."""
 
     rise: Real
     factor: Real
@@ -195,5 +192,4 @@ class WarmState(Brief):
 
 
 def _short(value: float) -> str:
-    """Two significant digits in plain notation."""
     return f"{float(f'{value:.2g}'):g}"
