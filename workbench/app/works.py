@@ -130,7 +130,7 @@ class Works:
         """Run ``workbench diagnose`` in a process. It is of the campaign or of the one recording."""
         folder = self.report.parent
         campaign = self.one_recording(folder / "input") if self.campaign is None else self.campaign
-        report(f"of {campaign}; takes minutes, and goes on beside")
+        report(f"of {campaign}, in the background, for some minutes")
         diagnosing = partial(self._diagnosing, campaign=campaign, folder=folder)
         with TemporaryDirectory() as temporary:
             log = Path(temporary) / "log.txt"

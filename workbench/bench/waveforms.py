@@ -174,7 +174,7 @@ def _read_csv(path: str, data: bytes) -> Waveform:
         if cells[0]:
             settings[cells[0]] = cells[1]
         if number <= 2 and not _is_number(cells[3]) and not cells[0]:
-            continue  # headings somebody added
+            continue  # headings added by hand
         if not (_is_number(cells[3]) and _is_number(cells[4])):
             raise InputError(path, f"line {number}", line[:60], "time in column 4 and volts in column 5")
         times.append(float(cells[3]))

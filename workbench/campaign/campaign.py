@@ -79,17 +79,17 @@ STATED, NAMED = "stated", "named"
 class Campaign(Brief):
     """A device, its states, and the priors of its parameters.
 
-    ``taken`` are the uncertain parameters, each with its standard uncertainty and the source: first the shared ones,
-    then the offsets in one state (``bench.gain[filled]``). ``fixed`` names exact parameters. Coinciding radii of a chip
-    are one parameter, under the first of their names. ``correlations`` are coefficients between the names of two shared
-    parameters, each pair once. ``inhomogeneity`` is the standard deviation of the smooth relative changes of stiffness,
-    mass and loss within parts that no model gets right; None if it is estimated from the data.
+    ``uncertain`` are parameters with a standard uncertainty and its source: first the shared ones, then the offsets in
+    one state (``bench.gain[filled]``). ``fixed`` names exact parameters. Coinciding radii of a chip are one parameter,
+    under the first of their names. ``correlations`` are coefficients between the names of two shared parameters, each
+    pair once. ``inhomogeneity`` is the standard deviation of the smooth relative changes of stiffness, mass and loss
+    within parts that no model gets right; None if it is estimated from the data.
     """
 
     name: str
     file: str
     states: tuple[DeviceState, ...]
-    taken: tuple[Number, ...]
+    uncertain: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
     registry: Registry
@@ -130,24 +130,24 @@ class Campaign(Brief):
         _check_one_device(read, source)
         found = read_knowledge(table, read, from_files=from_files)
         self.__dict__.update(
-            name=name, file=source, states=read, taken=found.numbers, fixed=found.fixed,
+            name=name, file=source, states=read, uncertain=found.numbers, fixed=found.fixed,
             correlations=found.correlations, registry=registry, inhomogeneity=_inhomogeneity(table))
 
     @cached_property
     def known(self) -> Mapping[str, float]:
         """Standard uncertainties (SI) of the shared parameters, by name."""
-        return {each.name: each.deviation for each in self.taken if not each.parsed.state}
+        return {each.name: each.deviation for each in self.uncertain if not each.parsed.state}
 
     @cached_property
     def offsets(self) -> Mapping[str, float]:
         """Standard uncertainties (SI) of the offsets in one state, by name."""
-        return {each.name: each.deviation for each in self.taken if each.parsed.state}
+        return {each.name: each.deviation for each in self.uncertain if each.parsed.state}
 
     @cached_property
     def is_exact(self) -> bool:
         """Whether no length and no coefficient of a solid has an uncertainty."""
         fluids = {state.fluid.name for state in self.states if state.fluid is not None}
-        return all(each.parsed.is_bench or each.parsed.owner in fluids for each in self.taken)
+        return all(each.parsed.is_bench or each.parsed.owner in fluids for each in self.uncertain)
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:

@@ -233,10 +233,10 @@ def _with_cosines(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> Fit
 
 def _known_parameters(campaign: Campaign, problems: Mapping[str, Problem]) -> tuple[Parameter, ...]:
     """The known parameters: those shared by all states, then the offsets."""
-    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.taken
+    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.uncertain
               if not each.parsed.state}
     return (*shared.values(), *(_offset(each, campaign, problems, shared)
-                                for each in campaign.taken if each.parsed.state in problems))
+                                for each in campaign.uncertain if each.parsed.state in problems))
 
 
 def _problems(

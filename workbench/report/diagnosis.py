@@ -220,7 +220,7 @@ def _taken(campaign: Campaign) -> list[Block]:
     return ["Standard uncertainties and their sources; all that is not listed is exact.",
             _table("parameter | standard uncertainty | unit | source", (
                 (e.name, number_text(e.deviation * shown_factor(e.unit), 3), shown_unit(e.unit), e.origin)
-                for e in campaign.taken))]
+                for e in campaign.uncertain))]
 
 
 def _odds(found: Diagnosis) -> TextTable:
@@ -376,4 +376,4 @@ def _effects(found: Diagnosis) -> list[dict[str, Any]]:
 def _taken_record(campaign: Campaign) -> list[dict[str, object]]:
     """The known parameters: how exactly they are known, and the source."""
     return [{"name": each.name, "uncertainty": each.deviation, "unit": each.unit, "source": each.origin}
-            for each in campaign.taken]
+            for each in campaign.uncertain]

@@ -43,7 +43,7 @@ MEANINGS = {
     "f0": 'frequency of the smallest |Z|: the resonance. In a row "by the conductance", that of the largest Re Y.',
     "Z_min": "the smallest |Z|, at f0.",
     "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2. In a row "
-         '"by the conductance", over the width at which Re Y has fallen to half, whatever the static capacitance.',
+         '"by the conductance", over the width at which Re Y has fallen to half, for any static capacitance.',
     "k_eff": "effective coupling factor of this mode, k^2 = 1 - (f0 / fa)^2 (IEEE Std 176); fa is the frequency of the "
              'largest |Z| above f0, in a row "by the conductance" of the largest Re Z. Empty if the band lacks it.',
     "kt": "thickness coupling factor from f0 and fa (IEEE Std 176): only of the thickness mode of a bare plate that is "

@@ -162,7 +162,7 @@ def _known_motion(
             return moving, (*left_out[-1:], *softening_words(shot, moving.heat))
         except InputError as error:
             left_out.append(f"The {words} is left out of the following, because this state has {error.value} and the "
-                            f"computation takes {error.expected}.")
+                            f"computation needs {error.expected}.")
     return liquid_motion(shot, by=FlowCause.NONE), tuple(left_out[-1:])
 
 
