@@ -102,16 +102,16 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
             read, excludes the present value, or passes another radius.
     """
     first, lengths = canonical_names(chip), chip.dimensions()
-    felt = {name: complex(each.value) for name, each in lengths.items() if name in first
+    present = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
     for text in wanted or _usual(chip, problem):
         name, _, ends = text.partition("=")
         name = first.get(name.strip(), name.strip())
-        choose(name.removesuffix(LOSS), felt, source="command line", field="--vary")
+        choose(name.removesuffix(LOSS), present, source="command line", field="--vary")
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
-        found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
+        found[name] = _control(chip, problem, name, real_part(present, name), ends.strip())
     # Raises for a radius that would pass another one, and for a shape that folds a cell.
     parametrised_within(problem, chip, {
         name: (each.low, each.high) for name, each in found.items() if each.is_dimension})

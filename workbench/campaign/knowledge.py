@@ -141,7 +141,7 @@ def _uncertainty(
                         "")
         return assumed_by_role(name, stated_number(name, states), material).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
-    # Gain and clock of a bench are dimensionless, so a share may be written with or without a percent sign.
+    # A bare number for the gain or the clock of a bench is an error: its percent sign may be missing.
     found = parse_quantity(entry, "dimensionless" if share else parsed.quantity, source=table.source,
                            field=table.at(written))
     if share:

@@ -59,18 +59,18 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     runs, failed = list[Simulation](), dict[str, RuntimeError]()
     wants = WantedFiles(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
-    with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
+    with _DrawingProcess(chip, folder, wants) as drawing, progress_bars(console) as show:
         for run in _simulated(chip, states, model, show, folder, unfinished, wants, failed):
             runs.append(run)
             if options.vtu:
                 write_fields(run, folder)
             if wants.pictures:
                 show(run.state, "pictures", SIMULATED)
-                beside.draw(run, is_last=len(runs) == len(states))
+                drawing.draw(run, is_last=len(runs) == len(states))
             show(run.state, "done", 1.0)
         if not runs:
             raise _of_state(failed)
-        pictures, solid_view = beside.pictures(), beside.solid_view()
+        pictures, solid_view = drawing.pictures(), drawing.solid_view()
     # The last state is the working one: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for run in runs
@@ -186,7 +186,7 @@ class WantedFiles:
     pictures: bool
 
 
-class _Beside:
+class _DrawingProcess:
     """A process for the solid model, and then for pictures of states.
 
     It works in parallel to this one, which solves and draws too.
@@ -204,7 +204,7 @@ class _Beside:
             self._worker = Processes(1, words=Path(os.devnull))
             self._solids = self._worker.submit(partial(_solid_model, chip, folder, wants))
 
-    def __enter__(self) -> _Beside:
+    def __enter__(self) -> _DrawingProcess:
         return self
 
     def __exit__(self, *_error: object) -> None:

@@ -38,8 +38,8 @@ REMEDIES = {
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path to write to, which replaces `path` at the end.
 
-    A reader sees either the old file or the new one, never a part of it, and so after a power cut. A device or a pipe
-    is written to directly. In the folder of a run the file is entered in the manifest, and replaces only a run's file.
+    A reader sees either the old file or the new one, never a part of it, also after a power cut. A device or a pipe is
+    written to directly. In the folder of a run the file is entered in the manifest, and replaces only a run's file.
 
     Raises:
         OSError: it cannot be written, or belongs to the user; the error names `path`.

@@ -179,7 +179,7 @@ class _Chip:
                        solution.input_power() * squared)
 
     def accurate(self, rise: float, frequencies: Real, tolerance: float = ACCURATE) -> _Chip:
-        """The chip with a model that is accurate at a rise. It is so at the `frequencies` (n,) Hz."""
+        """The chip with an accurate model at a rise and frequencies (Hz)."""
         values = self.values(rise)
         if self.model.worst(frequencies, values)[1] <= tolerance:
             return self

@@ -132,8 +132,7 @@ def statement(state: str, report: TrapReport, moving: LiquidMotion, found: Traje
 
 
 def circulates(report: TrapReport, moving: LiquidMotion) -> bool:
-    """Whether the flow moves the particle more than sound does. The direction is that in which it would gather
-    first."""
+    """Whether the flow moves the particle more than sound does. Only the direction of fast focusing counts."""
     if moving.streaming is None:
         return False
     limit = moving.streaming.critical_diameters[_first_direction(report.forces)]
