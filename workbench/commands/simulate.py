@@ -225,7 +225,7 @@ class _DrawingProcess:
         try:
             return [] if self._solids is None else self._solids.result()
         except Exception as error:
-            raise RuntimeError(f"the solid model was not made; --no-cad omits it ({error})") from error
+            raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({error})") from error
 
 
 def _solid_model(chip: Chip, folder: Path, wants: WantedFiles) -> list[Picture]:
