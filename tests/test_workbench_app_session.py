@@ -409,14 +409,14 @@ def test_a_length_without_a_tolerance_is_known_by_its_role(tmp_path: Path) -> No
     assert (gel.low, gel.high) == pytest.approx((20e-6 / 3.0, 60e-6))
     assert (printed.low, printed.high) == pytest.approx((0.75e-3, 0.85e-3))
     assert (turned.low, turned.high) == pytest.approx((1.9e-3, 2.1e-3))
-    assert [each.told_tolerance for each in session.controls] == ["×3", "0.05", "0.02"]
+    assert [each.shown_tolerance for each in session.controls] == ["×3", "0.05", "0.02"]
     assert all(each.assumed for each in session.controls)
     assert gel.deviation == pytest.approx(20e-6 * np.log(3.0) / np.sqrt(3.0))
     assert printed.deviation == pytest.approx(50e-6 / np.sqrt(3.0))
     # What a fit may find can be shown: it searches a film from a tenth to five times its thickness.
     assert gel.farthest == pytest.approx((2e-6, 100e-6))
     session.tolerate(GEL, 15e-6)
-    assert session.control(GEL).told_tolerance == "15"
+    assert session.control(GEL).shown_tolerance == "15"
     assert session.control(GEL).assumed == ""
     assert session.control(GEL).deviation == pytest.approx(15e-6 / np.sqrt(3.0))
     session.tolerate(GEL, None)
@@ -516,7 +516,7 @@ def test_what_is_no_number_is_answered_with_what_is(tmp_path: Path, typed: objec
 def test_an_empty_tolerance_is_what_is_stated_or_assumed(tmp_path: Path) -> None:
     gel = live_chip.film_session(tmp_path).control(GEL)
     assert typed_tolerance(" ", gel) is None
-    assert typed_tolerance(gel.told_tolerance, gel) is None
+    assert typed_tolerance(gel.shown_tolerance, gel) is None
     assert typed_tolerance("7.5", gel) == pytest.approx(7.5e-6)
     with pytest.raises(InputError, match=r"tolerance of couplant\.thickness.*7\.5"):
         typed_tolerance("7,5", gel)

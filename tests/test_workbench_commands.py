@@ -321,7 +321,7 @@ def test_render_draws_the_fields_asked_for(cell: Path, tmp_path: Path, capsys: p
     assert "0.1 W of electrical input power" in said
     assert main([*command, "--state", "empty", "--field", "pressure"]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "state empty: field: received 'pressure'; expected another one: no fluid is thick enough" in said
+    assert "state empty: field: received 'pressure'; expected another field, since no fluid is thick enough" in said
 
 
 def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,7 +42,7 @@ def test_one_recording_is_a_campaign_of_one_state(diagnosed: list[Campaign], tmp
     assert np.array_equal(state.measured.frequency, same.states[0].measured.frequency)
     assert state.measured.origin.source == FILLED
     # The water's own uncertainty, and what benches do.
-    assert [each.name for each in campaign.taken] == [each.name for each in same.taken] == [
+    assert [each.name for each in campaign.uncertain] == [each.name for each in same.uncertain] == [
         "water/iapws_2011.density", "water/iapws_2011.sound_speed", "bench.gain", "bench.series_resistance",
         "bench.clock"]
     assert campaign.is_exact

@@ -74,12 +74,12 @@ def test_a_device_has_the_hypotheses_of_its_parts(trial: Campaign, found: Mappin
 
 def test_what_is_known_is_released_and_what_is_not_is_brought_in(trial: Campaign, found: Mapping[str, Effect]) -> None:
     unknown = {effect.name: effect for effect in effects(device(trial, known={}))}
-    assert found["c33 of the transducer"].releases == ("pzt/trial.c33",)
+    assert found["c33 of the transducer"].freed == ("pzt/trial.c33",)
     assert not found["c33 of the transducer"].parameters
     (own,) = unknown["c33 of the transducer"].parameters
     assert (own.name, own.low / own.start, own.high / own.start) == ("pzt/trial.c33", 0.7, 1.3)
     both = found["complex piezoelectric constant"]
-    assert (both.releases, [p.name for p in both.parameters]) == (("pzt/trial.eps33.loss",), ["pzt/trial.e33.loss"])
+    assert (both.freed, [p.name for p in both.parameters]) == (("pzt/trial.eps33.loss",), ["pzt/trial.e33.loss"])
 
 
 def test_every_number_has_bounds_that_hold_its_start_and_a_source(found: Mapping[str, Effect]) -> None:
@@ -194,7 +194,7 @@ def test_hypotheses_that_cannot_be_made_are_told_and_the_others_go_on(monkeypatc
     found, others = catalogue.effects_and_others(small)
     monkeypatch.setattr(catalogue, "SOURCES", every)
     assert len(found) == len(plain) + 1
-    assert others == ("what else may be wrong with spoilt, because chip.toml: layers: received 'odd'; expected an even "
+    assert others == ("further hypotheses about spoilt, because chip.toml: layers: received 'odd'; expected an even "
                       "one",)
     monkeypatch.setattr(catalogue, "SOURCES", (*every, defect))
     with pytest.raises(KeyError, match="c33"):

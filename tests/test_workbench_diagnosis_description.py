@@ -97,7 +97,7 @@ def score(effect: Effect, gain: float, evidence: float = -3.0) -> Score:
 def model(*held_out: Any) -> Any:
     parameters = [each.parameters[0] for each in (LEADS, LOAD, LOSS)]
     return SimpleNamespace(
-        campaign=SimpleNamespace(name="device", fitted=(state("low"),), held_out=held_out, findings=(), taken=(),
+        campaign=SimpleNamespace(name="device", fitted=(state("low"),), held_out=held_out, findings=(), uncertain=(),
                                  states=(state("low", "transducer"),)),
         parameters=parameters, known=0, others=(), effects=(LEADS, LOAD, LOSS), hypotheses=3, refusals=[],
         stated=np.zeros(3), index=[p.name for p in parameters].index, free=lambda _: ([], []),

@@ -170,7 +170,7 @@ def test_what_files_state_is_known_unless_the_campaign_says_otherwise(folder: Pa
     assert found.known == pytest.approx({
         "transducer.thickness": 10e-6 / math.sqrt(3.0), BULK: 0.1e9, SHEAR: 0.03e9, f"{SHEAR}.loss": 0.01e9,
         "water/iapws_2011.density": 0.02, SPEED: 0.1}, rel=1e-12)
-    taken = {each.name: each for each in found.taken}
+    taken = {each.name: each for each in found.uncertain}
     assert set(taken) == set(found.known)
     assert taken["transducer.thickness"].origin == f"{folder / 'disc.toml'}: tolerance"
     assert (taken[BULK].origin, taken[BULK].unit) == ("bench_pla/test: uncertainty", "Pa")
@@ -178,7 +178,7 @@ def test_what_files_state_is_known_unless_the_campaign_says_otherwise(folder: Pa
     assert other.known[BULK] == pytest.approx(0.034e9)
     assert not {SHEAR, "transducer.thickness"} & set(other.known)
     assert f"{SHEAR}.loss" in other.known
-    assert {each.name: each.origin for each in other.taken}[BULK] == f"{folder / 'campaign.toml'}: [known]"
+    assert {each.name: each.origin for each in other.uncertain}[BULK] == f"{folder / 'campaign.toml'}: [known]"
     assert read(folder, "[between]\ndefaults = false\n", head='known = "named"').known == {}
 
 

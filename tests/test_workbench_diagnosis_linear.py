@@ -36,8 +36,8 @@ def number(name: str, prior: float | None = None, **more: Any) -> Parameter:
     return Parameter(name, 0.0, -200.0, 200.0, None if prior is None else Stated(prior), "1", **more)
 
 
-def effect(*names: str, releases: tuple[str, ...] = ()) -> Effect:
-    return Effect(names[0], "bench", "bench", "", tuple(map(number, names if not releases else ())), releases)
+def effect(*names: str, freed: tuple[str, ...] = ()) -> Effect:
+    return Effect(names[0], "bench", "bench", "", tuple(map(number, names if not freed else ())), freed)
 
 
 KNOWN = (number("a", 1.0), number("b", 2.0))
@@ -213,7 +213,7 @@ def test_a_refit_brings_what_a_score_promised(size: float) -> None:
 def test_nothing_is_promised_beside_an_explanation_that_took_all() -> None:
     """Neither because the tangents there are of another mesh, nor because a prior is far that the explanation released
     (a lid five per cent thinner)."""
-    thinner = effect("thinner", releases=("b",))
+    thinner = effect("thinner", freed=("b",))
     campaign = LinearCampaign(EVERY, {"a": 2.0, "b": 80.0}, (thinner, *EFFECTS), size={"a": 40.0, "b": 20.0, "h": 20.0},
                               alike={"h": "b"})
     model, fitted, _ = campaign.made()

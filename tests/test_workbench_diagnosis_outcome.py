@@ -82,7 +82,7 @@ def found_of(*final: Refitted) -> Found:
 def campaign() -> Any:
     gel = Number("couplant.thickness", 20e-6, stated=Stated(1e-6, origin="campaign.toml"), unit="m")
     return SimpleNamespace(name="device", fitted=(state("empty"),), held_out=(state("filled"),), findings=(),
-                           taken=(gel,))
+                           uncertain=(gel,))
 
 
 def model() -> Any:

@@ -62,8 +62,8 @@ def test_a_gel_that_is_half_again_as_thick_is_named(tmp_path: Path) -> None:
     assert abs(told.value - 90e-6) < told.high - told.low
     assert max(state.reduced for state in found.best) < 1.4
     (left_out,) = (text for text in found.findings if text.startswith("Not looked at: "))
-    assert ("superstrate bonded on a part of its radius, which acts on a part of the superstrate, whose outline is a "
-            "profile") in left_out
+    assert ("superstrate bonded on a part of its radius, because it acts on a part of the superstrate, whose outline "
+            "is a profile") in left_out
 
 
 def test_what_acts_on_a_part_of_a_profile_is_left_out(tmp_path: Path) -> None:

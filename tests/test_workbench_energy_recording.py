@@ -255,7 +255,7 @@ def test_of_focusing_times_only_the_shape_counts(voltage: float | None) -> None:
     assert found.rms_log_residual < 0.05
     assert found.scaled_by == found.factor
     assert "Only the shape counts: the recorded 1/t*" in found.basis
-    assert ("taken as the same at all frequencies" in found.basis) == (voltage is None)
+    assert ("assumed equal at all frequencies" in found.basis) == (voltage is None)
 
 
 def test_a_difference_beyond_the_interval_is_stated_as_a_change_of_the_cavity() -> None:
@@ -291,7 +291,7 @@ def test_peaks_are_compared_with_the_nearest_ones() -> None:
     assert [pair.difference for pair in found.peaks] == pytest.approx([0.0005, 0.0005], abs=2e-4)
     alone = compare_energy(recorded(ONE), both)
     assert [(pair.recorded is None, pair.simulated is None) for pair in alone.peaks] == [(False, False), (True, False)]
-    assert "within the recorded band, that the fit of the recording has not" in alone.findings[-1]
+    assert "within the recorded band, which the fit of the recording lacks" in alone.findings[-1]
     # A peak below a tenth of the largest is none that somebody would see.
     assert len(compare_energy(recorded(ONE), simulated([*ONE, (1.985e6, 1500.0, 0.09)])).peaks) == 1
     missing = compare_energy(recorded(TWO), simulated(TWO[:1]))
@@ -344,7 +344,7 @@ def test_compare_recognises_a_table_of_focusing(
     path = written(tmp_path, f"f (MHz);focusing time (s)\n{lines}\n0,90;no focus\n")
     out = tmp_path / "out"
     command = ["compare", str(path), str(tmp_path / "cell.toml"), "-o", str(out), "--accuracy", "2 %"]
-    for options, words in ((["--correction", "negate"], "holds focusing over frequency, no impedance"),
+    for options, words in ((["--correction", "negate"], "has focusing over frequency, no impedance"),
                            (["--state", "empty"], "states.empty.cavity: received 'empty'; expected a state with a liq"),
                            (["--from", "1.2 MHz", "--to", "1.3 MHz"], "expected 2 points or more in the band")):
         assert main([*command, *options]) == 2

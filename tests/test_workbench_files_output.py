@@ -410,11 +410,11 @@ def test_another_command_leaves_the_mark_of_a_run_that_was_cut_short(tmp_path: P
     other = hold(tmp_path, Outputs("export", names=("chip.step",)))
     write_atomic(other.path / "chip.step", "x")
     other.finish(complete=True)
-    assert other.mark_stays
+    assert other.has_mark
     assert (tmp_path / MARK).read_text() == mark
     folder = hold(tmp_path)
     folder.finish(complete=True)
-    assert not folder.mark_stays
+    assert not folder.has_mark
     assert not (tmp_path / MARK).exists()
 
 
@@ -422,7 +422,7 @@ def test_a_mark_that_the_user_has_changed_stays(tmp_path: Path) -> None:
     folder = hold(tmp_path)
     (tmp_path / MARK).write_text("mine")
     folder.finish(complete=True)
-    assert folder.mark_stays
+    assert folder.has_mark
     assert (tmp_path / MARK).read_text() == "mine"
 
 

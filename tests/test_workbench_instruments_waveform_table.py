@@ -129,7 +129,7 @@ def test_pairs_of_one_channel_a_file(tmp_path: Path) -> None:
     (FILES["rigol mso5000"].replace(f"{TIME[7]:.6e},", "x,"), r"line 9.*a number for the time"),
     (FILES["rigol mso5000"].replace(timed(7), f"{TIME[7]:.6e},1.0,"), r"line 9.*a number for every channel: CH1, CH2"),
     (FILES["rigol mso5000"].replace(timed(7) + "\n", ""), "expected even steps"),
-    (FILES["keysight"].replace(volts(250), "9.9E+37,0.1"), r"CH1: received 9.9e\+37.*left the screen"),
+    (FILES["keysight"].replace(volts(250), "9.9E+37,0.1"), r"CH1: received 9.9e\+37.*outside the screen"),
     (table("Time(s),CH1(V),CH2(V)\n", lambda k: f"{TIME[k] + 2.0:.6e},{volts(k)}"), "a time of more digits"),
 ])
 def test_what_cannot_be_trusted_is_refused(text: str, said: str, tmp_path: Path) -> None:

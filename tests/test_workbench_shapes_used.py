@@ -128,7 +128,7 @@ def test_the_live_view_moves_it_in_degrees(chip: Chip) -> None:
     plain = build(fill(chip, None, Registry()), band=BAND, accuracy=COARSE)
     (found,) = controls(chip, plain, ["sidewall.draft=-2deg..3deg"])
     assert (found.low, found.high) == pytest.approx((-math.radians(2.0), math.radians(3.0)))
-    assert found.told(DRAFT) == "1.5 deg"
+    assert found.with_unit(DRAFT) == "1.5 deg"
     (usual,) = controls(chip, plain, ["sidewall.draft"])
     assert usual.high == pytest.approx(2.0 * math.radians(2.0), rel=1e-12)
     wide = replace(chip, layers=tuple(replace(layer, draft=Dimension(0.0)) if layer.draft else layer

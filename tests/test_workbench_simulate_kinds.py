@@ -41,7 +41,7 @@ def test_a_model_that_nearly_reached_its_tolerance_is_used_and_said(monkeypatch:
     monkeypatch.setattr(solved_spectrum, "reduced", nearly(1.2e-4))
     found = wb.simulate(chip, "filled", points=41, accuracy=2e-2)
     assert found.error > 1e-4
-    assert f"{found.error:.1e}, above the 1e-04 that was asked" in found.findings[0]
+    assert f"{found.error:.1e}, above the requested 1e-04" in found.findings[0]
     monkeypatch.setattr(solved_spectrum, "reduced", nearly(2e-3))
     with pytest.raises(NotEnriched):
         wb.simulate(chip, "filled", points=41, accuracy=2e-2)

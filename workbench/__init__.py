@@ -1,4 +1,4 @@
-"""Acoustofluidic chip workbench: simulate a chip, compare it with a recording, say what differs.
+"""Acoustofluidic chip workbench: simulation, comparison with recordings, and diagnosis.
 
     import workbench as wb
 
@@ -8,8 +8,8 @@
     print(wb.compare(recording, run).mape_percent)
     found = wb.diagnose(wb.read_campaign("campaign.toml"))
 
-The names in :data:`PUBLIC` are the whole promise; everything else may change. Names are loaded when they are first
-used, so that importing the package costs nothing.
+The names in :data:`PUBLIC` are the stable interface; everything else may change. A name is loaded at its first use, so
+that importing the package is fast.
 
 Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> Solution -> Spectrum | Fields -> Figures
 -> Comparison``. Each stage takes a frozen value and returns one.
@@ -17,7 +17,7 @@ Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> 
 
 from __future__ import annotations
 
-#: Of the package; ``pyproject.toml`` has the same.
+#: Version of the package, as in ``pyproject.toml``.
 __version__ = "0.1.0"
 
 TYPE_CHECKING = False

@@ -1,9 +1,9 @@
 """The ``workbench`` command.
 
-Exit status: 0 done, 1 the computation failed or a check found something, 2 a mistake in the command or in a file,
-3 not finished in the time it was given (`diagnose --minutes`). An interrupted command says what is on disk: 130 after
-Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. Too little memory is one line and status 1. A defect of the program itself
-ends in Python's traceback, status 1.
+Exit status: 0 success, 1 the computation failed or a check found a problem, 2 a mistake in the command or in a file, 3
+not finished in the allowed time (`diagnose --minutes`). An interrupted command reports the files on disk: 130 after
+Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. Too little memory gives one line and status 1. A defect of the program
+gives Python's traceback, status 1.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line (``sys.argv`` unless `arguments` are given); the return value is the exit status.
+    """Run the command line and return the exit status.
+
+    The default of `arguments` is ``sys.argv``.
 
     Raises:
         SystemExit: as argparse does, status 2 for a faulty command and 0 after ``--help``.
@@ -38,15 +40,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             status = _main(arguments, interrupted)
         except KeyboardInterrupt:
-            status = interrupted.status  # between two steps, where everything is written
+            status = interrupted.status  # between two steps, when everything is written
     if own and interrupted.requested:
         interruption.leave(status)  # a thread may still be in native code
     return status
 
 
 def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
-    # Nothing is imported sooner than it is needed: whoever asks for help, or mistypes an option or the name of a file,
-    # need not wait for the numerical libraries.
+    # Modules are imported when needed, so that help and errors in options do not wait for the numerical libraries.
     from workbench.commands.options import command_parser
 
     options = command_parser().parse_args(arguments)
@@ -60,7 +61,7 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
 
 
 def _checked(options: argparse.Namespace, interrupted: Interruption) -> int:
-    """Check the files that the options name, and run the command."""
+    """Check the files in the options, and run the command."""
     from workbench.commands.console import error_console
 
     console = error_console()
@@ -81,19 +82,19 @@ def _checked(options: argparse.Namespace, interrupted: Interruption) -> int:
     except Exception as error:
         if not (memory.is_shortage(error) or memory.is_exhausted()):
             raise
-        # The frames of the error hold arrays; nothing is printed by libraries that memory may be missing for.
+        # The frames of the error keep arrays in memory. Libraries may lack memory to print, so they are not used.
         text = memory.shortage_text(error.with_traceback(None), _estimated(options))
         interruption.say("; ".join([text, *interruption.saved(error)]))
         return 1
 
 
 def _estimated(options: argparse.Namespace) -> str:
-    """The memory that the states of the chip that the options name take, as estimated; nothing for other commands."""
+    """The estimated memory of the largest state of the chip, or ""."""
     from contextlib import suppress
 
-    # Libraries that are not there yet are not loaded without memory.
+    # Without memory, no further libraries are loaded.
     if hasattr(options, "full") and hasattr(options, "chip") and "workbench.commands.states" in sys.modules:
-        with suppress(Exception):  # as memory may be short again
+        with suppress(Exception):  # memory may be short again
             from geometry.chip import read_chip
             from workbench.commands.parsed_options import model_options
             from workbench.commands.states import state_sizes
@@ -127,12 +128,12 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
             complete = not interrupted.requested
-            held = getattr(options, "held", None)
-            leftovers = str(held.tidy()) if held is not None and complete else ""
+            folder = getattr(options, "run_folder", None)
+            leftovers = str(folder.tidy()) if folder is not None and complete else ""
         except BaseException as error:
             interrupted.stage = "closing"
             if interrupted.requested or isinstance(error, KeyboardInterrupt):
-                # Some libraries make other exceptions of it.
+                # Some libraries turn it into other exceptions.
                 return _interrupted(output, console, interrupted, error)
             kept = "".join(f"; {words}" for words in saved(error))
             match error:
@@ -145,20 +146,20 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
                     _complain(console, "error", remedy(error, output) + kept)
                     return 1
                 case RuntimeError() | ModelError():
-                    # Through no defect of the program: our own errors are RuntimeErrors apart from this one.
+                    # Not a defect of the program: its own errors are RuntimeErrors or a ModelError.
                     _complain(console, type(error).__name__, f"{error}{kept}")
                     return 1
             raise
         finally:
-            held = getattr(options, "held", None)
-            # Threads in native code that were interrupted may still write: the folder is held until the program ends.
-            if held is not None and (complete or interruption.wait()):
+            folder = getattr(options, "run_folder", None)
+            # Interrupted threads in native code may still write, so the folder is locked until the program ends.
+            if folder is not None and (complete or interruption.wait()):
                 with suppress(OSError):
-                    held.finish(complete=complete)
+                    folder.finish(complete=complete)
     if interrupted.requested and output is not None:
-        # The command made its report of what it knew by then.
+        # The command has reported its partial results.
         return _interrupted(output, console, interrupted)
-    if held is not None and held.mark_stays:
+    if folder is not None and folder.has_mark:
         console.print(f"{output}: INCOMPLETE.txt stays: it is of another command's run, or was changed", style="yellow")
     if leftovers:
         console.print(leftovers, markup=False)
@@ -170,7 +171,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
 def _interrupted(
     output: Path | None, console: Console, interrupted: Interruption, error: BaseException | None = None
 ) -> int:
-    """Print the files on disk and the saved entries, once nothing is written any more; the exit status."""
+    """Print the files on disk and the saved entries; the exit status. It waits until nothing is written any more."""
     from workbench.jobs import interruption
 
     interruption.wait()
@@ -185,9 +186,9 @@ def _complain(console: Console, label: str, text: str) -> None:
 
 
 def _show_warnings(console: Console) -> None:
-    """Print each warning of our own once, as one line; what other libraries say to programmers is not for the user.
+    """Print each of our own warnings once, on one line.
 
-    A lost imaginary part is a defect, never a warning.
+    Warnings of other libraries are for programmers and are not printed. A lost imaginary part is an error.
     """
     import warnings
     from pathlib import Path

@@ -1,4 +1,7 @@
-"""Long work beside the page, one of a kind at a time, that reports its progress and can be stopped."""
+"""Long background work, one of a kind at a time.
+
+It reports its progress and can be stopped.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,19 @@ from workbench.physics.term import ModelError
 from workbench.reduced.ranges import OutOfRange
 
 #: Reports the present activity in words.
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 #: Whether to stop.
 Stopped = Callable[[], bool]
-#: Work: a function of a reporter of progress and of a test whether to stop, which returns its last words.
-Work = Callable[[Say, Stopped], str]
+#: Work: a function of a reporter of progress and of a test whether to stop, which returns its last report.
+Work = Callable[[Report, Stopped], str]
 
-#: Exceptions that may end a computation without a defect of the program, as on the command line.
+#: Exceptions of a computation that are no defects of the program, as on the command line.
 FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError, MemoryError)
 
 
 class Background:
-    """Works by their kind ("model", "fit"), each in a thread of its own.
-
-    ``changed`` is called, from any thread, with a kind, its words, and whether it is still at work.
-    """
+    """Works by their kind ("model", "fit"), each in its own thread. ``changed`` is called, from any thread, with a
+    kind, its words, and whether it is at work."""
 
     def __init__(self, changed: Callable[[str, str, bool], None]) -> None:
         self._changed = changed
@@ -34,7 +35,7 @@ class Background:
         self._pool = ThreadPoolExecutor(thread_name_prefix="live view")
 
     def start(self, kind: str, work: Work) -> Future[None] | None:
-        """Start work; None if one of that kind is still at work."""
+        """Start work; None if one of that kind is at work."""
         with self._lock:
             if kind in self._running:
                 return None
@@ -42,18 +43,18 @@ class Background:
         return self._pool.submit(self._run, kind, work, stop)
 
     def running(self) -> tuple[str, ...]:
-        """Kinds that are at work."""
+        """Kinds at work."""
         with self._lock:
             return tuple(self._running)
 
     def stop(self, kind: str) -> None:
-        """Ask one to stop, if it is at work."""
+        """Request one to stop, if it is at work."""
         with self._lock:
             if kind in self._running:
                 self._running[kind].set()
 
     def close(self) -> None:
-        """Ask all to stop, and wait for them."""
+        """Request all to stop, and wait for them."""
         for kind in self.running():
             self.stop(kind)
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -65,7 +66,7 @@ class Background:
         except FAILURES as error:
             last = f"{type(error).__name__}: {error}"
         except BaseException as error:
-            # A defect: shown on the page, and in the terminal by the holder of the future.
+            # A defect: shown on the page, and in the terminal by the owner of the future.
             last = f"defect: {error!r}"
             raise
         finally:

@@ -1,4 +1,4 @@
-"""Numbers of a chip that can be moved in the live view, with their ranges, their tolerances and their shown units."""
+"""Adjustable parameters of a chip, with ranges, tolerances and displayed units."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from workbench.model.dimensions import parametrised_within
 from workbench.model.numbers import LOSS, Number, ParameterName, real_part
 from workbench.model.problem import Problem
 
-#: Default relative range of a number to either side. Twice as wide, a range model of six lengths has about twice as
-#: many unknowns.
+#: Default relative range of a parameter to either side. Doubled, a range model of six lengths has about twice as many
+#: unknowns.
 RELATIVE_REACH = 0.05
-#: Largest factor between a moved number and the chip's file, beyond its range: the mesh is stretched, and its elements
-#: were made for that length. A length may go as far as a fit searches.
+#: Largest factor between a value and the chip's file, beyond its range: the mesh is stretched, and its elements were
+#: made for that length. A length may move within the range of a fit.
 FARTHEST = 2.0
-#: The range in units of a stated tolerance, if that is wider. For an assumed tolerance it holds the limits.
+#: The range in units of a stated tolerance, if that is wider. For an assumed tolerance it includes the limits.
 TOLERANCES = 2.0
 #: Significant digits of a length in a saved chip file: a nanometre of a millimetre.
 SAVED_DIGITS = 6
@@ -31,17 +31,18 @@ SAVED_DIGITS = 6
 #: Separator of the ends of a range, as in "substrate.thickness=0.8mm..0.9mm".
 RANGE_MARK = ".."
 
-#: Thinner layers than this (m) are told in micrometres.
+#: Thickness (m) below which it is displayed in micrometres.
 _THIN = 2e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Control(Number):
-    """A number that can be moved: between ``low`` and ``high``, from the value in the chip's file.
+    """An adjustable parameter.
 
-    The uncertainty of a length is stated as limits, that of a constant as a standard one; a length without one has
-    that assumed by its role (`geometry.assumed`). The number is shown in ``shown_unit``, ``factor`` of which are one in
-    SI. ``narrowed`` says in words that the range does not hold the limits.
+    It is between ``low`` and ``high``, and starts at the value in the chip's file. The uncertainty of a length is
+    stated as limits, that of a constant as a standard one; a length without one has that assumed by its role
+    (`geometry.assumed`). It is displayed in ``shown_unit``, of which ``factor`` are one in SI. ``narrowed`` reports a
+    range that is narrower than the limits.
     """
 
     shown_unit: str
@@ -49,8 +50,8 @@ class Control(Number):
     narrowed: str = ""
 
     @property
-    def told_tolerance(self) -> str:
-        """The tolerance as its field shows it, in ``unit``: a film's assumed one as a factor; empty for none."""
+    def shown_tolerance(self) -> str:
+        """The displayed tolerance, in ``shown_unit``; "" for none. The assumed one of a film is a factor."""
         if self.tolerance is not None:
             return f"{self.tolerance * self.factor:.4g}"
         if not self.is_dimension:
@@ -61,28 +62,28 @@ class Control(Number):
 
     @property
     def farthest(self) -> tuple[float, float]:
-        """The ends (SI) that it can be moved to, beyond its range."""
+        """The limits (SI) of its values, beyond its range."""
         ends = [self.low, self.high, self.value / FARTHEST, self.value * FARTHEST]
         if self.is_dimension:
             ends += [self.known.lowest, self.known.highest]
         return min(ends), max(ends)
 
     def saved(self, length: float) -> float:
-        """A length (m or rad) as a chip file holds it: rounded to :data:`SAVED_DIGITS` digits in its unit."""
+        """A length (m or rad) rounded as in a saved chip file. It has :data:`SAVED_DIGITS` digits in its unit."""
         unit = self.shown_unit.replace("µ", "u")
         return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.quantity,
                               source="live view", field=self.name)
 
     def shown(self, number: float, digits: int = 6) -> str:
-        """A number (SI) in ``shown_unit``, without it."""
+        """A number (SI) in ``shown_unit``, without the unit."""
         return f"{number * self.factor:.{digits}g}"
 
-    def told(self, number: float, digits: int = 6) -> str:
-        """A number (SI) with its unit."""
+    def with_unit(self, number: float, digits: int = 6) -> str:
+        """A number (SI) in ``shown_unit``, with the unit."""
         return f"{self.shown(number, digits)} {self.shown_unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
-        """A copy with a range that holds `number` (SI) well within."""
+        """A copy whose range includes `number` (SI) with a margin."""
         width = max(self.high - self.low, 0.0)
         return replace(self, low=min(self.low, number - 0.25 * width), high=max(self.high, number + 0.25 * width))
 
@@ -90,28 +91,28 @@ class Control(Number):
 def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[Control, ...]:
     """The controls of `chip` for the names `wanted`, ``NAME`` or ``NAME=LOW..HIGH``.
 
-    By default they are all thicknesses, the radius or half width of the cavity, the sound speed of its filling, and the
+    By default they are all thicknesses, the radius or half width of the cavity, the sound speed of its fluid, and the
     shear modulus of the first other solid.
 
     Args:
         problem: of the chip in its state, without lengths among its values.
 
     Raises:
-        InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
-            does not hold the present number, or passes another radius.
+        InputError: the name of a parameter without effect on the spectrum, one given twice, or a range that cannot be
+            read, excludes the present value, or passes another radius.
     """
     first, lengths = canonical_names(chip), chip.dimensions()
-    felt = {name: complex(each.value) for name, each in lengths.items() if name in first
+    present = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
     for text in wanted or _usual(chip, problem):
         name, _, ends = text.partition("=")
         name = first.get(name.strip(), name.strip())
-        choose(name.removesuffix(LOSS), felt, source="command line", field="--vary")
+        choose(name.removesuffix(LOSS), present, source="command line", field="--vary")
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
-        found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
-    # Refuses a radius that would pass another one, and a shape that folds a cell.
+        found[name] = _control(chip, problem, name, real_part(present, name), ends.strip())
+    # Raises for a radius that would pass another one, and for a shape that folds a cell.
     parametrised_within(problem, chip, {
         name: (each.low, each.high) for name, each in found.items() if each.is_dimension})
     return tuple(found.values())
@@ -144,7 +145,7 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
             known = number.known
             low, high = admissible_range(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
-                narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
+                narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than its prior: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
     if number.is_dimension and admissible_range(chip, name, low, high) != (low, high):
@@ -161,7 +162,8 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
 
 
 def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
-    """The number of that name and `value` (SI), with what its file states of it, or a length's role lets assume."""
+    """The parameter of that name and `value` (SI), with its uncertainty. A length without one has that assumed by its
+    role."""
     parsed = ParameterName.parse(name)
     if parsed.is_dimension:
         found = length_number(chip, name)
@@ -187,5 +189,5 @@ def is_inside(ranges: Mapping[str, tuple[float, float]], values: Mapping[str, fl
 
 
 def wraps(one: Mapping[str, tuple[float, float]], other: Mapping[str, tuple[float, float]]) -> bool:
-    """Whether the ranges `one` hold the `other` ones."""
+    """Whether the ranges `one` include the `other` ones."""
     return all(one[name][0] <= low and high <= one[name][1] for name, (low, high) in other.items())

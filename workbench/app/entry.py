@@ -1,4 +1,4 @@
-"""Numbers as they are typed on the page: in the unit shown beside the field, or with a unit of their own."""
+"""Numbers as typed on the page, in the displayed or another unit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ _COMMA = re.compile(r"\s*([+-]?\d*),(\d+)(\s*[^\d,.\s].*)?\s*")
 
 
 def typed_number(text: object, control: Control, field: str) -> float:
-    """The number (SI) that was typed for a `control`: "20.5" in its unit, or "0.0205 mm"; `field` is named in errors.
+    """The number (SI) typed for a `control`.
+
+    Examples are "20.5" in its unit, or "0.0205 mm"; errors name `field`.
 
     Raises:
         InputError: no finite number, a decimal comma, or an unknown unit.
@@ -37,19 +39,19 @@ def typed_number(text: object, control: Control, field: str) -> float:
 
 
 def typed_tolerance(text: object, control: Control) -> float | None:
-    """The tolerance (SI) that was typed for a `control`; None if nothing was typed or the assumed one stands.
+    """The tolerance (SI) typed for a `control`, or None.
 
-    None means the tolerance of the file, or the one assumed by the role.
+    With None, the tolerance of the file or the assumed one of the role applies.
 
     Raises:
         InputError: as for :func:`typed_number`.
     """
     typed = str(text).strip()
-    if not typed or (control.tolerance is None and typed == control.told_tolerance):
+    if not typed or (control.tolerance is None and typed == control.shown_tolerance):
         return None
     return typed_number(typed, control, f"tolerance of {control.name}")
 
 
 def slider_number(number: float) -> float:
-    """A number as a slider holds it: to seven digits."""
+    """A number with the seven digits of a slider."""
     return float(f"{number:.7g}")

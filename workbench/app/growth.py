@@ -1,4 +1,4 @@
-"""Range models that answer while they grow, made here or in a process of their own."""
+"""Range models that grow, in this process or in another one."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Wanted:
     limit: int = LIMIT
 
 
-#: A maker of growing models; closing it ends the work.
+#: A generator of growing models; closing it ends the work.
 Growing = Callable[[Wanted], Generator[RangeModel, None, None]]
 
 
 def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """Growing models, each made when it is requested.
+    """Growing models, each computed on request.
 
     Raises:
         InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
@@ -48,9 +48,10 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
 
 
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """Growing models, made by another process, which is ended with this iterator. The models cannot grow here.
+    """Growing models from another process, which ends with this iterator.
 
-    They come in the compact form that answers need: the constant parts summed up, a tenth of the whole.
+    The models cannot grow here. They have the compact form for answers: the constant parts summed up, a tenth of the
+    whole.
 
     Raises:
         InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
@@ -76,6 +77,6 @@ def _grow(send: Send, *, wanted: Wanted) -> None:
 
 
 def _sendable(model: RangeModel) -> RangeModel:
-    """The `model` in its answering form, without the full operators and the problem, which the receiver has."""
+    """The compact `model` without the parts that the receiver has."""
     nothing: Any = None
     return replace(model, problem=nothing, reduced=replace(model.compact, full=nothing))

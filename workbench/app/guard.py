@@ -1,11 +1,11 @@
-"""Access control of the live view: only the browser that was given its address, and no page of anybody else.
+"""Access control of the live view, for the browser with its address.
 
 The page listens on this computer's loopback interface, which every user and every web page opened on this computer can
 reach. So each request, and the opening of each websocket, must
 
-* name this address as its host: a foreign name that somebody lets resolve to 127.0.0.1 is refused (DNS rebinding);
+* name this address as its host: a foreign name that resolves to 127.0.0.1 is refused (DNS rebinding);
 * come from a page of this address, if the browser states the origin: a foreign page is refused;
-* carry the token, which is in the address that is printed: in the address, or later in the cookie that this sets.
+* have the token of the printed address: in its own address, or later in a cookie, which is set here.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
     Handler = Callable[[Request], Awaitable[StreamResponse]]
 
-#: The only interface the page is served on.
+#: The only interface of the page.
 HOST = "127.0.0.1"
 
-#: Content policy of the page: its own server, and pictures that are in the page. Vue makes functions of its templates,
-#: hence the two kinds of script; nothing comes from outside.
+#: Content policy of the page: its own server, and embedded pictures. Vue compiles its templates to functions, which
+#: needs the two kinds of script; nothing comes from outside.
 _POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
            "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; "
            "form-action 'none'; base-uri 'self'")
 
 
 def new_token() -> str:
-    """A token that nobody guesses, fit for an address."""
+    """A random token for an address."""
     return secrets.token_urlsafe(24)
 
 
@@ -41,12 +41,12 @@ def address(port: int, token: str) -> str:
 
 
 def cookie_name(port: int) -> str:
-    """The name of the cookie of a port: cookies are shared by all ports of a host."""
+    """The name of a port's cookie. All ports of a host share cookies."""
     return f"workbench_{port}"
 
 
 def protect(application: Application, token: str) -> None:
-    """Make `application` refuse unauthorised requests with status 403; to be called before it starts."""
+    """Make `application` refuse unauthorised requests with status 403. Call it before the application starts."""
     from aiohttp import web
 
     @web.middleware
@@ -64,13 +64,13 @@ def protect(application: Application, token: str) -> None:
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["X-Content-Type-Options"] = "nosniff"
 
-    # The first middleware, whatever is added later.
+    # The first of all middlewares.
     application.middlewares.insert(0, check)
     application.on_response_prepare.append(add_headers)
 
 
 def refusal(request: Any, token: str) -> str:
-    """The reason why a request is refused; empty if it is not."""
+    """The reason why a request is refused, or ""."""
     port = _port(request)
     host = f"{HOST}:{port}"
     if len(request.headers.getall("Host", [])) != 1 or request.headers["Host"].lower() != host:
@@ -78,7 +78,7 @@ def refusal(request: Any, token: str) -> str:
     origins = request.headers.getall("Origin", [])
     if any(origin.lower() != f"http://{host}" for origin in origins):
         return "a foreign origin"
-    # A cookie does not mend a wrong token in the address.
+    # A wrong token in the address is refused, even with a valid cookie.
     given = request.query.getall("token", []) or [request.cookies.get(cookie_name(port), "")]
     if len(given) != 1 or not hmac.compare_digest(given[0].encode(), token.encode()):
         return "no token, or a wrong one; open the address that was printed"
@@ -86,5 +86,4 @@ def refusal(request: Any, token: str) -> str:
 
 
 def _port(request: Any) -> int:
-    """The port that a request came in at."""
     return int(request.transport.get_extra_info("sockname")[1])

@@ -1,7 +1,7 @@
-"""Small models about the present numbers: a spectrum in some ten milliseconds.
+"""Small models near the present values, for spectra in some ten milliseconds.
 
-While one slider is moved, the states run along one line through the ranges, and lie close to a space a third the size
-of the range model's. On the reference chip, of 250 unknowns 90 are needed along the whole range of one number, and 80
+While one slider moves, the states are along one line through the ranges, and near a space with a third of the dimension
+of the range model. On the reference chip, 90 of 250 unknowns are needed along the whole range of one parameter, and 80
 for an eighth of the range of any one of seven.
 """
 
@@ -19,23 +19,21 @@ from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Prediction
 from workbench.reduced.ranges import RangeModel, Ranges, Response
 
-#: Number of states, besides the centre, along the range of one number, and for each of many numbers; and the step by
-#: which frequencies of the model are skipped.
+#: Number of states, besides the centre, along the range of one parameter, and for each of several parameters; and the
+#: step in frequencies of the model.
 ALONG, AROUND, EVERY = 9, 2, 3
-#: Share of a range to either side of a point for which the model about it is made.
+#: Half width of the range of a local model, relative to the range of the range model.
 NEAR_SHARE = 0.125
-#: Largest number of unknowns with which a range model itself answers within some ten milliseconds.
+#: Largest number of unknowns of a range model that answers within some ten milliseconds.
 SMALL_RANK = 100
-#: Relative error of Z that the basis is truncated to.
+#: Relative error of Z due to truncation of the basis.
 LEFT_OUT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """The part of a range ``model`` that is needed while one number at a time leaves ``centre`` (SI).
-
-    Each number in ``reach`` stays within its bounds there (SI).
-    """
+    """A part of a range ``model``, with one moving parameter. Others stay at ``centre`` (SI); the moving one stays
+    within its bounds in ``reach`` (SI)."""
 
     model: RangeModel
     centre: Mapping[str, float]
@@ -43,20 +41,20 @@ class LocalModel:
     reduced: ReducedModel
 
     def holds(self, model: RangeModel, values: Mapping[str, float]) -> bool:
-        """Whether this model stands for `values` of `model`."""
+        """Whether this model is valid for `values` of `model`."""
         moved = [name for name, number in values.items() if number != self.centre[name]]
         if model is not self.model or len(moved) > 1:
             return False
         return all(name in self.reach and self.reach[name][0] <= values[name] <= self.reach[name][1] for name in moved)
 
     def __call__(self, values: Mapping[str, float]) -> Response:
-        """The spectrum at `values` that it stands for."""
+        """The spectrum at `values` for which it is valid."""
         there = placed(self.model.problem.values, values)
         return Response(values, Prediction(self.reduced.solve(self.model.frequency, there), self.reduced, there))
 
 
 def in_halves(model: RangeModel, values: Mapping[str, float]) -> Response:
-    """The answer of a range model itself, with the halves of its band solved in two threads."""
+    """The answer of a range model, by two threads. Each solves half of the band."""
     there = placed(model.problem.values, values)
     compact, middle = model.compact, model.frequency.size // 2 + 1
     with ThreadPoolExecutor(2) as pool:
@@ -71,12 +69,12 @@ def in_halves(model: RangeModel, values: Mapping[str, float]) -> Response:
 
 
 def along(model: RangeModel, name: str) -> Ranges:
-    """The reach of a local model for one number anywhere in its range."""
+    """The reach of a local model over the range of one parameter."""
     return {name: model.ranges[name]}
 
 
 def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
-    """The reach of a local model for any one number near `centre` (SI)."""
+    """The reach of a local model for any parameter near `centre` (SI)."""
     return {name: (max(low, centre[name] - NEAR_SHARE * (high - low)),
                    min(high, centre[name] + NEAR_SHARE * (high - low)))
             for name, (low, high) in model.ranges.items()}
@@ -85,11 +83,8 @@ def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
 def local_model(
     model: RangeModel, centre: Mapping[str, float], reach: Ranges, stopped: Callable[[], bool] = lambda: False
 ) -> LocalModel | None:
-    """The local model about `centre` (SI), or None.
-
-    None for a range model of :data:`SMALL_RANK`, for an error above the range model's tolerance, and once `stopped`.
-    The error is measured between the points that the model was made of.
-    """
+    """The local model about `centre` (SI), or None. None for a range model of :data:`SMALL_RANK`, for an error above
+    the range model's tolerance, and once `stopped`. The error is measured between the points of the basis."""
     if model.rank <= SMALL_RANK:
         return None
     watched, compact = model.frequency[::EVERY], model.compact

@@ -1,4 +1,4 @@
-"""The frequency that the live view draws fields at unless one is clicked: the operating point of the chip."""
+"""The default frequency of fields in the live view: the operating point."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ from workbench.simulation.energy import PER_WATT, EnergyPeak
 
 
 class EnergyPeaks:
-    """The largest peaks of the energy in the cavity under a ``drive``, of the spectra of models of one chip.
-
-    The energy of the sound in a model is made once for each.
-    """
+    """The largest energy peaks in the cavity, for models of one chip. They are under a ``drive``. The energy form of a
+    model is computed once."""
 
     def __init__(self, device: FilledChip, drive: Drive) -> None:
         self.drive, self._is_wet = drive, device.is_wet
         self._sounds: WeakKeyDictionary[ReducedModel, SoundEnergy] = WeakKeyDictionary()
 
     def __call__(self, response: Response) -> EnergyPeak | None:
-        """The largest peak of a spectrum, None where the cavity holds no liquid or the band no peak."""
+        """The largest peak of a spectrum. None without a liquid in the cavity or a peak in the band."""
         if not self._is_wet:
             return None
         prediction = response.prediction
@@ -54,8 +52,8 @@ class EnergyPeaks:
 
 
 def operating_frequency(chip: Chip, peak: EnergyPeak | None, f0: float | None, band: tuple[float, float]) -> float:
-    """The operating point (Hz) of a chip: the one that its file states, or else the energy's peak, f0 or the middle of
-    the band."""
+    """The operating point (Hz) of a chip. It is stated in its file, or else the energy's peak, f0 or the middle of the
+    band."""
     if isinstance(chip.operating_point, float):
         return chip.operating_point
     if peak is not None and chip.operating_point != AT_F0:

@@ -1,4 +1,4 @@
-"""The page as a template of Vue; its variable parts are state that `workbench.app.server` keeps.
+"""The page as a Vue template; `workbench.app.server` keeps its state.
 
 The spectrum is lines of SVG, and so are axes and marks over the pictures of fields: letters stay sharp, and a new
 spectrum is ten kilobytes. Everything is served by the page's own server.
@@ -106,9 +106,9 @@ _HEADS = """
   assumed by the role of the layer (point at it).</span></div>
 """
 
-#: One number, at an index of ``rows``; its value is state of its own, since the slider moves it. A field is replaced
-#: whenever its number changes or a value was entered in its row, so that refused text disappears; while somebody types
-#: nothing writes into it.
+#: One parameter, at an index of ``rows``; its value is separate state, since the slider moves it. A field is replaced
+#: when its value changes or a value was entered in its row, so that refused text disappears; while a user types, it is
+#: not changed.
 _ROW = """
 <div class="row">
   <div class="names"><span class="what" :class="{out: rows[I].outside}" :title="rows[I].name">{{ rows[I].label }}</span>
@@ -232,13 +232,13 @@ _WORKS = """
 
 
 def template(count: int) -> str:
-    """The page with `count` numbers that can be moved."""
+    """The page with `count` adjustable parameters."""
     rows = "".join(_ROW.replace("[I]", f"[{i}]").replace("_I", f"_{i}") for i in range(count))
     return (f"<div class='live'>{_BAR}<div class='left'><div class='card side'>{_HEADS}{rows}</div>{_WORKS}</div>"
             f"<div>{_FIGURES}{_SPECTRUM}{_FIELDS}</div></div>")
 
 
-#: Function that reads the spectrum at the mouse pointer: the nearest of its frequencies.
+#: Function that reads the spectrum at the frequency nearest to the mouse pointer.
 _READOUT = f"""
 window.trame.utils.live = {{
   readout(event, curve) {{
@@ -256,7 +256,7 @@ window.trame.utils.live = {{
 
 
 def lay_out(server: Any, count: int) -> None:
-    """Give a trame server its page, with `count` numbers that can be moved."""
+    """Set the page of a trame server, with `count` adjustable parameters."""
     from trame.ui.vuetify3 import VAppLayout
     from trame.widgets import client, html
 

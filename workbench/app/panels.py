@@ -1,4 +1,7 @@
-"""Answers of the session in the form of the page: texts, lines and places."""
+"""Answers of the session in the form of the page.
+
+They are texts, lines and places.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,10 @@ from workbench.app import plot
 from workbench.app.section_fields import SectionFields
 from workbench.app.spectrum_view import SpectrumView
 
-#: Prefixes of units and the factors that bring a number into the unit with it, smallest unit first.
+#: Prefixes of units and the factors to the unit with it, smallest unit first.
 _PREFIXES = (("µ", 1e6), ("m", 1e3), ("", 1.0), ("k", 1e-3), ("M", 1e-6))
 #: Largest heights (pixels of the page) of a wide picture and of one of half the width, the size of the letters at its
-#: axis, and the height of the strip below the picture that they stand in.
+#: axis, and the height of their strip below the picture.
 TALLEST, LETTERS, STRIP = (196.0, 118.0), 11.0, 17.0
 
 
@@ -47,7 +50,7 @@ class DrawnField(Protocol):
 
 
 def curve(view: SpectrumView, scale: plot.PlotScale) -> dict[str, Any]:
-    """The spectrum as lines, with its grid, its tolerance band, and its numbers for the mouse pointer."""
+    """The spectrum as lines, with grid, tolerance band and readout."""
     spectrum = view.spectrum
     tolerance = "" if view.spread is None else plot.tolerance_band(scale, spectrum, view.spread)
     return {**plot.curves(scale, spectrum), "tolerance": tolerance, "ticks": plot.ticks(scale),
@@ -61,7 +64,7 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0,
              si_unit: str = "") -> dict[str, str]:
         deviation = view.deviations.get(name)
-        notes = [] if deviation is None else [f"± {_told(deviation, si_unit)} by the tolerances"]
+        notes = [] if deviation is None else [f"± {_with_unit(deviation, si_unit)} by the tolerances"]
         row = measured.get(metric)
         if row is not None:
             notes.append(f"recorded {row.measured * factor:.5g} {unit}".rstrip())
@@ -87,8 +90,8 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     return found
 
 
-def _told(number: float, unit: str) -> str:
-    """A deviation with its unit, with the prefix that leaves one to three digits before the point."""
+def _with_unit(number: float, unit: str) -> str:
+    """A deviation with its prefixed unit. One to three digits are before the point."""
     if not unit or not np.isfinite(number) or number == 0.0:
         return f"{number:.2g} {unit}".rstrip()
     prefix, factor = next(((name, size) for name, size in _PREFIXES if number < 999.5 / size), _PREFIXES[-1])
@@ -96,7 +99,7 @@ def _told(number: float, unit: str) -> str:
 
 
 def described(section: SectionFields, *, stated: bool) -> str:
-    """Description of the fields: frequency, drive and results; `stated` is whether the chip names the particle."""
+    """Description of the fields: frequency, drive and results. `stated` is whether the chip names the particle."""
     fields = section.fields
     words = f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}, {1e3 * fields.power:.3g} mW"
     if section.traps is None:
@@ -106,16 +109,16 @@ def described(section: SectionFields, *, stated: bool) -> str:
     if section.traps.traps:
         trap = section.traps.traps[0]
         words += f" · deepest trap {fields.mesh.measure.symbol} {1e3 * trap.radius:.2f}, z {1e3 * trap.height:.3f} mm"
-    return words if stated else f"{words} · the chip names no particle, this is of the usual one"
+    return words if stated else f"{words} · for the default particle, since the chip names none"
 
 
 def embedded(png: bytes) -> str:
-    """A picture as an address that holds it."""
+    """A picture as a data URL."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def picture(drawn: DrawnField) -> dict[str, Any]:
-    """A picture in the form of the page, in a box as wide as the picture has dots."""
+    """A picture in the form of the page. Its box is as wide as the picture has dots."""
     left, right, bottom, top = drawn.window
     width = plot.WIDTH if drawn.tall == 1.0 else 0.5 * plot.WIDTH
     dots = width / (right - left)
@@ -145,6 +148,6 @@ def picture(drawn: DrawnField) -> dict[str, Any]:
 
 
 def next_picture(drawing: Iterator[DrawnField]) -> dict[str, Any] | None:
-    """The next picture in the form of the page; None after the last one."""
+    """The next picture in the form of the page, or None."""
     drawn = next(drawing, None)
     return None if drawn is None else picture(drawn)

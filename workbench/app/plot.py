@@ -1,7 +1,6 @@
-"""The spectrum as the lines of a picture: |Z| above, its phase below, both over frequency.
+"""The spectrum as lines: |Z| above, phase below, over frequency.
 
-Everything is in the units of a box of :data:`WIDTH` by :data:`HEIGHT` with its origin at the top left, which the page
-scales to its room.
+Units are those of a box of :data:`WIDTH` by :data:`HEIGHT` with its origin at the top left, which the page scales.
 """
 
 from __future__ import annotations
@@ -19,14 +18,13 @@ from workbench.results.spectrum import Spectrum
 Real = NDArray[np.float64]
 
 WIDTH, HEIGHT = 920.0, 246.0
-#: Sides of the two panels: left and right, top and bottom of |Z|, top and bottom of the phase.
+#: Edges of the two panels: left and right, top and bottom of |Z|, top and bottom of the phase.
 LEFT, RIGHT = 60.0, 908.0
 MAGNITUDE, PHASE = (6.0, 158.0), (170.0, 222.0)
 
-#: Steps, as a share of a decade, to which the ends of |Z| are moved outwards, so that the picture stays still while a
-#: number is moved.
+#: Steps in decades to which the ends of |Z| are rounded outwards, so that the axis is constant while a slider moves.
 _STEP = 0.25
-#: Number of decades below which twos and fives are labelled between the powers of ten.
+#: Number of decades below which twos and fives have labels between the powers of ten.
 _FEW = 2.6
 #: Least number of labelled frequencies; the largest is twice that.
 _LABELS = 5
@@ -34,14 +32,14 @@ _LABELS = 5
 
 @dataclass(frozen=True)
 class PlotScale:
-    """Places of frequencies (Hz), impedances (ohm) and phases (degrees) in the picture."""
+    """Places of frequencies (Hz), impedances (ohm) and phases (degrees)."""
 
     band: tuple[float, float]
     magnitude: tuple[float, float]
 
     @classmethod
     def of(cls, band: tuple[float, float], magnitudes: Sequence[Real]) -> PlotScale:
-        """The scale on which all `magnitudes` (ohm) have room."""
+        """The scale for all `magnitudes` (ohm)."""
         every = np.concatenate(list(magnitudes))
         low, high = math.log10(float(every.min())), math.log10(float(every.max()))
         return cls(band, (_STEP * math.floor(low / _STEP - 0.2), _STEP * math.ceil(high / _STEP + 0.2)))
@@ -59,7 +57,7 @@ class PlotScale:
         return np.asarray(PHASE[1] - (PHASE[1] - PHASE[0]) * (np.asarray(degrees) + 90.0) / 180.0)
 
     def frequency_at(self, share: float) -> float:
-        """The frequency (Hz) at a `share` of the picture's width, at the nearer end if that is beside the panel."""
+        """The frequency (Hz) at a `share` of the picture's width. Beside the panel, it is that of the nearer end."""
         low, high = self.band
         inside = (share * WIDTH - LEFT) / (RIGHT - LEFT)
         return low + (high - low) * min(max(inside, 0.0), 1.0)
@@ -77,7 +75,7 @@ def curves(scale: PlotScale, spectrum: Spectrum) -> dict[str, str]:
 
 
 def tolerance_band(scale: PlotScale, spectrum: Spectrum, spread: Real) -> str:
-    """The area within one `spread` (n,), the relative standard deviation, of |Z|."""
+    """The area within one relative standard deviation `spread` (n,) of |Z|."""
     x, factor = scale.x(spectrum.frequency), np.exp(spread)
     high, low = scale.y(spectrum.magnitude * factor), scale.y(spectrum.magnitude / factor)
     return path(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]])) + "Z"
@@ -90,7 +88,7 @@ def dots(scale: PlotScale, frequency: Real, impedance: NDArray[np.complex128]) -
 
 
 def ticks(scale: PlotScale) -> dict[str, list[dict[str, Any]]]:
-    """Labels and places of the lines of the grid: ``x``, ``y`` and ``phase``."""
+    """Labels and places of the grid: ``x``, ``y`` and ``phase``."""
     low, high = scale.band
     step = 10.0 ** math.floor(math.log10((high - low) / _LABELS))
     step *= max(factor for factor in (1.0, 2.0, 5.0) if (high - low) / (step * factor) >= _LABELS)
@@ -111,7 +109,7 @@ def _ohm(magnitude: float) -> str:
 
 
 def readout(spectrum: Spectrum) -> Mapping[str, list[float]]:
-    """The numbers of a spectrum for the mouse pointer: MHz, ohm, degrees."""
+    """The values of a spectrum for the readout: MHz, ohm, degrees."""
     return {"frequency": [round(float(f) / 1e6, 6) for f in spectrum.frequency],
             "magnitude": [float(f"{z:.5g}") for z in spectrum.magnitude],
             "phase": [round(float(p), 2) for p in spectrum.phase_deg]}

@@ -1,7 +1,7 @@
-"""The fields of a moved chip at one frequency, from a reduced model: no full solve.
+"""The fields of a changed chip, by a reduced model.
 
-A state of the reduced model is one of the mesh that the model was made on. Lengths that have moved since move the
-nodes: between two breaks of the section the map is linear, along r and along z (`geometry.stretch`).
+A state of the reduced model is on its own mesh. Changed lengths move its nodes: between two breaks of the section the
+map is linear, along r and along z (`geometry.stretch`).
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from workbench.model.particles import Particle, particle_from
 from workbench.model.shaped_mesh import shaped
 from workbench.reduced.ranges import RangeModel
 
-#: The particle whose potential is drawn if the chip's state names none: a material, and its radius (m).
+#: The default particle of the potential: a material, and its radius (m).
 BEAD = ("polystyrene", 5e-6)
 
 
 @dataclass(frozen=True, eq=False)
 class SectionFields:
-    """The fields of a chip with these ``values`` (SI, by name); ``traps`` is None without a fluid in the cavity, or
+    """The fields of a chip with these ``values`` (SI, by name). ``traps`` is None without a fluid in the cavity, or
     without a particle."""
 
     values: Mapping[str, float]
@@ -45,7 +45,7 @@ def section_fields(
     chip: Chip, model: RangeModel, values: Mapping[str, float], frequency: float, drive: Drive,
     particle: Particle | None,
 ) -> SectionFields:
-    """The fields at one `frequency` (Hz) under `drive`, of the `chip` that `model` was made of, with other `values`."""
+    """The fields at one `frequency` (Hz) under `drive`, with `values` (SI). `chip` is that of the `model`."""
     numbers = placed(model.problem.values, values)
     compact = model.compact
     solution = compact.solve(np.array([frequency]), numbers)
@@ -62,25 +62,22 @@ def section_fields(
 
 
 def usual_bead(registry: Registry) -> Particle:
-    """The particle of a chip that names none."""
+    """The default particle."""
     material = registry.load(BEAD[0])
     assert isinstance(material, IsotropicSolid)
     return particle_from(material, BEAD[1])
 
 
 def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:
-    """A copy of `chip` with the lengths among `values` (SI); radii of one length move together, under their canonical
-    name.
-
-    An unchanged length keeps its tolerance and its note.
-    """
+    """A copy of `chip` with the lengths among `values` (SI). Coinciding radii move together, under their canonical
+    name. An unchanged length keeps its tolerance and its note."""
     first = canonical_names(chip)
     return chip.with_dimensions({
         name: values[first.get(name, name)] for name in chip.dimensions() if first.get(name, name) in values})
 
 
 def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
-    """The `mesh` of `chip` with its nodes moved to those of `moved`.
+    """The `mesh` of `chip` with its nodes moved to `moved`.
 
     Raises:
         MeshError: the breaks of the two do not correspond.
@@ -93,7 +90,7 @@ def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
 
 
 def with_numbers(material: Material, values: Mapping[str, float]) -> Material:
-    """A copy of `material` with those of its numbers that are among `values` (SI, by parameter name)."""
+    """A copy of `material` with its constants among `values` (SI)."""
     parameters = material.parameters()
     own = {name: number for name, number in values.items() if ParameterName.parse(name).owner == material.name}
     named = placed({f"{material.name}.{key}": number for key, number in parameters.items()}, own)

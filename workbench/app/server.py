@@ -1,8 +1,8 @@
-"""The live view on the page: its requests go to the session, the answers go back.
+"""The server of the live view: requests to the session, and answers.
 
-Answers are worked out in two threads. One answers with spectra: while it does, the newest request waits and older ones
-are dropped, so that the page follows a slider as fast as the model answers. The other draws fields, and prepares faster
-answers, once nothing was moved for :data:`PAUSE`; it gives up unfinished work at the next move.
+Answers are computed in two threads. One answers with spectra: meanwhile the newest request waits and older ones are
+dropped, so that the page follows a slider as fast as the model answers. The other draws fields, and prepares faster
+answers, after :data:`PAUSE` without a move; it abandons unfinished work at the next move.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from workbench.app.works import KINDS, REPORT, Diagnosing, Works
 from workbench.files.errors import InputError
 from workbench.reduced.ranges import OutOfRange
 
-#: Seconds after which a moved number counts as at rest: it is then one step that can be undone.
+#: Seconds after which a moved parameter counts as at rest: it is then one step of undo.
 RESTS = 0.5
 
-#: Seconds without a move after which fields are drawn. Doubled, fields come that much later; at zero, each spectrum of
-#: a slider that is dragged waits for its share of the processor.
+#: Seconds without a move after which fields are drawn. Doubled, fields come later; at zero, each spectrum of a dragged
+#: slider waits for its share of the processor.
 PAUSE = 0.1
 
 #: Steps of a slider.
@@ -47,25 +47,26 @@ _STEPS = 200
 
 @dataclass(frozen=True)
 class Drawing:
-    """The functions that draw fields: the ``section``, one picture after the other, and the chip in ``space`` (PNG)."""
+    """The functions that draw fields. ``section`` yields one picture after the other; ``space`` draws the chip in space
+    (PNG)."""
 
     section: Callable[[SectionFields], Iterable[DrawnField]]
     space: Callable[[SectionFields], bytes]
 
 
 class LiveView:
-    """A session on a page of its own server. Serve it by :meth:`serve`; ``address`` opens the page."""
+    """A session on a page of its own server, started by :meth:`serve`. ``address`` opens the page."""
 
     def __init__(self, session: Session, drawing: Drawing, folder: Path, diagnosing: Diagnosing, *,
                  campaign: Path | None = None) -> None:
-        """Chip files and reports go to `folder`, which is made when needed; `diagnosing` makes a diagnosis, of the
-        `campaign` or of the one recording."""
+        """Prepare the page of a session. Chip files and reports are written to `folder`, which is created when needed;
+        `diagnosing` runs a diagnosis, of the `campaign` or of the one recording."""
         from trame.app import get_server
 
         self.session, self.drawing, self.folder = session, drawing, folder
         self.token, self.address = guard.new_token(), ""
         self.works = Works(session, folder, campaign, diagnosing)
-        self._background = Background(self._heard)
+        self._background = Background(self._work_changed)
         self._names = [each.name for each in session.controls]
         self._entries = Counter[str]()
         self._frequency: float | None = None
@@ -73,7 +74,7 @@ class LiveView:
         self._dots: tuple[Mapping[str, float], list[tuple[float, complex]]] = ({}, [])
         self._saved: set[Path] = set()
         # Pending requests: the spectrum; later the fields, then preparations of faster answers.
-        self._asked, self._later = asyncio.Event(), asyncio.Event()
+        self._requested, self._later = asyncio.Event(), asyncio.Event()
         self._moved = self._picked = self._idle = False
         self._moved_at = 0.0
         self._rest: asyncio.TimerHandle | None = None
@@ -91,12 +92,12 @@ class LiveView:
     # Serving.
 
     async def serve(self, port: int = 0, ready: Callable[[str], None] = lambda _address: None) -> None:
-        """Serve the page on this computer alone until cancelled; `ready` is called with its address.
+        """Serve the page on this computer until cancelled.
 
-        `port` 0 is any free one.
+        `ready` is called with its address. `port` 0 is any free one.
 
         Raises:
-            OSError: the port is taken.
+            OSError: the port is in use.
         """
         self._loop = asyncio.get_running_loop()
         answers, drawings = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
@@ -158,12 +159,11 @@ class LiveView:
             self._state.change(f"x_{index}")(lambda index=index, **_state: self._move(index))
 
     def _move(self, index: int) -> None:
-        """Handle a moved slider."""
-        control, told = self.session.controls[index], self._state[f"x_{index}"]
+        control, entered = self.session.controls[index], self._state[f"x_{index}"]
         try:
-            if told == slider_number(self.session.values[control.name] * control.factor):
+            if entered == slider_number(self.session.values[control.name] * control.factor):
                 return
-            self.session.move(control.name, typed_number(told, control, control.name))
+            self.session.move(control.name, typed_number(entered, control, control.name))
         except InputError as error:
             self._complain(error)
             self._show_numbers()
@@ -171,7 +171,6 @@ class LiveView:
         self._follow_move()
 
     def _enter(self, name: str, text: str) -> None:
-        """Handle a typed number."""
         self._entries[str(name)] += 1
         try:
             self.session.move(name, typed_number(text, self.session.control(name), name))
@@ -191,7 +190,7 @@ class LiveView:
         self._rest = self._loop.call_later(RESTS, self._rested)
 
     def _rested(self) -> None:
-        """Handle a number at rest: one step more that can be undone, and ranges that hold it."""
+        """Handle a parameter at rest: a step of undo, and wider ranges."""
         self.session.settle()
         with self._state:
             names = self.session.widen()
@@ -199,7 +198,7 @@ class LiveView:
                 self._grow()
             self._show_rows()
         if self.session.is_covered():
-            self._background.start("check", lambda say, stopped: self.works.check(self._shown()))
+            self._background.start("check", lambda report, stopped: self.works.check(self._shown()))
 
     def _undo(self) -> None:
         self.session.undo()
@@ -214,7 +213,6 @@ class LiveView:
         self._changed()
 
     def _tolerate(self, name: str, text: str) -> None:
-        """Handle a typed tolerance."""
         self._entries[str(name)] += 1
         try:
             self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
@@ -244,7 +242,7 @@ class LiveView:
         self._draw()
 
     def _save(self, name: str) -> None:
-        """Save the chip under a plain name in the folder; no older file is overwritten."""
+        """Save the chip under a plain name in the folder. Older files are not overwritten."""
         path = self.folder / str(name)
         try:
             if path.name != name or path.suffix != ".toml" or name.startswith("."):
@@ -258,7 +256,7 @@ class LiveView:
             return
         self._saved.add(path)
         constants = self.session.moved_constants()
-        self._say(f"saved as {path}" + ("; constants of materials are told in its description only"
+        self._say(f"saved as {path}" + ("; constants of materials are in its description only"
                                         if constants else ""))
 
     def _start_or_stop(self, kind: str) -> None:
@@ -268,12 +266,12 @@ class LiveView:
         if kind == "full":
             self._dots = (self.session.values, [])
             self._show_dots()
-            self._background.start(kind, lambda say, stopped: self.works.full(say, stopped, self._dot))
+            self._background.start(kind, lambda report, stopped: self.works.full(report, stopped, self._dot))
         else:
             self._background.start(kind, getattr(self.works, kind))
 
     def _grow(self) -> None:
-        """Make a model of the present ranges, after one that is being made of others."""
+        """Make a model of the present ranges, after stopping another one."""
         if self._background.start("model", self.works.model) is None:
             self._grow_again = True
             self._background.stop("model")
@@ -281,8 +279,8 @@ class LiveView:
     # ----------------------------------------------------------------------------------------------------------------
     # Reports of the background; called from its threads.
 
-    def _heard(self, kind: str, text: str, running: bool) -> None:
-        self._loop.call_soon_threadsafe(self._tell, kind, text, running)
+    def _work_changed(self, kind: str, text: str, running: bool) -> None:
+        self._loop.call_soon_threadsafe(self._show_work, kind, text, running)
 
     def _dot(self, frequency: float, impedance: complex) -> None:
         def add() -> None:
@@ -292,12 +290,12 @@ class LiveView:
 
         self._loop.call_soon_threadsafe(add)
 
-    def _tell(self, kind: str, text: str, running: bool) -> None:
+    def _show_work(self, kind: str, text: str, running: bool) -> None:
         with self._state:
             if kind in KINDS:
                 report = REPORT if kind == "diagnose" and not running and self.works.report.is_file() else ""
-                told = {"name": KINDS[kind], "text": text, "running": running, "report": report}
-                self._state.works = {**self._state.works, kind: told}
+                work = {"name": KINDS[kind], "text": text, "running": running, "report": report}
+                self._state.works = {**self._state.works, kind: work}
             if kind == "model":
                 self._touch()
             if kind == "fit" and not running:
@@ -314,7 +312,7 @@ class LiveView:
         state.trame__title = f"{session.chip.name} - live view"
         state.heading, state.subheading = session.chip.name, f"{session.state}, driven by {session.drive}"
         state.has_recording = session.recording is not None
-        state.has_space = isinstance(session.chip.measure, Axisymmetric)  # the picture in space is one that turns
+        state.has_space = isinstance(session.chip.measure, Axisymmetric)  # the picture in space is a revolved section
         state.can_diagnose = session.recording is not None or self.works.campaign is not None
         state.file = f"{Path(session.chip.file).stem}_moved.toml"
         state.update({"can_undo": False, "can_redo": False, "message": "", "message_is_error": False, "works": {},
@@ -331,17 +329,14 @@ class LiveView:
         self._show_numbers()
 
     def _touch(self) -> None:
-        """Ask for a spectrum."""
         self._moved, self._moved_at = True, self._loop.time()
-        self._asked.set()
+        self._requested.set()
 
     def _draw(self) -> None:
-        """Ask for the fields."""
         self._picked = True
         self._later.set()
 
     def _changed(self) -> None:
-        """Update the page after a change of the numbers."""
         with self._state:
             self._show_rows()
             self._show_numbers()
@@ -359,9 +354,10 @@ class LiveView:
         for index, each in enumerate(self.session.controls):
             low, high = each.low * each.factor, each.high * each.factor
             rows.append({"index": index, "name": each.name, "label": each.parsed.in_words, "unit": each.shown_unit,
-                         "low": low, "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
-                         "tolerance": each.told_tolerance, "assumed": each.assumed, "entries": self._entries[each.name],
-                         "free": each.name in self.works.free, "outside": each.name in outside})
+                         "low": low, "high": high, "step": (high - low) / _STEPS, "value": each.with_unit(each.value),
+                         "tolerance": each.shown_tolerance, "assumed": each.assumed,
+                         "entries": self._entries[each.name], "free": each.name in self.works.free,
+                         "outside": each.name in outside})
         self._state.rows = rows
         self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
 
@@ -372,7 +368,7 @@ class LiveView:
         self._say(str(error), error=True)
 
     def _scale(self, view: SpectrumView | None = None) -> plot.PlotScale:
-        """The scale of the shown curves, or of `view`."""
+        """The scale of the curves, or of `view`."""
         view = self._view if view is None else view
         shown = [] if view is None else [view.spectrum.magnitude]
         if self.session.recording is not None:
@@ -380,7 +376,7 @@ class LiveView:
         return plot.PlotScale.of(self.session.band, shown or [np.array([1.0, 1e3])])
 
     def _shown(self) -> float:
-        """The frequency (Hz) of the fields: the one that was clicked, or else the operating point."""
+        """The frequency (Hz) of the fields: clicked, or the operating point."""
         if self._frequency is not None:
             return self._frequency
         peak, merit = (None, {}) if self._view is None else (self._view.peak, self._view.figures)
@@ -402,40 +398,40 @@ class LiveView:
     async def _answering(self, pool: ThreadPoolExecutor) -> None:
         """Answer with the newest requested spectrum."""
         while True:
-            await self._asked.wait()
-            self._asked.clear()
-            await self._told(self._answer_spectrum(pool))
-            # Moves of the meantime are still to be answered.
-            self._moved = self._asked.is_set()
+            await self._requested.wait()
+            self._requested.clear()
+            await self._reported(self._answer_spectrum(pool))
+            # Later moves still need an answer.
+            self._moved = self._requested.is_set()
             self._later.set()
 
     async def _drawing(self, pool: ThreadPoolExecutor) -> None:
-        """Draw the fields, and then prepare faster answers, while nothing is moved."""
+        """Draw the fields, then prepare faster answers, while nothing moves."""
         while True:
             await self._later.wait()
             pause = self._moved_at + PAUSE - self._loop.time()
             if self._moved:
-                # The spectrum comes first, and wakes this up again.
+                # The spectrum has priority, and sets the event again.
                 self._later.clear()
             elif pause > 0.0:
                 await asyncio.sleep(pause)
             elif self._picked:
                 self._picked = False
-                await self._told(self._answer_fields(pool))
+                await self._reported(self._answer_fields(pool))
             elif self._idle:
                 self._idle = False
-                await self._told(self._prepare(pool))
+                await self._reported(self._prepare(pool))
             else:
                 self._later.clear()
 
-    async def _told(self, answer: Awaitable[None]) -> None:
-        """Wait for an answer; a failure is shown on the page."""
+    async def _reported(self, answer: Awaitable[None]) -> None:
+        """Wait for an answer; the page shows a failure."""
         try:
             await answer
         except (NotReady, OutOfRange) as waiting:
             self._waiting = str(waiting)
             with self._state:
-                # The reason of a refusal stays visible.
+                # The reason of an error stays visible.
                 if not self._state.message_is_error:
                     self._say(self._waiting)
         except FAILURES as error:
@@ -446,10 +442,11 @@ class LiveView:
         return self._moved
 
     async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
-        """Show the spectrum and its figures; the effect of tolerances comes after, if it takes as long."""
+        """Show the spectrum and its figures, then the effect of tolerances. The latter follows separately if it takes
+        long."""
         view = await self._loop.run_in_executor(pool, partial(self.session.spectrum, hurried=True))
         await self._show_spectrum(pool, view)
-        if not view.complete and not self._asked.is_set():
+        if not view.complete and not self._requested.is_set():
             await self._show_spectrum(pool, await self._loop.run_in_executor(pool, self.session.completed, view))
         self._picked = self._idle = True
 
@@ -467,14 +464,14 @@ class LiveView:
             self._show_dots()
 
     async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
-        """Draw the fields; given up at the next move, after which they are requested again."""
+        """Draw the fields; a move abandons this. They are then requested again."""
         section = await self._loop.run_in_executor(pool, self.session.section, self._shown())
-        told: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
+        shown: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
         if self._moved:
             return
         if self._state.in_space:
             drawn = await self._loop.run_in_executor(pool, self.drawing.space, section)
-            told |= {"space": embedded(drawn)}
+            shown |= {"space": embedded(drawn)}
         else:
             pictures: list[dict[str, Any]] = []
             drawing = iter(self.drawing.section(section))
@@ -482,12 +479,12 @@ class LiveView:
                 pictures.append(found)
                 if self._moved:
                     return
-            told |= {"pictures": pictures}
+            shown |= {"pictures": pictures}
         with self._state:
-            self._state.update(told)
+            self._state.update(shown)
 
     async def _prepare(self, pool: ThreadPoolExecutor) -> None:
-        """Prepare one thing; until there is nothing left, or a move."""
+        """Prepare one faster answer, unless all are ready."""
         self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
 
     def _show_recording(self, scale: plot.PlotScale) -> None:

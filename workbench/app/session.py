@@ -1,13 +1,14 @@
-"""The present numbers of a chip that is moved by hand, and their results: spectrum, figures, fields, and accuracy.
+"""The present values of a chip's parameters, and their results.
 
     session = Session(read_chip("chip.toml"), "filled", controls(chip, problem))
-    for said in session.grow():
-        print(said)
+    for report in session.grow():
+        print(report)
     session.move("substrate.thickness", 0.83e-3)
     session.spectrum().figures
 
-Answers come from reduced models. The first is there after a few full solves and right in the middle of the ranges only;
-it is replaced by larger ones as they are made (:meth:`Session.grow`, to be run beside). Any number of threads may ask.
+Results are spectrum, figures, fields, and accuracy, from reduced models. The first model needs a few full solves and is
+accurate in the middle of the ranges only; larger ones replace it (:meth:`Session.grow`, to be run in the background).
+Any number of threads may request answers.
 """
 
 from __future__ import annotations
@@ -44,13 +45,12 @@ from workbench.results.spectrum import Spectrum
 
 #: Number of frequencies of the band in an answered spectrum; twice as many take twice as long.
 SPECTRUM_POINTS = 121
-#: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
+#: Relative error of the impedance of the models: less than the width of its line on the page.
 MODEL_TOLERANCE = 1e-2
 #: Ratio of the ends of a range above which it is modelled in stages: first for `RELATIVE_REACH` to either side of the
-#: file's number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of 1.7
-#: would have no first stage.
+#: file's value, as for other ranges, then whole. Doubled, a film with a prior of a factor of 1.7 has no first stage.
 WIDE = 1.5
-#: Largest number of full solves of a model of a whole wide range; its remaining error is shown. Doubled, the model of a
+#: Largest number of full solves of a model of a whole wide range; its error is then displayed. Doubled, the model of a
 #: large chip takes some five minutes.
 WIDE_LIMIT = 150
 #: Stages of models, in words.
@@ -58,12 +58,12 @@ NEAR, WHOLE = "near the numbers of the file", "all ranges"
 
 
 class NotReady(RuntimeError):
-    """Nothing can be answered before the first model is there."""
+    """There is no model yet."""
 
 
 @dataclass(frozen=True)
 class Present:
-    """A chip with its lengths, and the changed ``constants`` (SI) of its materials."""
+    """A chip with its lengths, and changed ``constants`` (SI) of materials."""
 
     chip: Chip
     state: str
@@ -73,8 +73,8 @@ class Present:
     accuracy: float | Discretisation
 
     def solve(self, send: Callable[[tuple[float, complex]], None], frequencies: Sequence[float]) -> None:
-        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves on a mesh of the chip's own, each as
-        soon as it is solved."""
+        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves. They are on a mesh of this chip, and
+        each is sent as soon as it is solved."""
         problem = build(fill(self.chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
         operators = assemble(problem.mesh, problem.terms)
         for solution in sweep(operators, np.array(frequencies), placed(problem.values, self.constants)):
@@ -82,10 +82,10 @@ class Present:
 
 
 class Session:
-    """A chip in one of its states whose numbers are moved.
+    """A chip in one of its states with adjustable parameters.
 
-    ``controls`` are the numbers that can be moved, with their ranges; ``problem`` is that of the chip as its file
-    states it; ``particle`` the one whose potential is drawn, ``particle_stated`` whether the file names it.
+    ``controls`` are these parameters, with their ranges; ``problem`` is that of the chip in its file; ``particle`` is
+    that of the potential, ``particle_stated`` whether the file names it.
     """
 
     def __init__(
@@ -104,14 +104,15 @@ class Session:
         recording_name: str = "recording",
         growing: Growing = growing_here,
     ) -> None:
-        """Prepare a session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
-        (`workbench.app.controls.controls`); `growing` makes its models.
+        """Prepare a session of `chip` in `state`, by default its last one.
+
+        The parameters `wanted` are adjustable (`workbench.app.controls.controls`); `growing` makes its models.
 
         Raises:
-            InputError: a mistake in the chip, its materials, or the wanted numbers.
+            InputError: a mistake in the chip, its materials, or the wanted names.
         """
         self.chip, self.state = chip, chip.state(state).name
-        # A simulation of the saved chip gives the shown results.
+        # A simulation of the saved chip gives the same results.
         self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
         self.drive: Drive = wired(drive, chip)
@@ -132,7 +133,7 @@ class Session:
         self._local: tuple[LocalModel, ...] = ()
 
     # ----------------------------------------------------------------------------------------------------------------
-    # The numbers.
+    # The values.
 
     @property
     def transducer(self) -> str:
@@ -146,7 +147,7 @@ class Session:
 
     @property
     def values(self) -> dict[str, float]:
-        """The present numbers (SI) by name."""
+        """The present values (SI) by name."""
         with self._lock:
             return dict(self._values)
 
@@ -161,10 +162,10 @@ class Session:
             return bool(self._history.future)
 
     def move(self, name: str, number: float) -> None:
-        """Set one number (SI) that is still moving; :meth:`settle` ends the move.
+        """Set one value (SI) that is moving; :meth:`settle` ends the move.
 
         Raises:
-            InputError: no such number, or one that no chip can have.
+            InputError: no such parameter, or an impossible value.
         """
         with self._lock:
             self._check({name: number})
@@ -172,12 +173,12 @@ class Session:
             self._last_moved = name
 
     def settle(self) -> None:
-        """Remember the present numbers as one step that can be undone."""
+        """Store the present values as one step of undo."""
         with self._lock:
             self._history = self._history.then(self._values)
 
     def put(self, values: Mapping[str, float]) -> None:
-        """Set several numbers (SI) as one step.
+        """Set several values (SI) as one step.
 
         Raises:
             InputError: as in :meth:`move`.
@@ -188,53 +189,52 @@ class Session:
             self.settle()
 
     def undo(self) -> None:
-        """Go back to the numbers of the step before."""
+        """Go back to the values of the previous step."""
         with self._lock:
             self.settle()
             self._history = self._history.undone()
             self._values = dict(self._history.present)
 
     def redo(self) -> None:
-        """Go on to the numbers of the step that was undone last."""
+        """Go forward to the values of the last undone step."""
         with self._lock:
             self._history = self._history.redone()
             self._values = dict(self._history.present)
 
     def reset(self, name: str | None = None) -> None:
-        """Set one number, or all of them, to the values of the chip's file."""
+        """Set one parameter, or all, to the values of the chip's file."""
         with self._lock:
             self.put({each.name: each.value for each in self.controls if name in (None, each.name)})
 
     def tolerate(self, name: str, tolerance: float | None) -> None:
-        """Set the tolerance (SI) of one number; None for the one stated by the file or assumed by the role, 0 for
-        exact.
+        """Set the tolerance (SI) of one parameter.
+
+        With None, the tolerance of the file or the assumed one of the role applies; 0 is exact.
 
         Raises:
-            InputError: no such number, or a tolerance below zero.
+            InputError: no such parameter, or a tolerance below zero.
         """
         with self._lock:
             control, stated = self.control(name, "tolerance"), self._stated[name].stated
             if tolerance is not None and tolerance != self._stated[name].tolerance:
                 if not 0.0 <= tolerance < np.inf:
-                    raise InputError("live view", f"tolerance of {name}", control.told(tolerance),
+                    raise InputError("live view", f"tolerance of {name}", control.with_unit(tolerance),
                                      "a number that is not below zero")
                 stated = Stated(tolerance, "uniform" if control.is_dimension else "normal", "live view")
             self._controls[name] = replace(control, stated=stated)
 
     def control(self, name: str, field: str = "number") -> Control:
-        """The control of that name; `field` is named in errors.
+        """The control of that name; errors name `field`.
 
         Raises:
-            InputError: no such number.
+            InputError: no such parameter.
         """
         with self._lock:
             return self._controls[choose(name, self._controls, source="live view", field=field)]
 
     def stated_chip(self, values: Mapping[str, float] = MappingProxyType({})) -> Chip:
-        """The chip with lengths among `values` (SI) and with the tolerances that its file states or that were typed.
-
-        Radii of one length share theirs.
-        """
+        """The chip with lengths among `values` (SI) and present tolerances. Tolerances are stated in its file or typed.
+        Coinciding radii share theirs."""
         with self._lock:
             stated = {name: each.tolerance for name, each in self._controls.items()
                       if each.is_dimension and each.tolerance is not None}
@@ -242,7 +242,7 @@ class Session:
             other: tolerance for name, tolerance in stated.items() for other in moving_together(self.chip, name)})
 
     def typed_uncertainties(self) -> dict[str, float]:
-        """Standard uncertainties (SI) of constants that were typed, by name."""
+        """Typed standard uncertainties (SI) of constants, by name."""
         with self._lock:
             return {name: each.deviation for name, each in self._controls.items()
                     if not each.is_dimension and each.stated != self._stated[name].stated}
@@ -252,14 +252,15 @@ class Session:
         return self.stated_chip(self.values)
 
     def moved_constants(self) -> dict[str, float]:
-        """The moved constants of materials (SI); a chip's file does not hold them."""
+        """The changed constants of materials (SI), which a chip file lacks."""
         with self._lock:
             return {name: self._values[name] for name, each in self._controls.items()
                     if not each.is_dimension and self._values[name] != each.value}
 
     def save(self, path: Path) -> None:
-        """Write the chip with its present lengths, rounded (`Control.saved`), as a chip file. Its description lists
-        moved constants, since they belong to the materials.
+        """Write the chip with its present lengths, rounded (`Control.saved`).
+
+        The description of the chip file lists changed constants, since they belong to the materials.
 
         Raises:
             OSError: it cannot be written.
@@ -268,8 +269,9 @@ class Session:
                   for name, number in self.values.items() for each in (self.control(name),)}
         chip, constants = self.stated_chip(values), self.moved_constants()
         if constants:
-            told = ", ".join(f"{name} = {self._controls[name].told(number)}" for name, number in constants.items())
-            words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {told}.\n"
+            listed = ", ".join(f"{name} = {self._controls[name].with_unit(number)}"
+                               for name, number in constants.items())
+            words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {listed}.\n"
             chip = replace(chip, description=words.lstrip())
         write_chip(chip, path)
 
@@ -282,8 +284,8 @@ class Session:
             if control.is_dimension:
                 low, high = admissible_range(self.chip, name, low, high)
             if not low <= number <= high:
-                raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
-                                 f"{control.told(high)}, to which the mesh can be stretched")
+                raise InputError("live view", name, control.with_unit(number), f"{control.with_unit(low)} to "
+                                 f"{control.with_unit(high)}, to which the mesh can be stretched")
         # It raises for lengths that do not make a chip.
         moved_chip(self.chip, {**self._values, **values})
 
@@ -291,13 +293,13 @@ class Session:
     # The models.
 
     def outside(self) -> tuple[str, ...]:
-        """Names of the numbers that are outside the ranges."""
+        """Names of the parameters outside their ranges."""
         with self._lock:
             return tuple(name for name, each in self._controls.items()
                          if not each.low <= self._values[name] <= each.high)
 
     def widen(self) -> tuple[str, ...]:
-        """Widen the ranges of the numbers that are outside; their names. :meth:`grow` then makes a model of them."""
+        """Widen the ranges of parameters outside them; returns their names. :meth:`grow` then makes a model of them."""
         with self._lock:
             names = self.outside()
             for name in names:
@@ -309,15 +311,15 @@ class Session:
             return names
 
     def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
-        """Make models of the present ranges, each larger than the last, until one is within the tolerance.
+        """Make models of the present ranges, each larger than the last.
 
-        :data:`WIDE` ranges are first taken near the numbers of the file, then each whole by itself, then all whole, as
-        far as needed: a stage that does not hold the present numbers, or that a model holds already, is left out or
-        given up, and all are whole only if no other stage suffices. It yields a description of each model as soon as it
-        answers, and ends before the next one once `stopped`.
+        It ends when one is within the tolerance. :data:`WIDE` ranges are modelled in stages: first near the values of
+        the file, then each one whole, then all whole, if needed. A stage that excludes the present values, or that a
+        model covers already, is skipped or abandoned; all are whole only if no other stage suffices. It yields a
+        description of each model, and ends before the next one once `stopped`.
 
         Raises:
-            InputError: a range that no chip can have.
+            InputError: an impossible range.
         """
         stages = self._stages()
         for title, ranges in stages.items():
@@ -325,13 +327,13 @@ class Session:
             if self._has(ranges) or not is_inside(ranges, values) or (
                     title == WHOLE and any(is_inside(each, values) for each in others)):
                 continue
-            for told in self._grown(ranges, stopped, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
-                yield told if len(stages) == 1 else f"{title}: {told}"
+            for words in self._grown(ranges, stopped, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
+                yield words if len(stages) == 1 else f"{title}: {words}"
             if stopped():
                 return
 
     def _stages(self) -> dict[str, Ranges]:
-        """The ranges that models are made of, by their description, in the order in which they are made."""
+        """The ranges of models in the order of their making, by description."""
         whole, near, wide = self._whole(), {}, []
         for each in self.controls:
             low, high = whole[each.name]
@@ -342,7 +344,7 @@ class Session:
             near[each.name] = (low, high)
         if not wide:
             return {WHOLE: whole}
-        alone = {f"{each.parsed.in_words} {each.shown(each.low, 4)} to {each.told(each.high, 4)}":
+        alone = {f"{each.parsed.in_words} {each.shown(each.low, 4)} to {each.with_unit(each.high, 4)}":
                  near | {each.name: whole[each.name]} for each in wide}
         return {NEAR: near, **alone, **({WHOLE: whole} if len(wide) > 1 else {})}
 
@@ -350,17 +352,17 @@ class Session:
         return {each.name: (each.low, each.high) for each in self.controls}
 
     def is_covered(self) -> bool:
-        """Whether a model answers for the present numbers."""
+        """Whether a model covers the present values."""
         with self._lock:
             return any(is_inside(each.ranges, self._values) for each in self._models)
 
     def _has(self, ranges: Ranges) -> bool:
-        """Whether there is a model within the tolerance that holds these ranges."""
+        """Whether a model within the tolerance covers these ranges."""
         with self._lock:
             return any(each.error <= each.relative_error and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
-        """Make models of `ranges` from at most `limit` full solves, described in words; given up once numbers are
+        """Make models of `ranges` from at most `limit` full solves. It yields descriptions, and ends once values are
         outside."""
         wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
                         self.accuracy, limit)
@@ -368,32 +370,27 @@ class Session:
         try:
             for model in models:
                 self._take(model)
-                yield _told(model)
+                yield _model_words(model)
                 if stopped() or not is_inside(ranges, self.values):
                     return
         except NotCovered as reached:
-            # The last model that was yielded answers.
+            # The last yielded model stays in use.
             yield f"{reached}"
         finally:
             models.close()
 
     def _take(self, model: RangeModel) -> None:
-        """Answer from `model` wherever it is the best; forget those that it replaces."""
-        # Computed here, not by the first request.
+        """Use `model` where it is the best, and drop those it replaces."""
+        # Computed now, not at the first request.
         _ = model.compact
         with self._lock:
-            # One of narrower ranges answers there until this one has been found to be as good.
+            # A model of narrower ranges stays until this one is as accurate.
             kept = [each for each in self._models if each.ranges != model.ranges
                     and not (wraps(model.ranges, each.ranges) and model.error <= each.error)]
             self._models = (*kept, model)
 
     def _best(self, values: Mapping[str, float]) -> RangeModel:
-        """The model with these `values` in its ranges whose last checked error was least.
-
-        Raises:
-            NotReady: there is none yet.
-            OutOfRange: no model has such ranges.
-        """
+        """The most accurate model that covers these `values`."""
         if not self._models:
             raise NotReady("the first model is being made")
         fit = [each for each in self._models if is_inside(each.ranges, values)]
@@ -407,12 +404,12 @@ class Session:
     # The answers.
 
     def spectrum(self, *, hurried: bool = False) -> SpectrumView:
-        """The spectrum of the present numbers, and its figures of merit.
+        """The spectrum of the present values, and its figures of merit.
 
-        A `hurried` one lacks the effect of tolerances unless a small model makes that quick (:meth:`completed`).
+        With `hurried`, it may lack the effect of tolerances (:meth:`completed`).
 
         Raises:
-            NotReady, OutOfRange: no model answers for them yet.
+            NotReady, OutOfRange: no model covers them yet.
         """
         with self._lock:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
@@ -426,15 +423,15 @@ class Session:
         return replace(found, complete=not hurried)
 
     def completed(self, view: SpectrumView) -> SpectrumView:
-        """A hurried spectrum, completed with the effect of the tolerances."""
+        """A hurried spectrum, with the effect of the tolerances."""
         deviations = {each.name: each.deviation for each in self.controls}
         return spectrum_view(view.response, deviations, view.error, self.recording, self._peaks)
 
     def section(self, frequency: float) -> SectionFields:
-        """The fields of the present numbers at a `frequency` (Hz) within the band.
+        """The fields of the present values at a `frequency` (Hz).
 
         Raises:
-            NotReady, OutOfRange: no model answers for them yet.
+            NotReady, OutOfRange: no model covers them yet.
         """
         with self._lock:
             values = self.values
@@ -442,11 +439,8 @@ class Session:
         return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
 
     def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
-        """Make one of the small models for the next answer, unless both are there; whether one was made.
-
-        They are for any one number near the present ones, and for the number that was moved last, anywhere in its
-        range. Given up once `stopped`, since somebody waits for a spectrum.
-        """
+        """Make a small model for the next answer; whether one was made. They are for any one parameter near the present
+        values, and for the last moved one over its range. Abandoned once `stopped`, when a spectrum is requested."""
         with self._lock:
             values, name = self.values, self._last_moved
             if not self.is_covered():
@@ -465,10 +459,12 @@ class Session:
         return False
 
     def impedance(self, frequency: float) -> complex:
-        """The impedance (ohm, e^{+j w t}) of the present numbers at a `frequency` (Hz) within the band.
+        """The impedance (ohm, e^{+j w t}) at a `frequency` (Hz).
+
+        The frequency is within the band.
 
         Raises:
-            NotReady, OutOfRange: no model answers for the present numbers yet.
+            NotReady, OutOfRange: no model covers the present values yet.
         """
         with self._lock:
             values = self.values
@@ -477,17 +473,17 @@ class Session:
         return complex(np.conj(found.impedance[0]))
 
     def present(self, values: Mapping[str, float] | None = None) -> Present:
-        """The chip with its present numbers, or with `values` (SI) only, for work in another process."""
+        """The chip with its present values, for another process. With `values` (SI), only these are set."""
         with self._lock:
-            held = self.values if values is None else values
-            constants = {name: number for name, number in held.items() if not self._controls[name].is_dimension}
-            return Present(self.stated_chip(held), self.state, constants, self.registry, self.band, self.accuracy)
+            chosen = self.values if values is None else values
+            constants = {name: number for name, number in chosen.items() if not self._controls[name].is_dimension}
+            return Present(self.stated_chip(chosen), self.state, constants, self.registry, self.band, self.accuracy)
 
 
-def _told(model: RangeModel) -> str:
+def _model_words(model: RangeModel) -> str:
     rank, solves = f"{model.rank} unknowns", f"{model.reduced.solves} full solves"
     if model.error <= model.relative_error:
-        return f"model ready: {rank}, off by {100.0 * model.error:.2g} % at worst where {solves} checked it"
+        return f"model ready: {rank}, largest error {100.0 * model.error:.2g} % in checks by {solves}"
     if not np.isfinite(model.error):
-        return f"first model: {rank}, right about the middle of the ranges; it grows"
-    return f"model grows: {rank} after {solves}, was off by {100.0 * model.error:.2g} %"
+        return f"first model: {rank}, accurate in the middle of the ranges; it grows"
+    return f"model grows: {rank} after {solves}, last error {100.0 * model.error:.2g} %"

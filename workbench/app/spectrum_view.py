@@ -1,4 +1,4 @@
-"""A spectrum of moved numbers and its results: figures of merit, the effect of tolerances, the comparison."""
+"""A spectrum and its results: figures, effect of tolerances, comparison."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from workbench.simulation.energy import EnergyPeak
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+
 @dataclass(frozen=True, eq=False)
 class SpectrumView:
-    """The spectrum of the present numbers, and its results.
+    """The spectrum of the present values, and its results.
 
     ``figures`` are f0 (Hz), Z_min (ohm) and Q by name (`workbench.design.figures`), empty if the band has no resonance,
-    and ``no_resonance`` gives the reason. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of |Z|,
-    relative, all standard and to first order; empty and None if no number has a tolerance. ``error`` is the model's
-    error at its last check by full solves (infinite without one), ``estimate`` its own estimate here. ``comparison`` is
-    with the recording, if there is one that overlaps. ``peak`` is the largest one of the energy in the cavity, if it
-    has one. ``complete`` is whether the effect of tolerances was computed.
+    and ``no_resonance`` gives the reason. ``deviations`` are their standard deviations by the tolerances, and
+    ``spread`` (n,) that of |Z|, relative, to first order; empty and None if no parameter has a tolerance. ``error`` is
+    the model's error at its last check by full solves (infinite without one), ``estimate`` its own estimate.
+    ``comparison`` is with an overlapping recording, if any. ``peak`` is the largest one of the energy in the cavity, if
+    any. ``complete`` is whether the effect of tolerances was computed.
     """
 
     response: Response
@@ -47,15 +48,15 @@ class SpectrumView:
 
     @property
     def estimate(self) -> float:
-        """Largest estimated relative error of the impedance; over wide ranges many times too large."""
+        """Largest estimated relative error of the impedance. It is many times too large over wide ranges."""
         return float(self.response.error.max())
 
 
 def spectrum_view(
     response: Response, deviations: Mapping[str, float], error: float, recording: Spectrum | None, peaks: EnergyPeaks,
 ) -> SpectrumView:
-    """The results of the spectrum of a model with this `error`; `deviations` are standard ones of the numbers (SI, by
-    name), independent of each other, and `peaks` has the energy's peaks."""
+    """The results of the spectrum of a model with this `error`. `deviations` are standard deviations of independent
+    parameters (SI, by name)."""
     names = tuple(name for name, each in deviations.items() if each > 0.0)
     changes = response.gradient(names) * np.array([deviations[name] for name in names]) if names else None
     merit: dict[str, float] = {}
@@ -73,11 +74,11 @@ def spectrum_view(
 
 
 def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) -> dict[str, float]:
-    """Standard deviations of the figures `merit` of a spectrum, to first order.
+    """Standard deviations of the figures `merit`, to first order.
 
-    The impedance (n,) changes by `changes` (n, k) with one standard deviation of each of k independent numbers. f0 is
-    the frequency at which the slope of ln |Z| is zero, and at the half-power frequencies ln |Z| is ln sqrt(2) above its
-    value there; each moves so that this stays true. Between points, Z and its changes are splines of the reflection
+    The impedance (n,) changes by `changes` (n, k) with one standard deviation of each of k independent parameters. f0
+    is the frequency at which the slope of ln |Z| is zero, and at the half-power frequencies ln |Z| is ln sqrt(2) above
+    its value there; each moves so that this stays true. Between points, Z and its changes are splines of the reflection
     coefficient, as in `Spectrum.interpolant`.
     """
     z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
@@ -102,7 +103,7 @@ def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) 
 
 
 def _spread(impedance: Complex, changes: Complex | None) -> Real | None:
-    """Relative standard deviation (n,) of |Z|, for `changes` (n, k) of the impedance by one of each of k numbers."""
+    """Relative standard deviation (n,) of |Z|, from `changes` (n, k)."""
     return None if changes is None else np.asarray(np.linalg.norm((changes / impedance[:, None]).real, axis=1))
 
 

@@ -1,6 +1,6 @@
 """Removal of the fixture by recordings of open, short and load.
 
-Between the two voltages and the device lie cables, probes and contacts. If they are linear and equal for every
+Between the two voltages and the device are cables, probes and contacts. If they are linear and equal for every
 recording, the measured impedance is a fractional linear function of the device's impedance, with three constants at
 each frequency: three known devices determine them. With fewer recordings the fixture is assumed to be simpler
 (Keysight, Impedance Measurement Handbook, 6th edition, section 4): a short alone is a series impedance, an open and a
@@ -26,14 +26,14 @@ from workbench.results.spectrum import Spectrum
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-#: Largest relative bend of a standard between its recorded points, if its noise is smaller. Doubled, an interpolated
-#: standard may add up to twice the error.
+#: Largest relative curvature of a standard between its recorded points, if its noise is smaller. Doubled, an
+#: interpolated standard may add twice the error.
 _BEND = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A recorded load and its true value: ``resistance`` (ohm) with ``tolerance`` (limits, as a fraction)."""
+    """A recorded load and its true ``resistance`` (ohm). ``tolerance`` are limits, as a fraction."""
 
     recorded: Spectrum
     resistance: float
@@ -42,7 +42,7 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Recordings of the fixture; ``uncertainty`` of each is that of its noise. A missing recording is None."""
+    """Recordings of the fixture, or None. The ``uncertainty`` of each is that of its noise."""
 
     open: Spectrum | None = None
     short: Spectrum | None = None
@@ -54,11 +54,13 @@ class Compensation:
 
 
 def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
-    """The device's own spectrum, with the uncertainties due to its noise and to the recordings' noise.
+    """The device's spectrum, with uncertainties from the noise of all recordings.
 
     The uncertainty that all recordings share (of the reference resistor and the channels' gains) is not included: it
-    cancels with a load, and is a factor without one. Raises InputError if a recording does not cover the frequencies or
-    bends too much between its points.
+    cancels with a load, and is a factor without one.
+
+    Raises:
+        InputError: a recording does not cover the frequencies, or is curved too much between its points.
     """
     x, of_x = measured.impedance, _noise(measured)
     frequency = measured.frequency
@@ -78,12 +80,12 @@ def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
                  whole * (by_o / value - o_in_load / of_load) * of_o]
         value = whole
     noise = np.sqrt(np.sum([np.abs(part) ** 2 for part in parts], axis=0))
-    # Without an uncertainty if no recording states one.
+    # No uncertainty if no recording states one.
     return Spectrum(measured.frequency, value, noise if np.all(noise > 0.0) else None, measured.origin)
 
 
 def _transform(x: Complex, s: Complex, o: Complex | None) -> tuple[Complex, Complex, Complex, Complex]:
-    """T(x) and its derivatives with respect to x, s and o (the last zero without an open)."""
+    """T(x) and its derivatives by x, s and o (zero without open)."""
     if o is None:
         return x - s, np.ones_like(x), -np.ones_like(x), np.zeros_like(x)
     value = (x - s) * (o - s) / (o - x)
@@ -95,7 +97,7 @@ def _noise(spectrum: Spectrum) -> Real:
 
 
 def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
-    """A standard (n,) ohm and its noise on `frequency`: as recorded there, else interpolated if accurate enough."""
+    """A standard (n,) ohm and its noise, interpolated on `frequency`."""
     places = np.minimum(np.searchsorted(standard.frequency, frequency - 0.005), len(standard.frequency) - 1)
     if np.all(np.abs(standard.frequency[places] - frequency) <= 0.005):  # half the generator's resolution
         return standard.impedance[places], _noise(standard)[places]
@@ -108,18 +110,16 @@ def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
     if bend > 1.0:
         raise InputError(source, f"{name}: frequencies", f"{len(standard.frequency)} points from {low:.9g} to "
                          f"{high:.9g} Hz", f"the device's own frequencies, or points near enough to interpolate: every "
-                         f"second one, predicted from its neighbours, is missed by {bend:.1f} times what its noise or "
-                         f"{100 * _BEND:g} % allow")
-    # A fixture is smooth, its recording is not: a straight line between the nearest points follows both to the noise.
+                         f"second one differs from the prediction by its neighbours by {bend:.1f} times the limit, "
+                         f"which is its noise or {100 * _BEND:g} %")
+    # A fixture is smooth and its recording is noisy: linear interpolation is accurate within the noise.
     value = np.interp(frequency, standard.frequency, standard.impedance)
     return value, np.interp(frequency, standard.frequency, _noise(standard))
 
 
 def _bend(standard: Spectrum) -> float:
-    """Root mean square error of the prediction of each inner point by its neighbours, relative to the allowed error.
-
-    It is divided by four: the error of a line between points is a quarter of its error over twice the distance.
-    """
+    """Rms error of the prediction of inner points by their neighbours. It is relative to the allowed error, and divided
+    by four, since the error of a line between points is a quarter of its error over twice the distance."""
     if len(standard.frequency) < 3:
         return math.inf
     f, z, noise = standard.frequency, standard.impedance, _noise(standard)

@@ -1,4 +1,4 @@
-"""Pairs of waveforms: their ratio, and the spectrum that many of them make with a resistor."""
+"""Pairs of waveforms: their ratio, and a spectrum with a resistor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from workbench.results.spectrum import Origin, Spectrum
 
 @dataclass(frozen=True, eq=False)
 class WaveformPair:
-    """One pair: the fit to both waveforms, and whether one of them is cut flat."""
+    """The fit to a pair of waveforms, and whether one is clipped."""
 
     name: str
     fit: SineFit
@@ -39,9 +39,13 @@ def pairs_spectrum(
     pairs: Sequence[WaveformPair], values: Sequence[PointImpedance], resistance: float, tolerance: float, *,
     probe: bool = False,
 ) -> Spectrum:
-    """The pairs and their impedances `values` as a spectrum; limits of the resistor (ohm) as a fraction.
+    """The pairs and their impedances `values` as a spectrum.
 
-    With a current `probe` the resistance is that of the probe (V/A). Raises ValueError if frequencies do not rise.
+    `tolerance` are the limits of the `resistance` (ohm) as a fraction. With a current `probe` the resistance is that of
+    the probe (V/A).
+
+    Raises:
+        ValueError: frequencies do not rise.
     """
     frequency = np.array([pair.fit.frequency for pair in pairs])
     impedances = np.array([value.value for value in values])

@@ -1,7 +1,7 @@
-"""The next frequency as a function of the setup and of the points measured so far, so that a sweep can be resumed.
+"""The next frequency of a sweep, as a function of its points.
 
-A pass is one way through the frequencies. The first pass at a drive level finds them, every further one visits them
-again, so that up and down, or repeats, can be compared point by point.
+So a sweep can be resumed. A pass visits all frequencies once. The first pass at a drive level determines them; every
+further one visits them again, so that up and down, or repeats, can be compared point by point.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from workbench.bench.setup import FREQUENCY_RESOLUTION, BenchSetup, SweepPlan
 from workbench.results.merit import NoResonance, figures
 from workbench.results.spectrum import Spectrum
 
-#: Share of the points that an adaptive sweep spreads evenly before it refines where the spectrum bends.
+#: Share of the points of an adaptive sweep that are evenly spaced, before it refines by curvature.
 _EVEN_SHARE = 0.25
 
 #: Least distance of two frequencies of an adaptive sweep, relative to the frequency: a resonance of Q = 5000 would
 #: still have ten points.
 _CLOSEST = 2e-5
 
-#: Weight of an error in the band that decides f0, Z_min and Q, relative to others.
+#: Weight of an error in the band of f0, Z_min and Q, relative to others.
 _EMPHASIS = 20.0
 
-#: Ratio of the error of the cubic without one point to that of the spline through all points. For even steps h the
-#: cubic is off by h^4 / 6 of the fourth derivative and the spline by h^4 / 384; steps are not even, so half is relied
-#: on.
+#: Ratio of the error of the cubic without one point to that of the spline through all points. For equal steps h the
+#: error of the cubic is h^4 / 6 of the fourth derivative and that of the spline h^4 / 384; half of their ratio is used,
+#: since steps are not equal.
 _GAIN_OF_A_POINT = 30.0
 
 
 @dataclass(frozen=True)
 class Target:
-    """The next point: ``frequency`` (Hz) at ``level`` (V peak to peak, open circuit), on pass ``pass_number``."""
+    """The next point: ``frequency`` (Hz), ``level`` (Vpp, open circuit), ``pass_number``."""
 
     frequency: float
     level: float
@@ -58,7 +58,7 @@ class Measured(Protocol):
 
 
 def next_target(setup: BenchSetup, measured: Sequence[Measured]) -> Target | None:
-    """The next point, or None if there is none left."""
+    """The next point, or None at the end."""
     for level in setup.levels:
         at_level = [point for point in measured if point.level == level]
         first = [point for point in at_level if point.pass_number == 0]
@@ -85,20 +85,18 @@ def expected_points(setup: BenchSetup) -> int:
 
 
 def _unvisited(sweep: SweepPlan, number: int, rising: Sequence[float], points: Sequence[Measured]) -> float | None:
-    """The next of the `rising` frequencies on pass `number`, in its direction, that none of its `points` has."""
+    """The next of the `rising` frequencies that pass `number` lacks."""
     upwards = sweep.direction == "up" or (sweep.direction == "both" and number % 2 == 0)
     seen = {point.frequency for point in points}
     return next((f for f in (rising if upwards else reversed(rising)) if f not in seen), None)
 
 
 def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
-    """The next frequency of an adaptive sweep.
-
-    First points are spread evenly. Then points are added one at a time, in the middle of the interval at whose end the
-    other points predict the point worst, beyond the noise; see :func:`_missed`. The band within half a width about the
-    half-power points of the deepest resonance, where f0, Z_min and Q are read, counts for more. Once the shape is known
-    to the resolution or to the noise, the remaining points repeat the existing frequencies.
-    """
+    """The next frequency of an adaptive sweep. First points are evenly spaced. Then each point is added in the middle
+    of the interval at whose end the other points predict the point worst, beyond the noise; see :func:`_missed`. The
+    band within half a width about the half-power points of the deepest resonance, where f0, Z_min and Q are read, has
+    more weight. Once the shape is known to the resolution or to the noise, the remaining points repeat the existing
+    frequencies."""
     even = max(8, round(_EVEN_SHARE * sweep.points))
     seen = {point.frequency for point in points}
     for start in _settable(np.linspace(sweep.low, sweep.high, even)).tolist():
@@ -112,7 +110,7 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     frequency, width = spectrum.frequency, np.diff(spectrum.frequency)
     missed, noise = _missed(spectrum)
     excess = np.where(missed > 3.0 * noise, missed / _GAIN_OF_A_POINT, 0.0)
-    # Of the two intervals beside a badly predicted point, the longer is at fault.
+    # The longer of the two intervals beside a badly predicted point gets the error.
     span = np.concatenate([[np.inf], width[1:] + width[:-1], [np.inf]])
     score = np.maximum(excess[:-1] * (width / span[:-1]) ** 2, excess[1:] * (width / span[1:]) ** 2) * 4.0
     score[(frequency[1:] > low) & (frequency[:-1] < high)] *= _EMPHASIS
@@ -121,7 +119,7 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     if score[worst] > sweep.resolution:
         return float(_settable(np.array([0.5 * (frequency[worst] + frequency[worst + 1])]))[0])
     near = np.flatnonzero((frequency >= low) & (frequency <= high))
-    # Noise below a tenth of the resolution is not worth a point.
+    # Noise below a tenth of the resolution needs no further point.
     relative = spectrum.uncertainty[near] / spectrum.magnitude[near]
     if len(near) == 0 or np.max(relative) < 0.1 * sweep.resolution:
         return None
@@ -129,7 +127,7 @@ def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
 
 
 def _deepest(spectrum: Spectrum) -> tuple[float, float]:
-    """The band (Hz) that decides the figures of merit of the deepest resonance; (0, 0) if there is none."""
+    """The band (Hz) of the deepest resonance; (0, 0) without one."""
     try:
         found = figures(spectrum)
     except NoResonance:
@@ -139,11 +137,9 @@ def _deepest(spectrum: Spectrum) -> tuple[float, float]:
 
 
 def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Relative error (n,) of the cubic through the two nearest points on either side at each point, zero at the ends,
-    and the error that noise would cause.
-
-    It is that of the reflection coefficient, as in :meth:`Spectrum.interpolant`, because that is bounded.
-    """
+    """Relative error (n,) of prediction of each point by its neighbours. Also the error due to noise. The prediction is
+    the cubic through the two nearest points on either side, of the reflection coefficient, as in
+    :meth:`Spectrum.interpolant`, because that is bounded. It is zero at the ends."""
     frequency, impedance = spectrum.frequency, spectrum.impedance
     assert spectrum.uncertainty is not None  # combined_points() always states it
     count = len(frequency)
@@ -167,8 +163,8 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def combined_points(points: Sequence[Measured]) -> Spectrum:
-    """Points as a spectrum in rising order, equal frequencies by weighted mean; uncertainty (ohm) of the noise alone.
-    """
+    """Points as a spectrum in rising order. Equal frequencies are combined by weighted mean; the uncertainty (ohm) is
+    of the noise alone."""
     frequency = np.array([point.frequency for point in points])
     impedance = np.array([point.impedance for point in points])
     weight = np.array([point.uncertainty for point in points]) ** -2.0
@@ -180,5 +176,5 @@ def combined_points(points: Sequence[Measured]) -> Spectrum:
 
 
 def _settable(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Frequencies (n,) Hz that the generator can be set to, whole hertz if that is fine enough."""
+    """Frequencies (n,) Hz rounded to whole hertz and the generator's resolution."""
     return np.round(np.round(frequency) / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION

@@ -1,10 +1,10 @@
-"""The bench as one object: both instruments, their ranges, and the drive that must not be left on.
+"""Both instruments of the bench, their ranges, and a safe drive.
 
-The generator cannot be asked for its amplitude and has no output switch, so a process that dies leaves its drive on.
-Before the drive is first switched on a marker is written beside the run; it is removed once the drive is known to be
-off again. Whoever opens the port next sends the safe state first, marker or not; the marker informs people, and lets
-the next run record the event. The oscilloscope shows that the drive is off, if its last capture at the present drive
-showed it well; otherwise the reply of the generator has to suffice.
+The generator cannot report its amplitude and has no output switch, so its drive stays on after a process dies. Before
+the drive is first switched on, a marker is written beside the run; it is removed when the drive is off again. Every
+connection first sends the safe state, with or without a marker; the marker informs people, and lets the next run record
+the event. The oscilloscope confirms that the drive is off, if its last capture showed the drive well; otherwise the
+reply of the generator is enough.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from workbench.instruments.instrument import Generator, InstrumentError, Oscillo
 from workbench.instruments.opening import open_bench
 from workbench.instruments.tektronix import DIVISIONS
 
-#: Number of attempts to open the bench anew to switch the drive off, and the pause (s) between them.
+#: Number of attempts to reopen the bench to switch the drive off, and the pause (s) between them.
 _ATTEMPTS_OFF, _PAUSE_OFF = 5, 1.0
 
-#: Divisions of the screen from top to bottom that a sine may fill, and below which a finer scale is worth setting. The
-#: scales follow each other by up to 2.5, so the first must exceed the second by more than that.
+#: Largest peak-to-peak height of a sine in divisions, and the height below which a finer scale is set. Scales differ by
+#: factors of up to 2.5, so the first must exceed the second by more than that.
 _FULL, _SPARSE = 7.2, 2.6
 
-#: Least peak-to-peak size, in converter steps, of a capture that shows the drive well, and the share of it that may
-#: remain when the drive is off.
-_TELLING, _LEFT = 20.0, 0.5
+#: Least peak-to-peak size, in converter steps, of a capture that shows the drive well, and the largest share of it when
+#: the drive is off.
+_VISIBLE, _REMAINING = 20.0, 0.5
 
 #: Largest number of steps of auto-ranging.
 _RANGINGS = 12
 
 
 class DriveLeftOn(InstrumentError):
-    """The drive could not be switched off: the generator must be switched off by hand."""
+    """The drive could not be switched off; do it by hand."""
 
 
 def marker_path(run: Path) -> Path:
@@ -50,7 +50,7 @@ def marker_path(run: Path) -> Path:
 
 
 class Rig:
-    """Owner of both instruments; a context manager that leaves the drive off, whatever happens inside."""
+    """Both instruments, as a context manager that ends with the drive off."""
 
     def __init__(self, setup: BenchSetup, marker: Path, *, sleep: Callable[[float], None] = time.sleep) -> None:
         self.setup = setup
@@ -61,7 +61,7 @@ class Rig:
         self._oscilloscope: Oscilloscope | None = None
         self._state: tuple[float, float] | None = None  # frequency and amplitude of the generator
         self._scales: dict[int, float] = {}
-        self._shown: Waveform | None = None  # the total channel as last captured in this state
+        self._shown: Waveform | None = None  # the last capture of the total channel in this state
 
     def __enter__(self) -> Rig:
         self.connect()
@@ -74,7 +74,7 @@ class Rig:
             self.disconnect()
 
     def connect(self) -> None:
-        """Open both instruments with the drive off. Their settings are not known, so everything is set anew."""
+        """Open both instruments with the drive off. Their settings are unknown, so everything is set again."""
         self.disconnect()
         try:
             self._generator, self._oscilloscope = open_bench(self.setup.generator, self.setup.oscilloscope)
@@ -86,7 +86,7 @@ class Rig:
             raise
 
     def disconnect(self) -> None:
-        """Give the ports back as they are. An instrument that has gone away is no reason to keep the other."""
+        """Close the ports, also if one instrument does not answer."""
         instruments = self._generator, self._oscilloscope
         self._generator = self._oscilloscope = None
         self._state = self._shown = None
@@ -97,10 +97,12 @@ class Rig:
                     instrument.close()
 
     def make_safe(self) -> None:
-        """Switch the drive off, through a new connection if need be, and check it with the oscilloscope if possible.
+        """Switch the drive off, and check it with the oscilloscope if possible.
 
-        Raises DriveLeftOn if the generator cannot be reached, or does not obey, and was last seen driving; the marker
-        stays.
+        It reconnects if needed.
+
+        Raises:
+            DriveLeftOn: the generator cannot be reached or does not obey, and its drive was on; the marker stays.
         """
         last: Exception | None = None
         for attempt in range(_ATTEMPTS_OFF):
@@ -124,7 +126,7 @@ class Rig:
                               f"hand ({last})")
 
     def drive(self, frequency: float, amplitude: float) -> None:
-        """Set the generator to `frequency` (Hz) and `amplitude` (V peak to peak, open circuit), and let it settle."""
+        """Set `frequency` (Hz) and `amplitude` (Vpp, open circuit), and wait to settle."""
         generator, _ = self._opened()
         if self._state == (frequency, amplitude):
             return
@@ -145,7 +147,8 @@ class Rig:
         self._sleep(self.setup.acquisition.settle)
 
     def capture(self) -> tuple[Waveform, Waveform]:
-        """Capture once across device and resistor, and across the resistor, on the present ranges."""
+        """Capture both channels once, on the present ranges. The first is across device and resistor, the second across
+        the resistor."""
         _, oscilloscope = self._opened()
         total, reference = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
         captured = oscilloscope.capture((total, reference))
@@ -158,10 +161,8 @@ class Rig:
         return captured[total], captured[reference]
 
     def ranged_capture(self) -> tuple[Waveform, Waveform]:
-        """Capture with both channels on ranges that they fill well, found by trying.
-
-        A channel that clips on the coarsest range, or is small on the finest, is returned as it is, to be flagged.
-        """
+        """Capture with suitable ranges of both channels, found by trying. A channel that clips on the coarsest range,
+        or is small on the finest, is returned unchanged, and flagged later."""
         if not self._scales:
             self._prepare()
         pair = self.capture()
@@ -177,18 +178,18 @@ class Rig:
         return pair
 
     def _still_driven(self) -> bool:
-        """Whether the oscilloscope still shows the drive after it was switched off; no if it cannot tell."""
+        """True if the oscilloscope still shows the drive."""
         before = self._shown
-        if before is None or np.ptp(before.volts) < _TELLING * before.volts_per_count:
+        if before is None or np.ptp(before.volts) < _VISIBLE * before.volts_per_count:
             return False
         try:
             now, _ = self.capture()
         except (InstrumentError, OSError):
             return False
-        return bool(np.ptp(now.volts) > _LEFT * np.ptp(before.volts))
+        return bool(np.ptp(now.volts) > _REMAINING * np.ptp(before.volts))
 
     def _prepare(self) -> None:
-        """Set averages, first scales and the time base of the middle of the band, which need not follow."""
+        """Set averages, first scales, and the time base for mid-band."""
         _, oscilloscope = self._opened()
         setup = self.setup
         oscilloscope.set_averages(setup.acquisition.averages)
@@ -201,7 +202,7 @@ class Rig:
         try:
             self._scales[channel] = self._opened()[1].set_scale(channel, volts_per_division)
         except ValueError:
-            # Above the coarsest scale: it is kept, and clipping is flagged.
+            # Above the coarsest scale: the scale stays, and clipping is flagged.
             if channel not in self._scales:
                 raise
 
@@ -213,7 +214,7 @@ class Rig:
 
 
 def _better_scale(waveform: Waveform, scale: float) -> float | None:
-    """The volts per division to set, or None if `scale` is good enough."""
+    """The better volts per division, or None if `scale` is good enough."""
     height = float(waveform.volts.max() - waveform.volts.min())
     if waveform.clipped:
         return 1.5 * scale  # rounded up by the instrument to the next of its 1-2-5 steps

@@ -1,11 +1,11 @@
-"""One HDF5 file per run, and beside it, while the run lasts, a journal that no interruption can spoil.
+"""One HDF5 file per run, and a crash-safe journal during the run.
 
-HDF5 rewrites its tables in place: a process killed at the wrong moment leaves a file that cannot be opened. So every
-point goes to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next
-one is measured. When the run ends, is interrupted in an orderly way, or is resumed, the journal is folded into RUN.h5,
-which is written anew beside the old one and takes its place in one step. RUN.h5 ends in a digest of its content, which
-is checked before HDF5 reads the file: on damaged files the library may end the process. A record cut short by a kill
-or a power cut is recognised and dropped: that point is measured again.
+HDF5 rewrites its tables in place: a killed process may produce a file that cannot be opened. So every point is written
+to ``RUN.h5.journal`` first, with its length and checksum, and is on the disk (fsync) before the next one is measured.
+When the run ends, is interrupted in an orderly way, or is resumed, the journal is merged into RUN.h5, which is replaced
+atomically. RUN.h5 ends in a digest of its content, which is checked before HDF5 reads the file: on damaged files the
+library may crash. An incomplete record after a kill or a power cut is recognised and dropped: that point is measured
+again.
 """
 
 from __future__ import annotations
@@ -42,16 +42,17 @@ _MAGIC = b"WBR1"
 class RunPoint:
     """One frequency at one drive level on one pass.
 
-    ``sequence`` counts points from zero; ``frequency`` Hz as set; ``level`` (V peak to peak, open circuit) as requested
-    and ``amplitude`` as set, which is less if a limit of the device demanded it; ``started`` in seconds since 1970.
+    ``sequence`` counts points from zero; ``frequency`` is in Hz as set; ``level`` (V peak to peak, open circuit) as
+    requested and ``amplitude`` as set, which is smaller if a limit of the device required it; ``started`` is in seconds
+    since 1970.
 
     ``raw`` (captures, 2, n) are the converter's values, first across device and resistor, then across the resistor;
-    ``volts_per_count`` and ``volts_at_zero`` (captures, 2) V turn them into volts at the probe's tip; ``start``
-    (captures,) s from the trigger to the first sample, ``step`` s.
+    ``volts_per_count`` and ``volts_at_zero`` (captures, 2) V convert them to volts at the probe's tip; ``start``
+    (captures,) s is from the trigger to the first sample, ``step`` in s.
 
-    ``voltage`` (captures, 2) complex V zero to peak, e^{+j w t}; ``voltage_uncertainty`` (captures, 2) V;
-    ``fitted_frequency`` (captures,) Hz. ``impedance`` ohm without compensation; ``uncertainty`` ohm, of the noise
-    alone, of its real and of its imaginary part, each. ``flags`` are doubts, in words.
+    ``voltage`` (captures, 2) is in complex V zero to peak, e^{+j w t}; ``voltage_uncertainty`` (captures, 2) in V;
+    ``fitted_frequency`` (captures,) in Hz. ``impedance`` is in ohm without compensation; ``uncertainty`` in ohm, of the
+    noise alone, of its real and of its imaginary part, each. ``flags`` are doubts, in words.
     """
 
     sequence: int
@@ -84,7 +85,7 @@ _NUMBERS = ("sequence", "frequency", "level", "amplitude", "pass_number", "start
 
 @dataclass(frozen=True)
 class Event:
-    """An incident of the run, with its time in seconds since 1970."""
+    """An incident of the run; ``time`` is in seconds since 1970."""
 
     time: float
     text: str
@@ -92,11 +93,8 @@ class Event:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Brief):
-    """A run as it is on disk.
-
-    ``setup_text`` is BENCH.toml as it was read; ``instruments`` are their identifications; ``complete`` whether every
-    requested point is there.
-    """
+    """A run on disk. ``setup_text`` is the text of BENCH.toml; ``instruments`` are their identifications; ``complete``
+    is whether every requested point was measured."""
 
     run_id: str
     created: float
@@ -112,12 +110,13 @@ def journal_path(path: Path) -> Path:
 
 
 class Journal:
-    """A run that is being written: an added entry is on the disk when :meth:`add` returns."""
+    """A run that is being written. An added entry is on the disk when :meth:`add` returns."""
 
     def __init__(self, path: Path, run: Run) -> None:
-        """Open the journal of `run`, from :func:`read_run` or a new one, after its last whole record.
+        """Open the journal of `run` after its last complete record.
 
-        Raises InputError if the journal at `path` belongs to another run.
+        Raises:
+            InputError: the journal at `path` belongs to another run.
         """
         self.path = path
         self.run = run
@@ -136,7 +135,7 @@ class Journal:
             sync_folder(beside.parent)
 
     def add(self, entry: RunPoint | Event) -> None:
-        """Put a point or an event on the disk."""
+        """Write a point or an event to the disk."""
         if isinstance(entry, Event):
             self._write({"kind": "event", "time": entry.time, "text": entry.text}, {})
             self.run = replace(self.run, events=(*self.run.events, entry))
@@ -147,8 +146,8 @@ class Journal:
         self.run = replace(self.run, points=(*self.run.points, entry))
 
     def fold(self, *, complete: bool) -> Run:
-        """Write RUN.h5 with everything, and remove the journal, which takes no more entries."""
-        # Read from the disk, because an interrupt may have come between writing a point and remembering it.
+        """Write all entries to RUN.h5, and remove the journal."""
+        # Read from the disk, because an interrupt may have come between writing a point and adding it to `run`.
         self.run = replace(read_run(self.path), complete=complete)
         write_run(self.run, self.path)
         self._stream.close()
@@ -156,7 +155,7 @@ class Journal:
         return self.run
 
     def close(self) -> None:
-        """Leave the journal as it is."""
+        """Close the journal without merging it."""
         self._stream.close()
 
     def __enter__(self) -> Journal:
@@ -177,8 +176,8 @@ class Journal:
                 self._stream.write(record[written:])
             os.fsync(self._stream.fileno())
         except BaseException:
-            # The next record must not stand after half a record; a whole one stays. The stream's position tells which
-            # it is, also where an interrupt came between the system's call and its result.
+            # Remove an incomplete record, but not a complete one. The stream's position shows which it is, also after
+            # an interrupt between the system's call and its result.
             if self._stream.tell() - place < len(record):
                 self._stream.truncate(place)
                 self._stream.seek(place)
@@ -191,12 +190,16 @@ def new_run(setup_text: str, instruments: Mapping[str, str], created: float) -> 
 
 
 def exists(path: Path) -> bool:
-    """Whether there is anything of a run at `path`: the file, or a journal of one that was cut off."""
+    """Whether `path` has a run file, or a journal with records."""
     return path.exists() or (journal_path(path).exists() and bool(_records(journal_path(path))[0]))
 
 
 def read_run(path: Path) -> Run:
-    """The run at `path`, with the entries that only its journal holds. Raises InputError if there is no run file."""
+    """The run at `path`, including entries only in its journal.
+
+    Raises:
+        InputError: there is no run file.
+    """
     path = Path(path)
     beside = journal_path(path)
     run = _read_hdf5(path) if path.exists() else None
@@ -216,7 +219,8 @@ def read_run(path: Path) -> Run:
 
 
 def _with(run: Run, record: Mapping[str, Any]) -> Run:
-    """The run and one record of its journal, unless it has it already (a kill between folding and unlinking)."""
+    """The run with a record of its journal, added at most once. A kill between merging and unlinking makes
+    duplicates."""
     if record["kind"] == "event":
         event = Event(record["time"], record["text"])
         return run if event in run.events else replace(run, events=(*run.events, event))
@@ -229,7 +233,7 @@ def _with(run: Run, record: Mapping[str, Any]) -> Run:
 
 
 def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
-    """The whole records of a journal, and the position of the end of the last one."""
+    """The complete records of a journal, and the end of the last."""
     data = path.read_bytes()
     found: list[dict[str, Any]] = []
     place = 0
@@ -245,12 +249,12 @@ def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
 
 
 def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArray[Any]]] | None = None) -> None:
-    """Write the HDF5 file whole, in place of an existing one; `results` are arrays by group and name.
+    """Write the HDF5 file atomically.
 
-    Layout: the attributes of ``/`` are the run's; ``/points`` holds one dataset for each number of a point (n,), e.g.
-    ``impedance``; ``/captures/000000`` and so on the arrays of one point, ``raw`` compressed; ``/events`` time and
-    text; ``/results`` results for other programs, which are not read back. Tables and ``raw`` have checksums
-    (fletcher32); a line with the digest of the whole file follows the HDF5 content.
+    `results` are arrays by group and name. Layout: the attributes of ``/`` are the run's; ``/points`` has one dataset
+    for each number of a point (n,), e.g. ``impedance``; ``/captures/000000`` and so on the arrays of one point, ``raw``
+    compressed; ``/events`` time and text; ``/results`` results for other programs, which are not read back. Tables and
+    ``raw`` have checksums (fletcher32); a line with the digest of the whole file follows the HDF5 content.
     """
     import h5py
 
@@ -304,7 +308,6 @@ def _read_hdf5(path: Path) -> Run:
 
 
 def _run_of(file: Any) -> Run:
-    """The run in an open HDF5 file."""
     table = file["points"]
     numbers = {name: table[name][()] for name in (*_NUMBERS, "impedance")}
     flags = [tuple(json.loads(text)) for text in table["flags"].asstr()[()]]

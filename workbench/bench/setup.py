@@ -1,4 +1,4 @@
-"""BENCH.toml: the instruments, the resistor, the frequencies, and the limits of the drive.
+"""BENCH.toml: instruments, resistor, frequencies, and limits of the drive.
 
 ::
 
@@ -29,7 +29,7 @@
     device_voltage = "5 Vpp"
     device_current = "100 mA"        # peak to peak
 
-Everything else has a default, given with the classes below.
+Other keys have defaults, given with the classes below.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ DIRECTIONS = ("up", "down", "both")
 
 @dataclass(frozen=True)
 class ReferenceResistor:
-    """The resistor in series with the device: ``resistance`` (ohm), ``tolerance`` (limits, as a fraction)."""
+    """The resistor in series with the device. ``resistance`` is in ohm, ``tolerance`` are limits, as a fraction."""
 
     resistance: float
     tolerance: float = 0.0
@@ -73,10 +73,9 @@ class ReferenceResistor:
 class SweepPlan:
     """The frequencies of a sweep, from ``low`` to ``high`` (Hz).
 
-    ``kind`` "linear" takes every ``step`` (Hz). "adaptive" takes at most ``points``, where the spectrum bends, until
-    the interpolation between them is known to ``resolution`` (relative error of Z) or to the noise. ``direction``
-    "both" is up and then down; every further pass, and there are ``repeats`` of each, visits the frequencies of the
-    first.
+    ``kind`` "linear" uses every ``step`` (Hz). "adaptive" uses at most ``points``, at places of curvature, until the
+    interpolation between them is known to ``resolution`` (relative error of Z) or to the noise. ``direction`` "both" is
+    up and then down. Each direction has ``repeats`` passes; further passes visit the frequencies of the first.
     """
 
     low: float
@@ -93,7 +92,7 @@ class SweepPlan:
         return self.repeats * (2 if self.direction == "both" else 1)
 
     def grid(self) -> NDArray[np.float64]:
-        """The frequencies of a linear sweep (n,) Hz, in rising order, as the generator can be set to them."""
+        """The settable frequencies (n,) Hz of a linear sweep, rising."""
         count = math.floor((self.high - self.low) / self.step + 1e-9)
         at = self.low + self.step * np.arange(count + 1)
         return np.round(at / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION
@@ -101,7 +100,7 @@ class SweepPlan:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the load on the device: ``device_voltage`` (V) and ``device_current`` (A), both peak to peak."""
+    """Largest peak-to-peak ``device_voltage`` (V) and ``device_current`` (A)."""
 
     device_voltage: float = 20.0
     device_current: float = 0.4
@@ -111,11 +110,11 @@ class Limits:
 class Acquisition:
     """The acquisition of a point.
 
-    ``captures`` are made after ``settle`` (s), of about ``periods`` periods each, averaged ``averages`` times by the
-    oscilloscope. Captures averaged afterwards are better: an averaged record has only 8 bit as well, and lacks the
-    noise that lets the fit see between two steps of the converter. A point at which an instrument fails is tried
-    ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of the oscilloscope, 3 % by the
-    maker's data sheet; load compensation removes it.
+    After ``settle`` (s) there are ``captures``, each of about ``periods`` periods and averaged ``averages`` times by
+    the oscilloscope. Several captures are better than averages: an averaged record also has only 8 bit, and lacks the
+    noise that resolves amplitudes below a step of the converter. After a failure of an instrument, a point is repeated
+    up to ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of the oscilloscope, 3 % by
+    the maker's data sheet; load compensation removes it.
     """
 
     averages: int = 1
@@ -128,10 +127,8 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Standards:
-    """Recordings (run files or spectra) of the fixture open, shorted and loaded.
-
-    ``load_resistance`` (ohm) and ``load_tolerance`` (limits, a fraction) are the load's; ``columns`` is a column map.
-    """
+    """Recordings (run files or spectra) of open, short and load. ``load_resistance`` (ohm) and ``load_tolerance``
+    (limits, a fraction) are those of the load; ``columns`` is a column map."""
 
     open: Path | None = None
     short: Path | None = None
@@ -143,7 +140,7 @@ class Standards:
 
 @dataclass(frozen=True)
 class BenchSetup:
-    """The content of BENCH.toml; ``levels`` in V peak to peak (open circuit), ``metadata`` as they were written."""
+    """The content of BENCH.toml. ``levels`` are in V peak to peak (open circuit), ``metadata`` are texts."""
 
     path: str
     text: str
@@ -159,10 +156,8 @@ class BenchSetup:
 
     @property
     def safe_amplitude(self) -> float:
-        """The open-circuit amplitude (V peak to peak) that cannot exceed a limit with any passive device.
-
-        The device sees at most all of it, and draws at most the current that the source resistance admits.
-        """
+        """The open-circuit amplitude (Vpp) within the limits for any passive device. The device has at most all of this
+        voltage, and the current is limited by the source resistance."""
         return min(self.limits.device_voltage, self.limits.device_current * SOURCE_RESISTANCE)
 
 
@@ -187,8 +182,8 @@ def _fraction(table: FileTable, key: str, default: float) -> float:
     return value
 
 
-#: The reading of a field by its name: a whole number between limits, a quantity above zero, a share, a time, or a
-#: choice. Any other field is one line of text.
+#: Kinds of fields by name: whole numbers between limits, quantities above zero, shares, times, choices. Any other field
+#: is one line of text.
 _WHOLE = {"baud": (1, 10_000_000), "averages": (1, 128), "captures": (1, 1000), "periods": (2, 250),
           "attempts": (1, 100), "points": (16, 10_000), "repeats": (1, 1000),
           **dict.fromkeys(("channel_total", "channel_reference"), (1, 4)),
@@ -201,7 +196,7 @@ _CHOICES = {"kind": KINDS, "direction": DIRECTIONS, "trigger": ("CH1", "CH2", "C
 
 
 def _values(table: FileTable, kind: type[Any], *, but: Collection[str] = ()) -> dict[str, Any]:
-    """The fields of the dataclass `kind`, except those in `but`, by the rules for their names."""
+    """The fields of the dataclass `kind`, except those in `but`."""
     values: dict[str, Any] = {}
     for field in fields(kind):
         key = field.name
@@ -237,7 +232,8 @@ def _path(table: FileTable, key: str, folder: Path) -> Path | None:
 def read_bench(path: Path | str) -> BenchSetup:
     """Read BENCH.toml; paths in it are relative to its folder.
 
-    Raises InputError for anything missing, unknown, or beyond an instrument.
+    Raises:
+        InputError: a missing, unknown or invalid key, or a value beyond an instrument's range.
     """
     path = Path(path)
     root = FileTable.read(path).only(_TABLES)

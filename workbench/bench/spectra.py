@@ -1,4 +1,4 @@
-"""Results of a run: a spectrum for every drive level, its uncertainty, and its doubtful points."""
+"""Results of a run: a spectrum for every drive level, with flags."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from workbench.files.errors import InputError
 from workbench.results.brief import Brief
 from workbench.results.spectrum import Origin, Spectrum
 
-#: Inductance (henry) of a lead of a hand's breadth: the error at stake without compensation.
+#: Inductance (henry) of a lead of some 10 cm: the error without compensation.
 _USUAL_LEAD = 0.2e-6
 
-#: Ratio (root mean square) of the disagreement of passes to their noise above which they have drifted.
+#: Ratio (rms) of the differences of passes to their noise above which they have drifted.
 _DRIFT = 1.5
 
 
@@ -34,10 +34,9 @@ _DRIFT = 1.5
 class LevelSpectrum(Brief):
     """The spectrum at one drive level (V peak to peak, open circuit).
 
-    ``spectrum`` carries the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``, a
-    fraction of Z that all points share. ``uncompensated`` is as measured. ``drift`` is the root mean square
-    disagreement of the passes over their noise, nan for one pass. ``flags`` are about the whole, ``point_flags`` (Hz,
-    words) about points.
+    ``spectrum`` has the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``, a
+    fraction of Z that all points share. ``uncompensated`` is as measured. ``drift`` is the rms difference of the passes
+    over their noise, nan for one pass. ``flags`` are about the whole, ``point_flags`` (Hz, words) about points.
     """
 
     level: float
@@ -51,7 +50,8 @@ class LevelSpectrum(Brief):
 
 
 def read_compensation(standards: Standards) -> Compensation:
-    """The recordings that BENCH.toml names: run files, or spectra in any format of :mod:`workbench.readers`."""
+    """The recordings of the fixture named in BENCH.toml. They are run files, or spectra in any format of
+    :mod:`workbench.readers`."""
     columns = None if standards.columns is None else readers.read_column_map(standards.columns)
     load = None
     if standards.load is not None and standards.load_resistance is not None:
@@ -72,7 +72,7 @@ def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
 
 
 def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tuple[LevelSpectrum, ...]:
-    """A spectrum for every drive level with two frequencies or more, in the setup's order."""
+    """A spectrum for every drive level with two frequencies or more. Levels are in the setup's order."""
     by_level = [(level, [point for point in run.points if point.level == level]) for level in setup.levels]
     return tuple(_level_spectrum(level, points, run, setup, compensation) for level, points in by_level
                  if len({point.frequency for point in points}) >= 2)
@@ -81,7 +81,7 @@ def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tu
 def results(
     levels: Sequence[LevelSpectrum], compensation: Compensation
 ) -> dict[str, dict[str, NDArray[np.float64] | NDArray[np.complex128]]]:
-    """Spectra and calibration as arrays by group and name, for the run file."""
+    """Spectra and calibration as arrays by group and name."""
     found: dict[str, dict[str, NDArray[np.float64] | NDArray[np.complex128]]] = {}
     for level in levels:
         group = found[f"spectrum {level.level:g} Vpp"] = _arrays(level.spectrum)
@@ -109,7 +109,7 @@ def _level_spectrum(
     measured = combined_points(points)
     drift = _drift(points, measured)
     if drift > _DRIFT and measured.uncertainty is not None:
-        # The uncertainty grows by the disagreement of the passes.
+        # The uncertainty is multiplied by the ratio.
         measured = replace(measured, uncertainty=measured.uncertainty * drift)
     measured = replace(measured, origin=_origin(level, run, setup, compensation))
     device = compensate(measured, compensation)
@@ -126,7 +126,7 @@ def _level_spectrum(
 
 
 def _drift(points: Sequence[RunPoint], mean: Spectrum) -> float:
-    """Root of the reduced chi-square of points measured more than once about their mean; nan if there are none."""
+    """Root of the reduced chi-square of repeated points about their mean. nan if there are none."""
     value = dict(zip(mean.frequency, mean.impedance, strict=True))
     squares = sum(abs(p.impedance - value[p.frequency]) ** 2 / p.uncertainty**2 for p in points)
     freedom = 2 * (len(points) - len(mean.frequency))
@@ -148,7 +148,7 @@ def _flags(
 ) -> tuple[str, ...]:
     found = []
     if not run.complete:
-        found.append("the run is not complete: resume it, or take this as what there is")
+        found.append("the run is not complete: resume it, or use it as it is")
     lowest = int(np.argmin(device.magnitude))
     at, least = float(device.frequency[lowest]), float(device.magnitude[lowest])
     if compensation.short is None:
@@ -163,8 +163,8 @@ def _flags(
         found.append(f"compensation ({compensation}) moves Z by {100.0 * float(np.median(moved)):.2g} % in the middle "
                      f"and by {100.0 * float(moved[most]):.2g} % at {device.frequency[most] / 1e6:.4g} MHz")
     if compensation.short is not None and (compensation.open is None or compensation.load is None):
-        found.append(f"of open, short and load only {compensation} was recorded: what the rest would have taken out is "
-                     "not in the uncertainty")
+        found.append(f"of open, short and load only {compensation} was recorded: the effect of the others is not in "
+                     "the uncertainty")
     if drift > _DRIFT:
         found.append(f"passes disagree by {drift:.1f} times their noise: the device or the bench drifts; the "
                      "uncertainty was enlarged by as much")

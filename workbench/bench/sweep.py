@@ -1,8 +1,8 @@
-"""The sweep: one point after another, each on the disk before the next, the drive off at every end.
+"""The sweep: each point is on disk before the next.
 
-Every failure of an instrument (it is silent, answers nonsense, was unplugged, has forgotten its settings) has one
-remedy: the bench is opened anew, which switches the drive off and sets everything again, and the point is taken again.
-If that does not help the run ends in good order, to be resumed.
+The drive is off at every end. Every failure of an instrument (no answer, a wrong answer, unplugged, lost settings) has
+one remedy: the bench is reopened, which switches the drive off and sets everything again, and the point is repeated. If
+that does not help, the run ends in good order and can be resumed.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from workbench.files.errors import InputError
 from workbench.instruments.instrument import InstrumentError, Waveform
 from workbench.jobs.progress import Progress, no_progress
 
-#: The pause (s) before the bench is opened anew, doubled from one attempt to the next.
+#: The pause (s) before the bench is reopened, doubled from one attempt to the next.
 _PAUSE = 0.2
 
-#: Amplitude in converter steps below which a point is flagged, since the rounding error is equal in every capture (up
-#: to 1 % at 6 steps, 0.4 % at 12), and amplitude in units of its uncertainty below which it is flagged.
+#: Least amplitude of a point without a flag, in converter steps and in units of its uncertainty. The rounding error is
+#: equal in every capture: up to 1 % at 6 steps, 0.4 % at 12.
 _FEW_STEPS, _NEAR_NOISE = 6.0, 20.0
 
 #: Largest relative deviation of the signal's frequency from the set one, and largest factor between the amplitude
-#: across the whole circuit and its expectation behind the generator's fifty ohm. Both instruments are within 1e-4 and
-#: 10 % by their makers; only gross faults are meant (a setting that was not taken, a record of the point before).
+#: across the whole circuit and its expectation behind the generator's 50 ohm. Both instruments are specified to 1e-4
+#: and 10 %; only gross faults exceed the limits (a setting that was not applied, a record of the previous point).
 _FREQUENCY_OFF, _AMPLITUDE_OFF = 3e-4, 1.5
 
 #: Factor above a limit at which it counts as exceeded: the uncertainty of the readings.
@@ -41,32 +41,35 @@ _OVER = 1.05
 
 
 class BenchFailure(RuntimeError):
-    """The sweep had to end; the message gives the reason, the data on the disk and the way to continue."""
+    """The sweep had to end. The message gives the reason, the data on the disk and the way to continue."""
 
 
 class LimitExceeded(RuntimeError):
-    """The device saw more than BENCH.toml allows; the drive was switched off."""
+    """A limit in BENCH.toml was exceeded; the drive was switched off."""
 
 
 class Implausible(InstrumentError):
-    """The data from the instruments cannot be a measurement of the requested point."""
+    """The data from the instruments cannot belong to the requested point."""
 
 
 def measure(
     setup: BenchSetup, path: Path | str, *, resume: bool = False, sleep: Callable[[float], None] = time.sleep,
     progress: Progress = no_progress, on_point: Callable[[Run], object] = lambda _run: None,
 ) -> Run:
-    """Measure everything that `setup` asks for into the run file `path`; with `resume` only the missing points.
+    """Measure all points of `setup` into the run file `path`.
 
-    `on_point` is called with the run after every point. Every finished point is on the disk at any moment; the drive is
-    off when this returns or raises. Raises InputError if the run exists and `resume` is off, or it was made with
-    another BENCH.toml; BenchFailure if an instrument failed more often than allowed (the run can be resumed);
-    LimitExceeded if the device saw more than it may.
+    With `resume` only missing points are measured. `on_point` is called with the run after every point. Every finished
+    point is on the disk at any moment; the drive is off when this returns or raises.
+
+    Raises:
+        InputError: the run exists and `resume` is off, or it was made with another BENCH.toml.
+        BenchFailure: an instrument failed more often than allowed (the run can be resumed).
+        LimitExceeded: a limit of the device was exceeded.
     """
     path = Path(path)
     marker = marker_path(path)
-    left_on = marker.exists()
-    if not left_on:
+    was_on = marker.exists()
+    if not was_on:
         _existing(path, setup, resume=resume)  # a mistake is reported before the bench is touched
     with Rig(setup, marker, sleep=sleep) as rig:
         found = _existing(path, setup, resume=resume)
@@ -74,7 +77,7 @@ def measure(
         with Journal(path, run) as journal:
             if found is not None:
                 _note(journal, f"resumed with {len(run.points)} points")
-            if left_on:
+            if was_on:
                 _note(journal, "the process before this one had left the drive on; it was switched off first")
             expected = expected_points(setup)
             try:
@@ -94,7 +97,7 @@ def measure(
 
 
 def _existing(path: Path, setup: BenchSetup, *, resume: bool) -> Run | None:
-    """The run that is to be resumed, or None for a new one."""
+    """The run to resume, or None for a new one."""
     if not exists(path):
         return None
     if not resume:
@@ -115,7 +118,7 @@ def _note(journal: Journal, text: str) -> None:
 def _insistently(
     setup: BenchSetup, rig: Rig, journal: Journal, target: Target, sleep: Callable[[float], None]
 ) -> RunPoint:
-    """The point, after as many of the allowed attempts as it takes."""
+    """The point, after up to the allowed number of attempts."""
     sequence = len(journal.run.points)
     for attempt in range(setup.acquisition.attempts):
         try:
@@ -167,10 +170,8 @@ def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> RunPoi
 
 
 def _allowed(setup: BenchSetup, rig: Rig, target: Target) -> float:
-    """The amplitude (V peak to peak, open circuit) to drive with: the level, unless the device would see too much.
-
-    If the level could exceed a limit with some passive device, the device is first measured below it.
-    """
+    """The amplitude (Vpp, open circuit) within the limits of the device. It is at most the level of the target. If the
+    level could exceed a limit with some passive device, the device is first measured below it."""
     safe = math.floor(setup.safe_amplitude / AMPLITUDE_RESOLUTION + 1e-9) * AMPLITUDE_RESOLUTION
     if target.level <= safe:
         return target.level
@@ -199,10 +200,7 @@ def _doubts(
     setup: BenchSetup, pairs: list[tuple[Waveform, Waveform]], fits: list[SineFit], value: complex, amplitude: float,
     target: Target,
 ) -> list[str]:
-    """Doubts about a point, in words; the part before the colon names the kind.
-
-    Raises Implausible if the signal is not that of the amplitude that was set.
-    """
+    """Doubts about a point; the part before the colon is the kind."""
     flags = []
     whole = value + setup.reference.resistance
     expected = 0.5 * amplitude * abs(whole / (whole + SOURCE_RESISTANCE))

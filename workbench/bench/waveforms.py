@@ -1,10 +1,9 @@
-"""Waveforms saved by an oscilloscope: one channel per file, or all of them in one.
+"""Waveforms saved by an oscilloscope, one or all channels per file.
 
-Tables of time and channels are read by `workbench.instruments.waveform_table`; here are the CSV of the TDS1000 and
-TDS2000 series of Tektronix, and ISF. CSV: settings stand in columns 1 and 2 of the first rows, beside the samples,
-which are time in column 4 and volts in column 5, without headings. Numbers may look like ``-00.018940000000``, and a
-line may have been added by hand. ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block
-of CURVE.
+`workbench.instruments.waveform_table` reads tables of time and channels; this module reads the CSV of the TDS1000 and
+TDS2000 series of Tektronix, and ISF. CSV: settings are in columns 1 and 2 of the first rows, beside the samples (time
+in column 4, volts in column 5), without headings. Numbers may look like ``-00.018940000000``, and a line may have been
+added by hand. ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block of CURVE.
 """
 
 from __future__ import annotations
@@ -30,12 +29,16 @@ _A_NAME = "a name with the channel in it, such as F0003CH1.CSV or C1Trace00000.c
 #: Steps of the converter per division, in all files seen.
 _STEPS_PER_DIVISION = 25.0
 
-#: Ratio of the number of samples at a crest to that of a sine above which the top is flat.
+#: Ratio of the number of samples at a crest to that of a sine above which the waveform is clipped.
 _FLAT = 3.0
 
 
 def read_waveform(path: Path) -> Waveform:
-    """The one saved waveform of a file; raises InputError as :func:`read_channels`, or for several channels."""
+    """The only waveform in a file.
+
+    Raises:
+        InputError: as :func:`read_channels`, or several channels.
+    """
     found = read_channels(path)
     if len(found) != 1:
         raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in found), "one channel")
@@ -43,9 +46,13 @@ def read_waveform(path: Path) -> Waveform:
 
 
 def read_channels(path: Path, *, wanted: Collection[int] | None = None) -> dict[int, Waveform]:
-    """The waveforms of a file by channel, in any of the formats; of a table the `wanted` ones alone, if given.
+    """The waveforms of a file by channel, in any of the formats.
 
-    Raises InputError: none of them, cut short, neither in volts nor in amperes, an envelope, or on uneven time steps.
+    From a table only the `wanted` ones are read, if given.
+
+    Raises:
+        InputError: an unknown format, a truncated file, a unit other than volts or amperes, an envelope, or uneven time
+            steps.
     """
     path = Path(path)
     data = _content(path)
@@ -70,7 +77,6 @@ def read_channels(path: Path, *, wanted: Collection[int] | None = None) -> dict[
 
 
 def _channel_of(path: Path) -> re.Match[str] | None:
-    """The channel in the name of a file."""
     return _PAIR.search(path.name) or _SHORT.search(path.name)
 
 
@@ -82,28 +88,31 @@ def _content(path: Path) -> bytes:
 
 
 def _is_tds(data: bytes) -> bool:
-    """Whether settings stand beside samples, which are in columns 4 and 5: the CSV of the TDS1000 and TDS2000."""
+    """Whether it is CSV of the TDS1000 and TDS2000. Its settings are beside samples in columns 4 and 5."""
     return b"Record Length," in data[:2000] and any(
         re.match(rb'"?(Record Length|Sample Interval)"?,[^,]*,\s*,\s*"?[-+.\d][^,]*,\s*"?[-+.\d]', line)
         for line in data[:4000].splitlines()[:12])
 
 
 def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str, tuple[Path, Path]]:
-    """Files in pairs, (total, reference) by the common part of their names; folders stand for the files in them.
+    """Files in pairs (total, reference), by the common part of their names.
 
-    The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV. A file that holds several channels is a
-    pair with itself. Raises InputError for half a pair, or a name without a channel of a file that does not hold both.
+    A folder means its files. Names must differ only in the channel: F0003CH1.CSV and F0003CH2.CSV. A file with several
+    channels is a pair with itself.
+
+    Raises:
+        InputError: an incomplete pair, or a name without a channel for a file without both.
     """
     given: dict[str, dict[int, Path]] = {}
     for path in _files(paths):
-        held = _held(path)
+        contained = _channels_in(path)
         channel = _channel_of(path)
-        if len(held) > 1 or (held and held != (UNNAMED,) and channel is None):
+        if len(contained) > 1 or (contained and contained != (UNNAMED,) and channel is None):
             for wanted in (total, reference):
-                if wanted not in held:
-                    raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in held),
-                                     f"CH{wanted} among them; --total and --reference say which are meant")
-            given[str(path)] = dict.fromkeys(held, path)
+                if wanted not in contained:
+                    raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in contained),
+                                     f"CH{wanted} among them; --total and --reference select them")
+            given[str(path)] = dict.fromkeys(contained, path)
             continue
         if channel is None:
             _content(path)  # raises if there is no such file
@@ -124,8 +133,8 @@ def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str
     return pairs
 
 
-def _held(path: Path) -> tuple[int, ...]:
-    """The channels that a file holds by its head, none if that is not a table of time and channels."""
+def _channels_in(path: Path) -> tuple[int, ...]:
+    """The channels in the head of a table, () for other files."""
     try:
         with path.open("rb") as file:
             head = file.read(8192)
@@ -141,7 +150,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             inside = [file for file in sorted(path.iterdir())
                       if file.suffix.lower() in (".csv", ".isf", ".txt") and (
-                          _held(file) or (file.suffix.lower() != ".txt" and _PAIR.search(file.name)))]
+                          _channels_in(file) or (file.suffix.lower() != ".txt" and _PAIR.search(file.name)))]
             if not inside:
                 raise InputError(str(path), "folder", path.name, "a folder with waveforms such as F0003CH1.CSV, or "
                                  "with tables of all channels")
@@ -165,7 +174,7 @@ def _read_csv(path: str, data: bytes) -> Waveform:
         if cells[0]:
             settings[cells[0]] = cells[1]
         if number <= 2 and not _is_number(cells[3]) and not cells[0]:
-            continue  # headings somebody added
+            continue  # headings added by hand
         if not (_is_number(cells[3]) and _is_number(cells[4])):
             raise InputError(path, f"line {number}", line[:60], "time in column 4 and volts in column 5")
         times.append(float(cells[3]))
@@ -210,7 +219,7 @@ def _setting(path: str, settings: Mapping[str, str], name: str) -> float:
 
 
 def _read_isf(path: str, data: bytes) -> Waveform:
-    """The one record of samples in the file; some firmware appends an envelope of the same acquisition."""
+    """The only record of samples in the file. Some firmware appends an envelope of the same acquisition."""
     samples, others, place = [], [], 0
     while place < len(data):
         header, block, place = _next_record(path, data, place)
@@ -222,7 +231,7 @@ def _read_isf(path: str, data: bytes) -> Waveform:
     if len(samples) != 1:
         kinds = ", ".join(others) or "none"
         raise InputError(path, "PT_FMT", f"{len(samples)} records of samples (others: {kinds})",
-                         "one record with PT_FMT Y; an envelope holds extremes, from which no phase can be had")
+                         "one record with PT_FMT Y; an envelope has extremes only, so no phase")
     header, block = samples[0]
     if _word(path, header, "ENCDG")[:3] != "BIN":
         raise InputError(path, "ENCDG", _word(path, header, "ENCDG"), "BINARY")
@@ -251,12 +260,12 @@ def _read_isf(path: str, data: bytes) -> Waveform:
 
 
 def _next_record(path: str, data: bytes, place: int) -> tuple[dict[str, str], bytes, int]:
-    """Header and block of the record that begins at `place`, and the position of its end."""
+    """Header and block of the record at `place`, and its end."""
     found = re.compile(rb":?CURVE?\s+#").search(data, place)
     if found is None:
         raise InputError(path, "CURVE", data[place:place + 40].decode("latin-1"), "a binary block after the header")
     text = data[place:found.start()].decode("latin-1")
-    # Quoted values hold commas and blanks, never semicolons in any file seen.
+    # Quoted values contain commas and blanks, but no semicolons in any file seen.
     header = {}
     for item in re.split(r";(?=(?:[^\"]*\"[^\"]*\")*[^\"]*$)", text):
         word, _, value = item.strip().lstrip(":").partition(" ")
@@ -274,7 +283,7 @@ def _next_record(path: str, data: bytes, place: int) -> tuple[dict[str, str], by
 
 
 def _word(path: str, header: Mapping[str, str], name: str) -> str:
-    """The value of a header word, however far the file shortens it."""
+    """The value of a header word, which a file may shorten."""
     found = next((value for word, value in header.items() if len(word) >= 3 and name.startswith(word)), None)
     if found is None:
         raise InputError(path, name, None, "this word in the header, which has " + ", ".join(header))
@@ -289,10 +298,8 @@ def _value(path: str, header: Mapping[str, str], name: str) -> float:
 
 
 def _flat_topped(raw: NDArray[np.float64]) -> bool:
-    """Whether either crest is far flatter than that of a sine: the file does not state the edge of the screen.
-
-    Of the samples of a sine of amplitude a steps, arccos(1 - 1 / a) / pi lie within one step of a crest.
-    """
+    """Whether a crest is far flatter than that of a sine. The file does not state the edge of the screen. A share
+    arccos(1 - 1 / a) / pi of the samples of a sine of amplitude a steps is within one step of a crest."""
     amplitude = 0.5 * float(np.ptp(raw))
     if amplitude < 10.0:
         return False

@@ -1,4 +1,4 @@
-"""Whether the recordings of a campaign belong to the states that they are said to be of."""
+"""Check that each recording is assigned to the right state."""
 
 from __future__ import annotations
 
@@ -12,22 +12,26 @@ from workbench.campaign.state import DeviceState, StateFit
 from workbench.files.errors import InputError
 from workbench.fitting.measurement_model import log_ratio, rms
 
-#: Two recordings are exchanged where that leaves less than this share of the rms residual of either state.
+#: Two recordings count as exchanged if exchanging them reduces the rms residual of both states below this share.
 EXCHANGED = 0.5
 
-#: States are compared where their frequencies overlap by this share of either band.
+#: Two states are compared if their overlap is at least this share of either band.
 OVERLAP = 0.8
 
 
 def check_assignment(campaign: Campaign, stated: Sequence[StateFit]) -> None:
-    """Refuse recordings that fit far better with the states of the two exchanged; `stated` are the states as stated.
+    """Raise if two recordings fit far better when they are exchanged.
+
+    Args:
+        campaign: its states with their recordings.
+        stated: the fit of each state to the recording that the campaign assigns to it.
 
     Raises:
-        InputError: two are exchanged; it gives the residuals of both states, as they are and exchanged.
+        InputError: two are exchanged; it gives the residuals of both states, as stated and exchanged.
     """
     recordings = [each for each in zip(campaign.fitted, stated, strict=True) if each[0].observation is None]
     for one, other in itertools.combinations(recordings, 2):
-        # Of the recording of `other`, and of that of `one`.
+        # Residuals in the recording of `other` and in that of `one`.
         crossed = _rms(*one, other[0]), _rms(*other, one[0])
         if crossed[0] < EXCHANGED * other[1].rms and crossed[1] < EXCHANGED * one[1].rms:
             a, b = one[0].name, other[0].name
@@ -39,7 +43,7 @@ def check_assignment(campaign: Campaign, stated: Sequence[StateFit]) -> None:
 
 
 def _rms(state: DeviceState, fit: StateFit, other: DeviceState) -> float:
-    """Rms of ln(Z / Z_measured) of a state's prediction and another's recording; infinite where bands differ."""
+    """Rms of ln(Z / Z_measured) in another recording; infinite for different bands."""
     own, there = state.measured.frequency, other.measured.frequency
     low, high = max(own[0], there[0]), min(own[-1], there[-1])
     if high - low < OVERLAP * max(own[-1] - own[0], there[-1] - there[0]):

@@ -1,50 +1,51 @@
-"""A campaign: one device in several states, each with its recording, and what is known about the device.
+"""A campaign: one device in several states, with recordings and priors.
 
     [campaign]
     name = "device"
     materials = "materials"         # a folder of materials beside the file
-    known = "stated"                # also known is what chip files and materials state: lengths with a tolerance (the
+    known = "stated"                # priors also come from chip files and materials: lengths with a tolerance (the
                                     # limit of a uniform law), coefficients with an uncertainty; "named": only [known]
 
     [states.empty]
     chip = "chip.toml"              # path relative to the campaign's file
-    state = "empty"                 # of that chip; may be left out where there is one only
+    state = "empty"                 # of that chip; optional if there is only one
     recording = "empty.csv"
     drive = "1 Vpp"                 # at the electrodes
-    temperature = "25 degC"         # of what fills the cavity
-    band = ["0.95 MHz", "1.05 MHz"] # of the recording, where not all of the chip's band
-    noise = "0.5 %"                 # of a point, where the recording brings no uncertainty
+    temperature = "25 degC"         # of the fluid in the cavity
+    band = ["0.95 MHz", "1.05 MHz"] # of the recording; default: the chip's band
+    noise = "0.5 %"                 # of a point, if the recording has no uncertainty
     held_out = true                 # never fitted, only predicted
-    columns = "MAP.toml"            # of the recording, where its headings do not say what they are
-    without_outliers = true         # leaves out the points that the findings on the recording name
+    columns = "MAP.toml"            # of the recording, if its headings do not identify its columns
+    without_outliers = true         # omits the points that the findings on the recording name
 
     [states.filled.observations]    # beside the impedance (`workbench.campaign.observation`)
     focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }
 
-    [known]                         # standard uncertainties, one number in all states
+    [known]                         # standard uncertainties, one value in all states
     "pla/acevedo_2026.shear_modulus" = "3 %"
     "couplant.thickness" = "5 um"
     "bench.series_resistance" = "0.05 ohm"
 
-    [states.empty.known]            # likewise, of what this state alone adds
+    [states.empty.known]            # standard uncertainties of an offset in this state alone
     "couplant.thickness" = "2 um"
 
-    [between]                       # and of what every state adds that has the number
+    [between]                       # standard uncertainties of an offset in every state with the parameter
     "bench.gain" = "0.2 %"
     "couplant.thickness" = "10 %"
-    defaults = true                 # the bench of each state adds to gain, series_resistance and clock what benches do,
-                                    # where nothing above says so (`workbench.campaign.knowledge.BETWEEN_RECORDINGS`)
+    defaults = true                 # adds the changes of any bench to gain, series_resistance and clock, unless stated
+                                    # above (`workbench.campaign.knowledge.BETWEEN_RECORDINGS`)
 
     [fixed]
-    names = ["transducer.density"]  # what no hypothesis may move, and what is exact
+    names = ["transducer.density"]  # exact parameters, which no hypothesis moves
 
     [model]
     inhomogeneity = "0.2 %"         # of the smooth relative changes of stiffness, mass and loss within parts that no
-                                    # model gets right; "0" for none, left out for what the recordings say of it
+                                    # model gets right; "0" for none; left out, it is estimated from the recordings
 
-One device: a name stands for one number in all states. Numbers that are not named are exact. Percentages are of the
-stated value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each
-other, except that a number in [known] goes before what its own file says of it, correlations included.
+One device: a name is one parameter in all states. Parameters without an uncertainty are exact. Percentages are of the
+stated value; those of gain, phase and clock of the bench are of 1. Statements about one parameter are independent of
+each other, with one exception: a statement in [known] replaces those of the chip and material files, and their
+correlations.
 """
 
 from __future__ import annotations
@@ -70,25 +71,25 @@ from workbench.files.tables import FileTable
 from workbench.model.numbers import Number, ParameterName, word_list
 from workbench.results.brief import Brief
 
-#: Knowledge beside the numbers that the campaign names: that of the files of chip and materials, or none.
+#: Values of ``known``: priors from the files of chip and materials too, or only from the campaign's tables.
 STATED, NAMED = "stated", "named"
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Campaign(Brief):
-    """A device, its states, and the knowledge of its numbers.
+    """A device, its states, and the priors of its parameters.
 
-    ``taken`` are the numbers that are uncertain, each with its standard uncertainty and who states it: those that all
-    states share, then what one state adds to them (``bench.gain[filled]``); ``fixed`` names what may not move. Radii
-    that coincide in a chip are one number, under the first of their names. ``correlations`` are coefficients between
-    the names of two shared numbers, each pair once. ``inhomogeneity`` is the standard deviation of the smooth relative
-    changes of stiffness, mass and loss within parts that no model gets right, None if the data are to say it.
+    ``uncertain`` are parameters with a standard uncertainty and its source: first the shared ones, then the offsets in
+    one state (``bench.gain[filled]``). ``fixed`` names exact parameters. Coinciding radii of a chip are one parameter,
+    under the first of their names. ``correlations`` are coefficients between the names of two shared parameters, each
+    pair once. ``inhomogeneity`` is the standard deviation of the smooth relative changes of stiffness, mass and loss
+    within parts that no model gets right; None if it is estimated from the data.
     """
 
     name: str
     file: str
     states: tuple[DeviceState, ...]
-    taken: tuple[Number, ...]
+    uncertain: tuple[Number, ...]
     fixed: tuple[str, ...]
     correlations: Mapping[tuple[str, str], float]
     registry: Registry
@@ -107,12 +108,12 @@ class Campaign(Brief):
         registry: Registry | None = None,
         source: str = ProgramSource("Campaign"),
     ) -> None:
-        """A campaign from values as a campaign's file has them, where numbers may stand in SI without units.
+        """A campaign from the values of a campaign's file.
 
-        `states`, `known` and `between` are the tables of the file (:mod:`workbench.campaign.campaign`); the ``chip``
-        of a state may be a chip, its ``recording`` a spectrum or a reading. `fixed` names what no hypothesis may move;
-        `from_files` takes what chips and materials state too. Materials come from the user's registry unless another
-        is given.
+        Numbers may be in SI without units. `states`, `known` and `between` are the tables of the file
+        (:mod:`workbench.campaign.campaign`); the ``chip`` of a state may be a chip, its ``recording`` a spectrum or a
+        reading. No hypothesis moves the parameters named in `fixed`. With `from_files`, priors also come from chips and
+        materials. Materials are from the user's registry by default.
 
         Raises:
             InputError: the values do not describe a campaign.
@@ -129,28 +130,28 @@ class Campaign(Brief):
         _check_one_device(read, source)
         found = read_knowledge(table, read, from_files=from_files)
         self.__dict__.update(
-            name=name, file=source, states=read, taken=found.numbers, fixed=found.fixed,
+            name=name, file=source, states=read, uncertain=found.numbers, fixed=found.fixed,
             correlations=found.correlations, registry=registry, inhomogeneity=_inhomogeneity(table))
 
     @cached_property
     def known(self) -> Mapping[str, float]:
-        """Standard uncertainties (SI) of the numbers that all states share, by name."""
-        return {each.name: each.deviation for each in self.taken if not each.parsed.state}
+        """Standard uncertainties (SI) of the shared parameters, by name."""
+        return {each.name: each.deviation for each in self.uncertain if not each.parsed.state}
 
     @cached_property
     def offsets(self) -> Mapping[str, float]:
-        """Standard uncertainties (SI) of what one state adds, by name."""
-        return {each.name: each.deviation for each in self.taken if each.parsed.state}
+        """Standard uncertainties (SI) of the offsets in one state, by name."""
+        return {each.name: each.deviation for each in self.uncertain if each.parsed.state}
 
     @cached_property
     def is_exact(self) -> bool:
-        """Whether nobody states an uncertainty of a length or of a solid's coefficient."""
+        """Whether no length and no coefficient of a solid has an uncertainty."""
         fluids = {state.fluid.name for state in self.states if state.fluid is not None}
-        return all(each.parsed.is_bench or each.parsed.owner in fluids for each in self.taken)
+        return all(each.parsed.is_bench or each.parsed.owner in fluids for each in self.uncertain)
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
-        """The other names of every radius that stands for several."""
+        """Further names of each parameter that is several coinciding radii."""
         first = canonical_names(*(state.chip for state in self.states))
         found: dict[str, tuple[str, ...]] = {}
         for name, chosen in first.items():
@@ -160,7 +161,7 @@ class Campaign(Brief):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Statements on numbers that count as exact, as zero, or as one."""
+        """Findings on parameters that count as exact, as zero, or as one."""
         result = []
         if self.is_exact:
             files = word_list(list(dict.fromkeys(state.chip.file for state in self.states)))
@@ -180,26 +181,28 @@ class Campaign(Brief):
 
     @cached_property
     def recorded(self) -> tuple[DeviceState, ...]:
-        """The states with their recordings, and after them those that stand for an observation of one of them."""
+        """The states with their recordings, followed by the states of their observations."""
         return (*self.states, *(each for state in self.states for each in state.observed))
 
     @cached_property
     def fitted(self) -> tuple[DeviceState, ...]:
-        """Those of :attr:`recorded` that are fitted."""
+        """States of :attr:`recorded` that are fitted."""
         return tuple(state for state in self.recorded if not state.held_out)
 
     @cached_property
     def held_out(self) -> tuple[DeviceState, ...]:
-        """Those of :attr:`recorded` that are predicted only."""
+        """States of :attr:`recorded` that are only predicted."""
         return tuple(state for state in self.recorded if state.held_out)
 
 
 def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Campaign:
-    """Read and check a campaign file, its chips and its recordings; `materials` are further folders of materials.
+    """Read a campaign file, its chips and its recordings.
+
+    `materials` are further folders of materials.
 
     Raises:
         InputError: a mistake in one of the files, a recording that cannot be of this device, a name that no state has,
-            or two statements about one thing that contradict each other.
+            or contradictory statements about one parameter.
     """
     path = Path(path)
     table = FileTable.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
@@ -216,12 +219,11 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
 
 
 def _own_materials(head: FileTable, folder: Path) -> Iterator[Path]:
-    """The folder of materials that a campaign brings along, if it does."""
     if "materials" in head:
-        said = str(head.content["materials"])
-        if not (folder / said).is_dir():
+        own = folder / str(head.content["materials"])
+        if not own.is_dir():
             raise head.error("materials", "a folder of materials beside the campaign's file")
-        yield folder / said
+        yield own
 
 
 def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[DeviceState]:
@@ -239,7 +241,6 @@ def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[Devi
 
 
 def _inhomogeneity(table: FileTable) -> float | None:
-    """The relative inhomogeneity within parts; None where nobody says."""
     model = table.table("model")
     found = model.optional_quantity("inhomogeneity", "share")
     if found is not None and not 0.0 <= found < 1.0:
@@ -248,7 +249,7 @@ def _inhomogeneity(table: FileTable) -> float | None:
 
 
 def _check_one_device(states: Sequence[DeviceState], source: str) -> None:
-    """Refuse states that differ in a length or a material of one name."""
+    """Raise if a length or the transducer's material differs between states."""
     for name, first, other in _pairs(states):
         a, b = first.chip.dimensions()[name].value, other.chip.dimensions()[name].value
         if abs(a - b) > 1e-9:
@@ -264,7 +265,7 @@ def _pairs(states: Sequence[DeviceState]) -> Iterator[tuple[str, DeviceState, De
     first: dict[str, DeviceState] = {}
     for state in states:
         for name in state.chip.dimensions():
-            # The gel below a sample and that below a chip are two layers, whatever they are called.
+            # The gel below a sample and the gel below a chip are two layers, even under one name.
             if ParameterName.parse(name).owner == TRANSDUCER or _same_stack(first.get(name, state), state):
                 if name in first:
                     yield name, first[name], state

@@ -1,9 +1,9 @@
-"""Knowledge of the numbers of a device before its recordings are looked at: of all states together, and of each.
+"""Priors of a device's parameters, shared by all states or of one.
 
 Standard uncertainties come from the campaign's tables, from the files of the chip and its materials (a tolerance is the
-limit of a uniform law, `workbench.design.uncertainty`), and from what any bench does between two recordings
-(:data:`BETWEEN_RECORDINGS`). Independent statements about one number add their variances. The tables are described at
-the head of `workbench.campaign.campaign`.
+limit of a uniform law, `workbench.design.uncertainty`), and from changes of any bench between two recordings
+(:data:`BETWEEN_RECORDINGS`). Independent statements about one parameter add their variances.
+`workbench.campaign.campaign` describes the tables.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from workbench.model.device_numbers import ASSUMED, assumed_by_role
 from workbench.model.numbers import BENCH, STATE, STATE_END, Number, ParameterName, Stated
 
 #: Changes of any bench between two recordings, as standard uncertainties in SI, with their reasons. An instrument
-#: repeats a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact
-#: resistance, by some 20 mohm; data sheets of generators give 1 to 50 in a million for the clock, most of which is of
-#: one generator for good, and some 5 its temperature and age. Doubled, differences between states of that size would
-#: count for half.
+#: repeats a reading to about 0.2 % after its cables were moved. The contact resistance of clips changes by about
+#: 20 mohm when they are attached again. Data sheets of generators state 1 to 50 ppm for the clock; most of it is a
+#: constant offset, and about 5 ppm changes with temperature and age. If doubled, differences of this size between
+#: states have half the weight.
 BETWEEN_RECORDINGS: Mapping[str, tuple[float, str]] = {
     "gain": (2e-3, "repeatability of instruments"),
     "series_resistance": (0.02, "contact resistance of clips"),
     "clock": (5e-6, "drift of generators' clocks"),
 }
 
-#: The key of [between] that switches these off.
+#: The key of [between] that disables these.
 DEFAULTS = "defaults"
 
-#: The states that a statement about a name is of, with the name of the one that it is of alone ("" of none).
+#: Maps a name to groups of states that a statement applies to; each has the name of its only state, or "" for all.
 Groups = Callable[[str], Sequence[tuple[str, Sequence[DeviceState]]]]
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The uncertain numbers of a device, and the names of those that may not move.
+    """The priors of a device, and the names of its exact parameters.
 
-    ``numbers`` are those that all states share, then what one state adds to them (``bench.gain[filled]``), each with
-    its standard uncertainty and who states it; ``fixed`` are names of the former. ``correlations`` are coefficients
-    between the names of two shared numbers, each pair once.
+    ``numbers`` are first the shared parameters, then the offsets in one state (``bench.gain[filled]``), each with its
+    standard uncertainty and the source; ``fixed`` are names of shared ones. ``correlations`` are coefficients between
+    the names of two shared parameters, each pair once.
     """
 
     numbers: tuple[Number, ...]
@@ -55,10 +55,8 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class _Statement:
-    """One standard uncertainty of a number, of one ``state`` alone or ("") of all.
-
-    ``field`` is the place in the campaign's file, empty for what is said elsewhere.
-    """
+    """One standard uncertainty of a parameter. It applies to one ``state``, or to all (""). ``field`` is its place in
+    the campaign's file, "" for other sources."""
 
     name: str
     state: str
@@ -67,10 +65,10 @@ class _Statement:
 
 
 def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from_files: bool = True) -> Knowledge:
-    """The knowledge that the tables of a `campaign` state of its `states`, and the states' own files if `from_files`.
+    """The priors in a `campaign` and, with `from_files`, its states' files.
 
     Raises:
-        InputError: a name that no state has, an uncertainty that is none, or statements that contradict each other.
+        InputError: a name that no state has, an invalid uncertainty, or contradictory statements.
     """
     numbers = DeviceNumbers(states)
     fixed = tuple(_fixed(campaign.table("fixed", expected="a table [fixed]"), numbers))
@@ -78,7 +76,7 @@ def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from
     for each in shared:
         if not numbers.is_one(each.name):
             raise InputError(campaign.source, each.field, each.name, "a number that is the same in all states, which "
-                             f"this is not; [between] or [states.{states[0].name}.known] say of each how exact it is")
+                             f"this is not; state it for each in [between] or [states.{states[0].name}.known]")
     own = [each for state in states for each in _of_state(campaign, state, numbers)]
     between = campaign.table("between", expected="a table [between]")
     varying = list(_stated(FileTable(between.source, between.field, {k: v for k, v in between.content.items()
@@ -98,7 +96,6 @@ def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from
 
 
 def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
-    """The statements of [states.NAME.known] about the numbers that the state has."""
     table = campaign.table("states").table(state.name).table("known", expected=f"a table [states.{state.name}.known]")
     yield from _stated(table, numbers, lambda _: ((state.name, (state,)),), of=(state,))
 
@@ -106,17 +103,15 @@ def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -
 def _stated(
     table: FileTable, numbers: DeviceNumbers, groups: Groups, *, of: Sequence[DeviceState] = ()
 ) -> Iterator[_Statement]:
-    """The statements of a table of names and standard uncertainties about numbers that some states have, or those `of`.
-
-    Radii that coincide are one number, which several names may say the same of.
-    """
+    """The statements of a table about parameters, or about those `of` states. Coinciding radii are one parameter:
+    several names may state the same uncertainty."""
     known, written_as = of or numbers.states, dict[str, tuple[str, float]]()
     for written in table:
         name, field = numbers.named(written), table.at(written)
         if STATE in written:
             shared, _, state = written.removesuffix(STATE_END).partition(STATE)
-            raise InputError(table.source, field, written, f'"{shared}" in the table [states.{state}.known]: there '
-                             "stands what one state adds")
+            raise InputError(table.source, field, written, f'"{shared}" in the table [states.{state}.known], which '
+                             "states the offsets of one state")
         if not any(state in known for state in numbers.having(name)):
             raise InputError(table.source, field, written, "the name of a material's coefficient, a dimension of a "
                              f"chip or a bench element that {'this' if of else 'a'} state has",
@@ -139,14 +134,14 @@ def _stated(
 def _uncertainty(
     table: FileTable, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
 ) -> float:
-    """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
+    """A standard uncertainty in SI. A percentage is of the value in the first of `states` with the parameter."""
     entry, parsed = table.content[written], ParameterName.parse(name)
     if entry == ASSUMED and parsed.is_dimension:
         material = next((state.numbers[parsed.shared].material for state in states if parsed.shared in state.numbers),
                         "")
         return assumed_by_role(name, stated_number(name, states), material).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
-    # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
+    # A bare number for the gain or the clock of a bench is an error: its percent sign may be missing.
     found = parse_quantity(entry, "dimensionless" if share else parsed.quantity, source=table.source,
                            field=table.at(written))
     if share:
@@ -156,10 +151,10 @@ def _uncertainty(
             size = 1.0
         if size == 0.0:
             raise table.error(written, f"an uncertainty in {parsed.unit}: {name} is zero, so a percentage of it says "
-                              "nothing")
+                              "nothing; the unit is needed")
         found *= size
     if not found > 0.0:
-        raise table.error(written, "a standard uncertainty above zero; what is exact is left out")
+        raise table.error(written, "a standard uncertainty above zero; exact parameters are left out")
     return found
 
 
@@ -186,12 +181,12 @@ def _fixed(table: FileTable, numbers: DeviceNumbers) -> Iterator[str]:
 def _harvested(
     numbers: DeviceNumbers, closed: Iterable[str]
 ) -> tuple[list[_Statement], dict[tuple[str, str], float]]:
-    """The statements of the states' files about numbers that are not `closed`, and the correlations between these.
+    """The statements of the states' files, without `closed` parameters, and correlations.
 
-    A number that differs between states is stated by each state alone.
+    Each state has its own statement for a parameter that differs between states.
 
     Raises:
-        InputError: two chip files give one length two tolerances.
+        InputError: two chip files state different tolerances of one length.
     """
     found: dict[tuple[str, str], _Statement] = {}
     correlations: dict[tuple[str, str], float] = {}
@@ -220,23 +215,21 @@ def _together(
     numbers: DeviceNumbers, statements: Iterable[_Statement], fixed: tuple[str, ...],
     correlations: Mapping[tuple[str, str], float],
 ) -> Knowledge:
-    """One uncertainty for each number, and for each offset of a state.
-
-    Where one state alone has the number, the shared uncertainty and that of the offset only act together: they are one.
-    """
-    said: dict[tuple[str, str], list[_Statement]] = {}
+    """One uncertainty for each shared parameter and each offset. A parameter that only one state has combines its
+    shared uncertainty and that of its offset."""
+    by_number: dict[tuple[str, str], list[_Statement]] = {}
     for each in statements:
         alone = len(numbers.having(each.name)) == 1
-        said.setdefault((each.name, "" if alone else each.state), []).append(each)
+        by_number.setdefault((each.name, "" if alone else each.state), []).append(each)
     found: dict[tuple[str, str], Number] = {}
-    for (name, state), own in sorted(said.items(), key=lambda item: bool(item[0][1])):
+    for (name, state), own in sorted(by_number.items(), key=lambda item: bool(item[0][1])):
         stated = Stated(math.hypot(*(each.stated.deviation for each in own)),
                         origin="; ".join(dict.fromkeys(each.stated.origin for each in own)))
         number = numbers.number(name)
         found[name, state] = replace(number, stated=stated) if not state else Number(
             str(number.parsed.of_state(state)), 0.0, stated=stated, unit=number.unit, tied=number.tied)
-    # The offset of a state is independent of the rest, and takes its share of the correlation away.
-    shares = {name: said[name, ""][0].stated.deviation / number.deviation
+    # The offset of a state is independent of other parameters, so it reduces the correlation.
+    shares = {name: by_number[name, ""][0].stated.deviation / number.deviation
               for (name, state), number in found.items() if not state}
     return Knowledge(tuple(found.values()), fixed, {
         (one, other): value * shares[one] * shares[other] for (one, other), value in correlations.items()})

@@ -1,4 +1,4 @@
-"""An observation of a state beside its impedance, as a table of a campaign file gives it.
+"""An observation of a state beside its impedance, from a campaign file.
 
     [states.filled.observations]
     focusing_time = { value = "2.3 s", uncertainty = "10 %", drive = "10 Vpp", frequency = "1.0263 MHz" }
@@ -6,7 +6,8 @@
     temperature_rise = { value = "4 K", uncertainty = "20 %", drive = "10 Vpp", frequency = "1.03 MHz" }
     ring_radii = { value = ["1.6 mm", "3.1 mm"], uncertainty = "3 %", frequency = "1.03 MHz" }
 
-``uncertainty`` is the standard one, relative to the value. ``drive`` is as of `workbench simulate`; rings have none.
+``uncertainty`` is the standard uncertainty relative to the value. ``drive`` is as for `workbench simulate`; rings have
+none.
 """
 
 from __future__ import annotations
@@ -35,21 +36,19 @@ OBSERVABLES: Mapping[str, tuple[str, str]] = {
 #: Observables of a particle in a liquid.
 OF_PARTICLE = (FOCUSING_TIME, RING_RADII)
 
-#: The keys of every observation, all of them required but for the drive of rings, which stand where they stand at any
-#: drive, and examples of their values; the keys of a temperature rise besides, all of them with defaults.
+#: Required keys of every observation, except that rings need no drive, since their radii do not depend on it; and the
+#: optional keys of a temperature rise.
 OBSERVATION_KEYS = ("value", "uncertainty", "drive", "frequency")
 OF_RISE = ("part", "convection", "holder")
 
-#: Relative standard uncertainty above which an observation says nothing. Doubled, a factor of e passes for one of it.
+#: Relative standard uncertainty above which an observation has no information. Doubled, a factor of e is one sigma.
 VAGUEST = 0.5
 
 
 @dataclass(frozen=True)
 class Cooling:
-    """The part whose mean temperature rises, and the way its heat leaves the chip.
-
-    ``convection`` in W/(m^2 K), and the boundary ``holder`` at ambient temperature, if there is one.
-    """
+    """The part whose mean temperature rises, and its heat loss. ``convection`` is in W/(m^2 K). The boundary
+    ``holder``, if any, is at ambient temperature."""
 
     part: str
     convection: float = STILL_AIR
@@ -58,10 +57,10 @@ class Cooling:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A value of an observable of the ``kind`` in a ``state``: ``value`` (SI) with its relative standard
-    ``uncertainty``, under a ``drive`` at a ``frequency`` (Hz).
+    """An observed ``value`` (SI) of the ``kind`` in a ``state``.
 
-    ``number`` counts several of one kind from 1; 0 is the only one. ``cooling`` is that of a temperature rise.
+    ``uncertainty`` is its relative standard uncertainty, ``frequency`` is in Hz. ``number`` counts several of one kind
+    from 1; 0 is the only one. ``cooling`` is for a temperature rise.
     """
 
     kind: str
@@ -87,14 +86,14 @@ class Observation:
 def read_observations(
     table: FileTable, state: str, device: FilledChip, band: tuple[float, float]
 ) -> tuple[Observation, ...]:
-    """The observations of a state from the table of that state; none where it has no ``observations``.
+    """The observations in the table of a state, () by default.
 
     Args:
-        band: of the state's recording (Hz), outside of which nothing is predicted.
+        band: of the state's recording (Hz); predictions are limited to it.
 
     Raises:
-        InputError: an unknown observable, a key that is missing, a value that is not positive, a frequency outside the
-            band, or a device that cannot be observed so.
+        InputError: an unknown observable, a missing key, a value that is not positive, a frequency outside the band, or
+            a device without this observable.
     """
     listed = table.table("observations")
     for kind in listed:
@@ -136,7 +135,6 @@ def _read(
 
 
 def _values(table: FileTable, kind: str) -> list[float]:
-    """The one value of an observation, or all radii of rings."""
     dimension = OBSERVABLES[kind][0]
     if kind != RING_RADII:
         return [table.quantity("value", dimension)]

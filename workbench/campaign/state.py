@@ -1,4 +1,4 @@
-"""A state of a device and its recording, as a table of a campaign file gives them."""
+"""A state of a device and its recording, from a campaign file."""
 
 from __future__ import annotations
 
@@ -34,13 +34,12 @@ from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Keys of a state in a campaign file; ``known`` is read together with that of the other states.
+#: Keys of a state in a campaign file. `workbench.campaign.knowledge` reads ``known``.
 STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns",
               "without_outliers", "known", "observations")
 
-
-#: Relative standard deviation of a point above which a recording says nothing of a device, and something else is meant.
-#: Doubled, a forgotten sign of 0.4 % passes for 40 %.
+#: Relative standard deviation of a point above which a recording has no information, so the value is a mistake.
+#: Doubled, "0.4" without its percent sign is accepted as 40 %.
 NOISIEST = 0.2
 
 
@@ -48,12 +47,11 @@ NOISIEST = 0.2
 class DeviceState:
     """One state of the device and its recording.
 
-    ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
-    electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
-    point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
-    does); ``findings`` are those of the recording's reader. ``observations`` are its observations beside the impedance.
-    A state that stands for one of these has it as ``observation``, its value as ``measured`` and the uncertainty as
-    ``noise``, which is the state's whose name the observation has.
+    ``device`` is the chip in its state, with its materials. ``drive`` is the voltage amplitude (V, zero to peak) at the
+    electrodes and ``temperature`` is in kelvin; both are None if not stated. ``noise`` (n,) is the standard deviation
+    of every point relative to |Z|; ``stated`` is False if it was estimated from the recording's scatter. ``findings``
+    are those of the recording's reader. ``observations`` are beside the impedance. A state made from an observation
+    (:attr:`observed`) has it as ``observation``, its value as ``measured`` and its uncertainty as ``noise``.
     """
 
     name: str
@@ -70,7 +68,7 @@ class DeviceState:
 
     @cached_property
     def observed(self) -> tuple[DeviceState, ...]:
-        """The states that stand for its observations."""
+        """One state for each of its observations."""
         return tuple(
             replace(self, name=each.name, measured=ObservedValue(np.array([each.frequency]), np.array([each.value])),
                     noise=np.array([each.uncertainty]), stated=True, drive=None, observations=(), observation=each,
@@ -79,13 +77,13 @@ class DeviceState:
 
     @cached_property
     def numbers(self) -> Mapping[str, Number]:
-        """The numbers of the device in this state and of the bench, by each of their names."""
+        """The parameters of the device and the bench, by each name."""
         found = (*device_numbers(self.chip, self.materials.values()).values(), *map(bench_number, BENCH_ELEMENTS))
         return {name: each for each in found for name in each.names}
 
     @property
     def data(self) -> int:
-        """The real data of one point: the two parts of Z, or the one value of an observation."""
+        """Real data per point: 2 for an impedance, 1 for an observation."""
         return 2 if self.observation is None else 1
 
     @property
@@ -99,17 +97,15 @@ class DeviceState:
 
     @property
     def fluid(self) -> Fluid | None:
-        """The fluid in the cavity, if there is one."""
+        """The fluid in the cavity, if any."""
         found = self.materials.get(CAVITY)
         return found if isinstance(found, Fluid) else None
 
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """One state under one hypothesis: reduced chi-square, rms of ln(Z / Z_measured), and how far residuals correlate.
-
-    ``correlation`` is the number of neighbouring points that carry the information of one; ``impedance`` (n,) ohm.
-    """
+    """The fit of one state under one hypothesis. ``reduced`` is the reduced chi-square, ``rms`` that of ln(Z /
+    Z_measured), ``correlation`` the correlation length of the residuals in points, ``impedance`` (n,) in ohm."""
 
     name: str
     reduced: float
@@ -119,38 +115,40 @@ class StateFit:
 
 
 def data_rows(states: Sequence[DeviceState]) -> list[slice]:
-    """The rows of each state among the data of some, real parts and then imaginary parts of one after the other."""
+    """The rows of each state in stacked data: real, then imaginary parts."""
     ends = np.cumsum([0, *(2 * state.noise.size for state in states)]).tolist()
     return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
 def reduced_chi_square(log: Complex, noise: Real, data: int) -> float:
-    """Reduced chi-square of ln(Z_model / Z_measured) (n,), each point of so many real `data` (`DeviceState.data`)."""
+    """Reduced chi-square of ln(Z_model / Z_measured) (n,). `data` is the number of real data per point
+    (`DeviceState.data`)."""
     return float(np.mean(np.abs(log / noise) ** 2) / data)
 
 
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real, *, data: int = 2) -> StateFit:
-    """A state whose ln(Z_model / Z_measured) (n,) is `log`, each point of so many real `data` (`DeviceState.data`)."""
+    """The fit of a state with residuals `log` (n,), ln(Z_model / Z_measured). `data` is the number of real data per
+    point (`DeviceState.data`)."""
     return StateFit(name, reduced_chi_square(log, noise, data), rms(log), correlation_length(log / noise), impedance)
 
 
 def rms_of_impedance(states: Sequence[DeviceState], log: Sequence[Complex]) -> float:
-    """The rms of ln(Z / Z_measured) (n,) of some states over all points, observations beside Z left out."""
+    """The rms of ln(Z / Z_measured) (n,) over all states, without observations."""
     return rms(np.concatenate([each for state, each in zip(states, log, strict=True) if state.observation is None]))
 
 
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
-    """The spectrum of a state as it was fitted."""
+    """The fitted spectrum of a state."""
     return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
 
 
 def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:
-    """The state of that name from its table; paths are relative to `folder`.
+    """Read a state from its table; paths are relative to `folder`.
 
-    A program may give the chip itself, and in place of a recording's path a spectrum or what has one.
+    From a program, the chip may be a value, and the recording a spectrum or an object with one.
 
     Raises:
-        InputError: a mistake in the table or in a file it names, or a recording that cannot be of this device.
+        InputError: a mistake in the table or in one of its files, or a recording that cannot be of this device.
     """
     table.only(STATE_KEYS)
     chip = table.content.get("chip")
@@ -191,7 +189,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
 
 
 def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str, tuple[str, ...]]:
-    """The spectrum of the state, the name that mistakes in it are reported under, and the findings of its reader."""
+    """The spectrum, its name in error messages, and its reader's findings."""
     given, without = table.content.get("recording"), table.flag("without_outliers")
     if given is not None and not isinstance(given, str):
         if without and not isinstance(given, Reading):
@@ -211,7 +209,6 @@ def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str, tuple[str
 
 
 def _expected(table: FileTable, value: str, file: str) -> str:
-    """The words for a value of a state or the path of its file; a campaign's file can state only the path."""
     path = f"the path of its {file}"
     return f"{value} or {path}" if isinstance(table.source, ProgramSource) else path
 
@@ -224,7 +221,7 @@ def _band(table: FileTable) -> tuple[float, float]:
 
 
 def _noise(measured: Spectrum, table: FileTable) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
-    """Relative standard deviation of every point, and whether anybody stated it."""
+    """Relative standard deviation of every point, and whether it was stated."""
     stated = table.optional_quantity("noise", "share")
     if stated is not None and not stated > 0.0:
         raise table.error("noise", "a relative deviation above zero")

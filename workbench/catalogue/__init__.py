@@ -1,1 +1,1 @@
-"""The catalogue of hypotheses: the physics that a model may have left out, each with its terms and numbers."""
+"""The catalogue of hypotheses about physics that a model lacks."""

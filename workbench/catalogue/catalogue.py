@@ -1,11 +1,11 @@
-"""The hypotheses about a device or its model: errors and effects that may be there, and where.
+"""Hypotheses about a device or its model: errors and further effects.
 
-A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
-term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
-hypothesis is a direction in one and the same model, and its score and its refit need no other. A term
-declares the numbers that it brings in, with their ranges (`workbench.physics.term.Term.free`).
+A hypothesis is a set of further parameters, whose neutral values are zero or the stated value. A parameter that no term
+of the base model has comes with its own term, whose coefficient is zero at first. So every hypothesis is a direction in
+one model, and its score and its refit use that model. A term declares its parameters and their ranges
+(`workbench.physics.term.Term.free`).
 
-To add one: a function below, or in `transducer`, that yields it, listed in :data:`SOURCES`.
+To add a hypothesis, write a function that yields it, here or in `transducer`, and list it in :data:`SOURCES`.
 """
 
 from __future__ import annotations
@@ -57,57 +57,57 @@ from workbench.physics.rim import LARGEST_WIDTH, WIDTHS, Rim
 from workbench.physics.solid import ElasticSolid as SolidTerm
 from workbench.physics.term import Admissible, FreeParameter
 
-#: Losses a polymer can have.
+#: Range of a polymer's loss, in words.
 POLYMER = "from none to a rubber"
 
-#: Shares of a stated length between which somebody may have mistaken it: layers spread by hand are hardly known.
+#: Range of a true thickness, relative to the stated one. Layers spread by hand are hardly known.
 SPREAD: Mapping[str, tuple[float, float]] = {"couplant": (0.1, 5.0), "bond": (0.2, 3.0)}
 MISTAKEN_THICKNESS, MISTAKEN_RADIUS = (0.8, 1.2), (0.95, 1.05)
 
-#: Shapes that layers of some roles have without being meant to, and in words.
+#: Unintended shapes of layers by role, in words.
 SHAPED: Mapping[tuple[str, str], str] = {
     ("sidewall", "draft"): "the hole of the printed wall grows wider or narrower upwards",
     ("sidewall", "barrel"): "the outer side of the printed wall bulges, or is hollow",
-    ("superstrate", "bow"): "the lid is bent: higher on its axis than at its rim, or lower",
-    (TRANSDUCER, "dome"): "the disc is not plane-parallel: thicker on its axis than at its rim, or thinner",
+    ("superstrate", "bow"): "the lid is bent: higher on its axis than at its edge, or lower",
+    (TRANSDUCER, "dome"): "the disc is not plane-parallel: thicker on its axis than at its edge, or thinner",
 }
 
-#: Largest error of a stated shape to either side (m or rad), and why.
+#: Largest error of a stated shape to either side (m or rad), and its reason.
 SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
     "draft": (math.radians(5.0), "a hole printed layer on layer: a tenth of a line of 0.4 mm wider at its top than "
               "at the first layer, which is pressed out, is 3 degrees of a wall of 0.7 mm"),
     "barrel": (1e-4, "a printed side: within a quarter of a line of 0.4 mm of where it is meant to be"),
-    "bow": (2e-5, "a lid of glass or polymer bent by glue that shrinks: no more than four tenths of what holds it"),
-    "dome": (1e-5, "lapped discs are sold as plane-parallel to 10 um, and no more than four tenths of the gel on them"),
+    "bow": (2e-5, "a lid of glass or polymer bent by glue that shrinks: no more than 0.4 of the layer of glue"),
+    "dome": (1e-5, "lapped discs are sold as plane-parallel to 10 um, and no more than 0.4 of the gel on them"),
 }
 
-#: Share of the thinnest layer beside a bent face that the bend takes up at most; half would leave nothing where its
-#: thickness is mistaken too.
+#: Largest depth of a bend, relative to the thinnest layer beside the bent face. With 0.5 that layer could vanish if
+#: its thickness is wrong too.
 TAKEN_UP = 0.4
 
-#: The gas where a layer is missing: its names there and in the registry.
+#: Names of the gas in the gaps of a layer: in the model, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 
-#: Widths of the ring that a cavity's liquid does not reach, in shares of the cavity's radius; more than the last one
-#: leaves no cavity to work with.
+#: Widths of the annulus without liquid at the wall of a cavity, relative to the cavity's radius. A chip with a wider
+#: one would not be used.
 NOT_FULL = (0.04, 0.1, 0.18, 0.28)
 
-#: Reason why a straight chip has no hypothesis of that kind.
+#: Reason why a straight chip lacks a hypothesis.
 NO_AXIS = "which is made for chips that turn about an axis"
 
-#: Largest share of a joint that is open.
-HELD = 0.9
+#: Largest open width of a joint, relative to the joint's width.
+LARGEST_OPENING = 0.9
 
 
 def effects(device: Device) -> tuple[Effect, ...]:
-    """All hypotheses that a device can have; none that moves a fixed number."""
+    """All hypotheses about a device, except those that move a fixed parameter."""
     return effects_and_others(device)[0]
 
 
 def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Effects of a device, and in words those left out: they need a layer without a profile or an axis, or cannot be
-    made."""
-    found, others = list[Effect](), list[str]()
+    """The hypotheses about a device, and the reasons for those left out. A hypothesis is left out if it needs a layer
+    without a profile, needs an axis, or cannot be built."""
+    usable, others = list[Effect](), list[str]()
     for effect in (effect for source in SOURCES for effect in _made(source, device, others)):
         profiled = _profiled(device, effect)
         if set(effect.names) & set(device.fixed):
@@ -115,22 +115,22 @@ def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, .
         if _needs_axis(device, effect):
             others.append(f"{effect.name}, {NO_AXIS}")
         elif profiled:
-            others.append(f"{effect.name}, which acts on a part of the {profiled}, whose outline is a profile")
+            others.append(f"{effect.name}, because it acts on a part of the {profiled}, whose outline is a profile")
         else:
-            found.append(effect)
-    return tuple(found), tuple(others)
+            usable.append(effect)
+    return tuple(usable), tuple(others)
 
 
 def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: list[str]) -> Iterator[Effect]:
-    """The hypotheses of one source, as far as it comes; that the rest cannot be made goes to `others`."""
+    """The hypotheses of one source; `others` gets the reason for a failure."""
     try:
         yield from source(device)
     except ValueError as error:
-        others.append(f"what else may be wrong with {source.__name__.replace('_', ' ')}, because {error}")
+        others.append(f"further hypotheses about {source.__name__.replace('_', ' ')}, because {error}")
 
 
 def _needs_axis(device: Device, effect: Effect) -> bool:
-    """Whether an effect has terms that need an axis in a state whose section has none."""
+    """Whether an effect needs an axis that a state lacks."""
     return any(term.needs_axis for state in _straight(device) for term in effect.terms.get(state.name, ()))
 
 
@@ -139,10 +139,10 @@ def _straight(device: Device) -> list[DeviceState]:
 
 
 def _profiled(device: Device, effect: Effect) -> str:
-    """The layer with a profile that an effect would have to act on a part of, or across; "" for none."""
+    """The layer with a profile that rules out an effect, or ""."""
     for state in device.states:
         profiled = {layer.region for layer in state.chip.layers if layer.profile is not None}
-        profiled |= {CAVITY} if profiled else set()  # what they enclose
+        profiled |= {CAVITY} if profiled else set()  # the profiled layers enclose it
         for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
             across = set(integral.place.split("|")) & set(integral.opposite.split("|"))
             own = {*integral.place.split("|")} if integral.radius_fraction or integral.skin else across
@@ -156,13 +156,13 @@ def _profiled(device: Device, effect: Effect) -> str:
 
 
 def cavity_fluid(device: Device) -> Iterator[Effect]:
-    """Other properties of the liquid in the cavity, and bubbles or gas in it."""
+    """Other properties of the cavity's liquid, and gas in it."""
     states = device.filled
     fluid = states[0].fluid if states else None
     if fluid is None:
         return
     absorbing, known = absorption.BulkAbsorption(CAVITY, fluid.name), fluid.diffusivity_of_sound
-    # A liquid whose viscosities are stated absorbs already.
+    # A liquid with stated viscosities absorbs in the base model.
     yield with_terms("fluid absorption", CAVITY, "loss", "the liquid absorbs more sound than its viscosities say",
                      states if known is None else (), lambda _: [absorbing],
                      free=tuple(replace(each, neutral=known or 0.0) for each in absorbing.free()))
@@ -183,7 +183,7 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
 
 
 def meniscus(device: Device) -> Iterator[Effect]:
-    """A cavity that is not full: gas beside its wall, where the ports are."""
+    """Gas at the side wall of the cavity, where the ports are."""
     states = device.filled
     if states and states[0].fluid is not None:
         yield _missing(device, "cavity not full", "the liquid does not reach the wall that the ports are in", states,
@@ -193,7 +193,7 @@ def meniscus(device: Device) -> Iterator[Effect]:
 def _missing(
     device: Device, name: str, about: str, states: Sequence[DeviceState], region: str, fluid: Fluid, rim: Rim
 ) -> Effect:
-    """A fluid with gas in its place at the rim of its region."""
+    """Gas in an annulus at the edge of a fluid's region."""
     air = device.load_fluid(AIR)
     return with_terms(name, region, "geometry", about, states,
                       lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS, rim)],
@@ -201,7 +201,7 @@ def _missing(
 
 
 def ports(device: Device) -> Iterator[Effect]:
-    """Openings in the side wall of a cavity that holds a liquid."""
+    """Openings in the side wall of a cavity with a liquid."""
     def necks(state: DeviceState) -> list[port_necks.PortNecks]:
         return [port_necks.PortNecks(interface(CAVITY, region), region, CAVITY, state.materials[CAVITY].name,
                                      "port necks") for region in _touched(state) if role_of(region) == "sidewall"]
@@ -213,14 +213,14 @@ def ports(device: Device) -> Iterator[Effect]:
 
 
 def _touched(state: DeviceState) -> list[str]:
-    """The solids that the cavity touches."""
+    """Solids in contact with the cavity."""
     pairs = (boundary.split("|") for boundary in state.device.section.boundary_names())
     found = [side for pair in pairs if CAVITY in pair for side in pair]
     return [side for side in dict.fromkeys(found) if isinstance(state.materials.get(side), IsotropicSolid)]
 
 
 def soaked(device: Device) -> Iterator[Effect]:
-    """Solids that take up the liquid: other constants in the filled states than in the empty ones."""
+    """Solids whose constants change as they absorb the cavity's liquid."""
     if not device.filled or len(device.filled) == len(device.states):
         return
     done: set[str] = set()
@@ -247,7 +247,7 @@ def _swollen(device: Device, material: IsotropicSolid, region: str) -> Effect:
 
 
 def top(device: Device) -> Iterator[Effect]:
-    """A load on the stack, or a hold from above."""
+    """A load or a contact on top of the stack."""
     for region in dict.fromkeys(_highest(state) for state in device.states):
         if region != TRANSDUCER:
             yield _loaded(device, region)
@@ -280,7 +280,7 @@ def couplant(device: Device) -> Iterator[Effect]:
 
 def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     def shearing(state: DeviceState) -> list[couplant_shear.CouplantShear]:
-        # Between two solids, which may be others in another state.
+        # The two solids may differ between states.
         below, above = neighbours(state, region)
         return [couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
                                              below, above)] if below and above else []
@@ -290,7 +290,7 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
                          states, shearing)
     if viscous.terms:
         yield viscous
-    yield _missing(device, f"{region} missing at its rim", "the layer does not reach its rim everywhere", states,
+    yield _missing(device, f"{region} missing at its rim", "the layer does not reach its edge everywhere", states,
                    region, fluid, Rim(f"{region} rim"))
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
     stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
@@ -299,7 +299,7 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
 
 
 def bonds(device: Device) -> Iterator[Effect]:
-    """Thin solid layers that hold less than their material does."""
+    """Thin solid layers that are more compliant than their material."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "bond"):
         material = device.holding(region)[0].materials[region]
         if isinstance(material, IsotropicSolid):
@@ -317,7 +317,7 @@ def _springs(device: Device, region: str, material: str, *, upper: bool) -> Iter
 
 
 def joints(device: Device) -> Iterator[Effect]:
-    """Superstrates that are held in a part of their area only, by a bond or where they touch the layer below."""
+    """Superstrates that are joined to the layer below only in part."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "superstrate"):
         state = device.holding(region)[0]
         below, _ = neighbours(state, region)
@@ -327,32 +327,32 @@ def joints(device: Device) -> Iterator[Effect]:
 
 def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
     states = device.holding(region)
-    # Without a bond, what touches it is the lower face of the superstrate.
+    # Without a bond, the joint is the lower face of the superstrate.
     joint = below if role_of(below) == "bond" else region
     material = states[0].materials[joint].name
-    held, own = states[0].chip.layer(below), states[0].chip.layer(joint).radius.value
-    # Shares of the joint's radius between which it holds.
-    hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
-    rim = min(held.radius.value / own, 1.0)
+    lower, own = states[0].chip.layer(below), states[0].chip.layer(joint).radius.value
+    # Inner and outer radius of the joint, relative to the radius of its layer.
+    hole = 0.0 if lower.cavity_radius is None else lower.cavity_radius.value / own
+    edge = min(lower.radius.value / own, 1.0)
     skin = 0.0 if joint == below else -open_bond.SKIN
 
-    def reach(widths: Sequence[float]) -> float:
-        """The largest of some widths that leaves something of the joint; of none, all that does."""
-        most = HELD * (rim - hole)
+    def widest(widths: Sequence[float]) -> float:
+        """The largest of some widths within the limit; without one, the limit."""
+        most = LARGEST_OPENING * (edge - hole)
         return max((width for width in widths if width <= most), default=most)
 
-    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LARGEST_WIDTH)))
-    yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
+    outside = Rim(f"{joint} open at its rim", edge, widest((*WIDTHS, LARGEST_WIDTH)))
+    yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its edge", states,
                      lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:
         widths = outside.widths_from(hole)
-        inside = Rim(f"{joint} open around the cavity", hole, reach(widths), True, widths)
+        inside = Rim(f"{joint} open around the cavity", hole, widest(widths), True, widths)
         yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 
 
 def solid_hypotheses(device: Device) -> Iterator[Effect]:
-    """Stiffness, loss and mass of every passive solid that are not as stated."""
+    """Wrong stiffness, loss or density of a passive solid."""
     for material, regions in device.materials().values():
         if not isinstance(material, IsotropicSolid):
             continue
@@ -372,7 +372,7 @@ def solid_hypotheses(device: Device) -> Iterator[Effect]:
 
 
 def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effect]:
-    """A loss that grows with frequency, and the dispersion that goes with it; layers of a print."""
+    """A loss that depends on frequency, and the anisotropy of prints."""
     middle = float(sum(device.states[-1].chip.band) / 2.0)
     yield with_terms(f"fractional loss of {name}", regions[0], "loss", "a loss that changes with frequency, and the "
                      "stiffness that must change with it", device.states,
@@ -385,7 +385,7 @@ def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effe
 
 
 def shapes(device: Device) -> Iterator[Effect]:
-    """Layers that have no plane faces and upright sides, or are shaped otherwise than stated."""
+    """Layers with other shapes than stated."""
     chips = {layer.region: state.chip for state in device.states for layer in state.chip.layers}
     materials = {region: material for state in device.states for region, material in state.materials.items()}
     for region, chip in chips.items():
@@ -399,12 +399,12 @@ def shapes(device: Device) -> Iterator[Effect]:
 
 
 def mistaken_shape(chip: Chip, name: str) -> Admissible:
-    """The range of the shape ``<region>.<what>`` of a layer, about the one that the chip's file states, if any."""
+    """The range of the shape ``<region>.<shape>`` about its stated value."""
     region, _, shape = name.rpartition(".")
     most, source = SHAPE_LIMITS[shape]
     layers = [layer.region for layer in chip.layers]
     at = layers.index(region)
-    # The layer beside a bent face takes the bend up.
+    # The layers beside a bent face fill the bend.
     beside = {"bow": (at - 1, at + 1), "dome": (at + 1,)}.get(shape, ())
     thinnest = min((chip.layers[k].thickness.value for k in beside if 0 <= k < len(layers)), default=math.inf)
     most = min(most, TAKEN_UP * thinnest)
@@ -414,7 +414,7 @@ def mistaken_shape(chip: Chip, name: str) -> Admissible:
 
 
 def lengths(device: Device) -> Iterator[Effect]:
-    """Dimensions that are not as stated."""
+    """Dimensions that differ from the stated ones."""
     known = {name: dimension for state in device.states for name, dimension in state.chip.dimensions().items()}
     for name, dimension in known.items():
         parsed = ParameterName.parse(name)
@@ -430,13 +430,13 @@ def lengths(device: Device) -> Iterator[Effect]:
 
 
 def mistaken_length(name: str, value: float) -> Admissible:
-    """The range of the dimension ``<region>.<what>``, where a chip's file states `value` (m)."""
+    """The range of the dimension ``<region>.<length>``, whose stated `value` is in metres."""
     parsed = ParameterName.parse(name)
     low, high = MISTAKEN_THICKNESS if parsed.is_shape else MISTAKEN_RADIUS
     if parsed.is_thickness:
         low, high = SPREAD.get(role_of(parsed.owner), MISTAKEN_THICKNESS)
     return Admissible(low * value, high * value, parsed.unit,
-                      f"{low:g} to {high:g} times what is stated: a mistake that goes unnoticed")
+                      f"{low:g} to {high:g} times the stated value: a mistake that goes unnoticed")
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""A hypothesis of the catalogue, the device it is about, and hypotheses made of terms or of stated numbers."""
+"""Hypotheses of the catalogue, made of terms or of stated parameters."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
 class Effect:
     """One hypothesis.
 
-    ``region`` is where it sits: a region, ``<region>|<region>`` or "bench"; ``kind`` stiffness, mass, loss, geometry,
-    coupling or bench. ``parameters`` are new ones; ``releases`` names known parameters whose priors it releases.
-    ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by the name of the state.
+    ``region`` is a region, ``<region>|<region>`` or "bench"; ``kind`` is stiffness, mass, loss, geometry, coupling or
+    bench. ``parameters`` are new; ``freed`` names parameters of the model whose priors it removes. ``admissible``
+    bounds its parameters, with the source. ``terms`` and ``values`` are by name of the state.
     """
 
     name: str
@@ -35,35 +35,34 @@ class Effect:
     kind: str
     about: str
     parameters: tuple[Parameter, ...] = ()
-    releases: tuple[str, ...] = ()
+    freed: tuple[str, ...] = ()
     admissible: Mapping[str, Admissible] = field(default_factory=dict)
     terms: Mapping[str, tuple[Term, ...]] = field(default_factory=dict)
     values: Mapping[str, Mapping[str, complex]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters that it moves."""
-        return (*(p.name for p in self.parameters), *self.releases)
+        """Names of all its free parameters."""
+        return (*(p.name for p in self.parameters), *self.freed)
 
     @property
     def rims(self) -> tuple[str, ...]:
-        """Names of the widths of rims among them."""
-        return tuple(dict.fromkeys(term.rim.number for held in self.terms.values() for term in held
+        """Names of the widths of annuli among its parameters."""
+        return tuple(dict.fromkeys(term.rim.number for terms in self.terms.values() for term in terms
                                    if isinstance(term, OfRim)))
 
     def with_rings(self, widths: Mapping[str, float]) -> Effect:
-        """A copy with rings about the edges of those rims whose `widths` by name are given."""
+        """A copy with meshes refined about annuli of given `widths`, by name."""
         def own(term: Any) -> Term:
             known = isinstance(term, OfRim) and term.rim.number in widths
             return replace(term, rim=term.rim.about(widths[term.rim.number])) if known else term
 
-        return replace(self, terms={state: tuple(map(own, held)) for state, held in self.terms.items()})
+        return replace(self, terms={state: tuple(map(own, terms)) for state, terms in self.terms.items()})
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """The device as the catalogue sees it: its states, the uncertainties of its numbers, and the registry of materials.
-    """
+    """The states, priors and materials that the catalogue uses."""
 
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
@@ -78,7 +77,7 @@ class Device:
 
     @cached_property
     def by_name(self) -> tuple[Material, ...]:
-        """The materials of the registry, each name by the entry that it means alone; without those that mean none."""
+        """The materials of the registry that a name without a source identifies."""
         found = []
         for name in dict.fromkeys(each.partition("/")[0] for each in self.registry.names()):
             try:
@@ -92,11 +91,11 @@ class Device:
 
     @property
     def filled(self) -> tuple[DeviceState, ...]:
-        """States whose cavity holds a liquid."""
+        """States with a liquid in the cavity."""
         return tuple(s for s in self.states if s.fluid is not None and is_liquid(s.fluid))
 
     def materials(self) -> dict[str, tuple[Material, tuple[str, ...]]]:
-        """Every material by name, and the regions it fills in some state."""
+        """Every material by name, and its regions in all states."""
         found: dict[str, tuple[Material, tuple[str, ...]]] = {}
         for state in self.states:
             for region, material in state.materials.items():
@@ -110,17 +109,17 @@ def is_liquid(material: Material | None) -> bool:
 
 
 def is_polymer(material: Material | None) -> bool:
-    """Whether it is a solid as soft as a polymer."""
+    """Whether it is a solid with a shear modulus below 10 GPa."""
     return isinstance(material, IsotropicSolid) and abs(material.shear_modulus) <= 1e10
 
 
 def filled_with(state: DeviceState, material: str) -> list[str]:
-    """The regions that the material of that name fills in a state."""
+    """The regions of that material in a state."""
     return [region for region, found in state.materials.items() if found.name == material]
 
 
 def neighbours(state: DeviceState, region: str) -> tuple[str, str]:
-    """The layers below and above one, "" where there is none."""
+    """The layers below and above a layer, "" for none."""
     order = ["", *(layer.region for layer in state.chip.layers), ""]
     at = order.index(region)
     return order[at - 1], order[at + 1]
@@ -132,25 +131,25 @@ def with_terms(
     values: Callable[[DeviceState], Mapping[str, complex]] = lambda _: {},
     *, free: tuple[FreeParameter, ...] | None = None,
 ) -> Effect:
-    """The hypothesis that brings `terms` into `states`, with all numbers neutral at first.
+    """The hypothesis that adds `terms` to `states`, at neutral values.
 
-    `values` are what the terms need beyond what they state themselves and what a state does (its lengths, its drive);
-    `free` stands in place of what the terms say is free of them. States to which no term is given are left out.
+    `values` are further constants of the terms in a state; lengths of the chip and its drive are found here. `free`
+    replaces the free parameters that the terms declare. States without a term are left out.
     """
-    held = {state.name: made for state in states if (made := tuple(terms(state)))}
-    numbers = {each.name: each for made in held.values() for term in made for each in term.free()}
+    by_state = {state.name: made for state in states if (made := tuple(terms(state)))}
+    numbers = {each.name: each for made in by_state.values() for term in made for each in term.free()}
     if free is not None:
         numbers = {each.name: each for each in free}
     own = {state.name: {
         **{each.name: each.neutral for each in numbers.values() if not each.name.endswith(LOSS)},
-        **{name: value for term in held[state.name] for name, value in term.fixed().items()},
-        **_stated(state, held[state.name]), **values(state)} for state in states if state.name in held}
+        **{name: value for term in by_state[state.name] for name, value in term.fixed().items()},
+        **_stated(state, by_state[state.name]), **values(state)} for state in states if state.name in by_state}
     return Effect(label, region, kind, about, tuple(as_parameter(each) for each in numbers.values()),
-                  admissible={name: each.admissible for name, each in numbers.items()}, terms=held, values=own)
+                  admissible={name: each.admissible for name, each in numbers.items()}, terms=by_state, values=own)
 
 
 def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
-    """Those numbers of a state that terms need: lengths of its chip (m), and the square of its drive (V^2)."""
+    """The lengths (m) and the squared drive (V^2) of a state."""
     known = {name: length.value for name, length in state.chip.dimensions().items()}
     if state.drive is not None:
         known[DRIVE_SQUARED] = state.drive**2
@@ -159,22 +158,22 @@ def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
 
 
 def as_parameter(free: FreeParameter) -> Parameter:
-    """A number as a parameter without a prior: anywhere within its admissible range, the neutral value included."""
+    """A parameter without a prior, within its admissible range."""
     limit, start = free.admissible, free.neutral
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
 
 def mistaken(name: str, value: float, share: float) -> dict[str, Admissible]:
-    """The admissible range of the number called `name`, its stated `value` (SI) being wrong by up to a `share`."""
+    """The admissible range of a `value` (SI) within a relative error `share`."""
     return {name: Admissible((1.0 - share) * value, (1.0 + share) * value, ParameterName.parse(name).unit,
-                             f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")}
+                             f"within {100 * share:g} % of the stated value: a mistake that goes unnoticed")}
 
 
 def other_than_stated(
     device: Device, label: str, region: str, kind: str, about: str, limits: Mapping[str, Admissible], *,
     relative: bool = False,
 ) -> Effect:
-    """The hypothesis that numbers of the model differ from the stated ones; priors of known numbers are released."""
+    """The hypothesis that parameters of the model differ from their stated values."""
     parameters = []
     for name, limit in limits.items():
         start = 1.0 if relative else float(min(max(stated_number(name, device.states), limit.lowest), limit.highest))

@@ -1,4 +1,4 @@
-"""Hypotheses about how a chip was filled, held and made."""
+"""Hypotheses about how a chip was filled, gripped and made."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from workbench.physics import gas_pocket, other_material, surface_load
 from workbench.physics.rim import Rim
 from workbench.physics.term import Term
 
-#: Depths of slabs above a free surface, in shares of the cavity's height; more than the last one leaves a film. A
-#: search refines them where it finds the surface; each is a row of elements in every mesh of a score.
+#: Depths of slabs above a free surface, relative to the cavity's height. Beyond the last one the liquid is a film. A
+#: search refines them near the surface; each is a row of elements in every mesh of a score.
 DEPTHS = (0.05, 0.15, 0.35, 0.7)
 
-#: Areas of discs under a bubble, in shares of the lid's area over the cavity; a larger one is an empty chip.
+#: Areas of discs under a bubble, relative to the lid's area over the cavity. Beyond the last one the chip is empty.
 AREAS = (0.04, 0.15, 0.4, 0.8)
 
-#: Roles of layers that a laboratory makes of one material or another. In a film of gel or glue, stiffness over
-#: thickness alone shows, and thickness and shear have hypotheses of their own.
+#: Roles of layers that may be of another material. A film of gel or glue is not among them: only its stiffness over
+#: thickness is observable, and thickness and shear have their own hypotheses.
 MADE = ("substrate", "sidewall", "superstrate", "sample", "layer", "matching")
 
-#: Roles of layers that a chip is held at.
-HELD_AT = ("substrate", "superstrate")
+#: Roles of layers that a holder grips.
+GRIPPED = ("substrate", "superstrate")
 
-#: Root mean square of the logarithms of ratios of constants up to which two materials are one; and largest ratio of a
-#: density and of a shear modulus between materials of one kind. PLA and PETG differ by 0.32; glass and silicon by
-#: factors of 1 and 2.3, glass and steel by 3.2 in density.
+#: ALIKE is the rms of the log ratios of constants up to which two materials count as one: PLA and PETG differ by 0.32.
+#: OF_A_KIND is the largest ratio of densities and of shear moduli within a kind: glass and silicon differ by factors
+#: of 1 and 2.3, glass and steel by 3.2 in density.
 ALIKE, OF_A_KIND = 0.08, (2.0, 5.0)
 
 _Kind = TypeVar("_Kind", Fluid, IsotropicSolid)
 
 
 def filling(device: Device) -> Iterator[Effect]:
-    """A liquid that does not fill its cavity, or with a bubble in it, or that is another one."""
+    """A partly filled cavity, a bubble in it, or another liquid."""
     states = device.filled
     if not states or not isinstance(fluid := states[0].fluid, Fluid):
         return
@@ -57,24 +57,23 @@ def filling(device: Device) -> Iterator[Effect]:
                              _lid(state))])
     for other in others_of_kind(device, fluid):
         yield _exchanged(device, states, CAVITY, other, f"{_short(other.name)} in the cavity", "the liquid is another "
-                         "than stated, or holds a share of it")
+                         "than stated, or contains a share of it")
 
 
 def _height(state: DeviceState) -> float:
-    """The height (m) of the cavity."""
     return state.chip.holes[-1].z_top - state.chip.holes[0].z_bottom
 
 
 def _lid(state: DeviceState) -> str:
-    """The layer that covers the cavity, "" for an open one."""
+    """The layer over the cavity, "" for an open cavity."""
     order = [layer.region for layer in state.chip.layers]
     above = order[order.index(state.chip.holes[-1].region) + 1:]
     return above[0] if above and interface(CAVITY, above[0]) in state.device.section.boundary_names() else ""
 
 
 def gripped(device: Device) -> Iterator[Effect]:
-    """A chip that is held at the outer side of its lid or its substrate."""
-    for region in dict.fromkeys(r for state in device.states for r in state.materials if role_of(r) in HELD_AT):
+    """A holder at the outer side of the lid or the substrate."""
+    for region in dict.fromkeys(r for state in device.states for r in state.materials if role_of(r) in GRIPPED):
         yield _gripped(device, region)
 
 
@@ -85,7 +84,7 @@ def _gripped(device: Device, region: str) -> Effect:
 
 
 def made_of(device: Device) -> Iterator[Effect]:
-    """A layer of another material of its kind than stated."""
+    """A layer of another material of the same kind."""
     for region in dict.fromkeys(r for state in device.states for r in state.materials if role_of(r) in MADE):
         states = device.holding(region)
         stated = states[0].materials[region]
@@ -97,7 +96,7 @@ def made_of(device: Device) -> Iterator[Effect]:
 def _exchanged(
     device: Device, states: tuple[DeviceState, ...], region: str, other: Material, name: str, about: str
 ) -> Effect:
-    """The hypothesis that a region of some states holds another material."""
+    """The hypothesis that a region of some states is of another material."""
     def term(state: DeviceState) -> other_material.OtherMaterial:
         return other_material.OtherMaterial(_terms(state, region), name)
 
@@ -105,7 +104,7 @@ def _exchanged(
         stated, made = state.materials[region], term(state)
         own, there = ({name.rpartition(".")[2]: value for name, value in material_values(each).items()}
                       for each in (stated, _at_temperature_of(device, other, stated)))
-        # A constant that either does not have stays as it is.
+        # A constant that one of the two lacks stays unchanged.
         return {made.ratio(key): there[key] / own[key] if own.get(key) and there.get(key) else 1.0
                 for key in made.constants()}
 
@@ -113,7 +112,7 @@ def _exchanged(
 
 
 def _terms(state: DeviceState, region: str) -> tuple[Term, ...]:
-    """The terms of the base model that hold constants of the material in a region."""
+    """The terms of the base model with constants of a region's material."""
     material = state.materials[region]
     own = terms_of(region, material)
     if not isinstance(material, Fluid) or state.device.inviscid:
@@ -125,17 +124,17 @@ def _terms(state: DeviceState, region: str) -> tuple[Term, ...]:
 
 
 def _at_temperature_of(device: Device, other: Material, stated: Material) -> Material:
-    """The `other` material at the temperature of the stated one, where both depend on it."""
+    """The `other` material at the temperature of the stated one."""
     if other.temperature is None or stated.temperature is None:
         return other
     return device.registry.load(other.name, temperature=stated.temperature)
 
 
 def others_of_kind(device: Device, stated: _Kind) -> list[_Kind]:
-    """The materials of the registry that can be mistaken for the `stated` one, nearest first: as dense and as stiff
-    within :data:`OF_A_KIND`, and told apart from it and from each other by more than :data:`ALIKE`.
+    """Materials that may be mistaken for the `stated` one, nearest first.
 
-    Liquids are those with a viscosity.
+    Their density and stiffness are within :data:`OF_A_KIND` of it. They differ from it and from each other by more than
+    :data:`ALIKE`. Liquids have a viscosity.
     """
     found = sorted(((_distance(stated, material), material) for material in device.by_name
                     if isinstance(material, type(stated)) and _is_of_kind(stated, material)), key=lambda each: each[0])
@@ -158,12 +157,12 @@ def _distance(one: _Kind, other: _Kind) -> float:
 
 
 def _logarithms(material: Fluid | IsotropicSolid) -> np.ndarray:
-    """Logarithms of density and of the moduli that carry sound."""
+    """Logarithms of density and of the moduli that determine sound speeds."""
     if isinstance(material, Fluid):
         return np.log([material.density, material.density * material.sound_speed**2])
     return np.log([material.density, material.shear_modulus.real, material.bulk_modulus.real])
 
 
 def _short(name: str) -> str:
-    """The name of a material without its source, in words."""
+    """The name of a material in words, without its source."""
     return name.partition("/")[0].replace("_", " ")

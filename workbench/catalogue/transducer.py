@@ -1,4 +1,4 @@
-"""The hypotheses about a ceramic disc."""
+"""Hypotheses about a ceramic disc."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from workbench.physics import depoled, electrode_mass, partial_electrode, soften
 from workbench.physics.rim import Rim
 from workbench.physics.term import Admissible
 
-#: Loss factors a data sheet's ceramic can have.
+#: Range of a ceramic's loss factors, in words.
 CERAMIC = "from none to a soft ceramic driven hard: data sheets state 0.1 to 2 %"
 
-#: The power of a factor on a disc's density that each constant takes with it where its impedance stays the same.
+#: Exponent of each constant: a disc scaled by factor**exponent has the same impedance for every factor.
 GAUGE = {**dict.fromkeys(("density", "c11", "c12", "c13", "c33", "c44"), 1.0),
          **dict.fromkeys(("e31", "e33", "e15"), 0.5)}
 
-#: Range of the density that a ceramic's constants were fitted with.
+#: Relative error of the density that was assumed in the fit of a ceramic's constants.
 MISTAKEN_GAUGE = Admissible(
     -0.08, 0.08, "1", "nearly twice the 4.8 % between the density stated in Acevedo-Espinosa et al. (RP-UEIS), "
     "7862 kg/m^3, and the 7500 with which their constants resonate where they measured")
@@ -45,11 +45,11 @@ def transducer(device: Device) -> Iterator[Effect]:
     yield with_terms("electrode mass", TRANSDUCER, "mass", "the metal on the faces has a mass, and a stiffness of its "
                      "own", states,
                      lambda _: [electrode_mass.ElectrodeMass(ELECTRODE_LIVE, ELECTRODE_GROUND, TRANSDUCER)])
-    yield with_terms("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a rim that is not "
+    yield with_terms("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "an edge that is not "
                      "poled", states, lambda _: [depoled.DepoledRim(TRANSDUCER, material.name,
                                                                         Rim("rim without poling"))])
     yield with_terms("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare "
-                     "at its rim", states, lambda state: [partial_electrode.PartialElectrode(
+                     "at its edge", states, lambda state: [partial_electrode.PartialElectrode(
                          TRANSDUCER, material.name, Rim("bare rim"), upper=_is_live_on_top(state))])
     yield with_terms("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
                      states, lambda state: [surface_load.SurfaceLoad(
@@ -60,12 +60,12 @@ def transducer(device: Device) -> Iterator[Effect]:
 
 
 def _is_live_on_top(state: DeviceState) -> bool:
-    """Whether the live electrode is on the face that the stack stands on."""
+    """Whether the live electrode is on the face below the stack."""
     return state.chip.electrodes.live == "top"
 
 
 def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, Admissible]:
-    """The range of a loss: up to 5 % of the real part, of one sign, or (0) of either."""
+    """The range of a loss up to 5 %. The loss has the sign `sign`; 0 allows both."""
     size = 0.05 * abs(complex(getattr(material, coefficient)).real)
     low, high = sorted((0.0, sign * size)) if sign else (-size, size)
     name = f"{material.name}.{coefficient}{LOSS}"
@@ -73,7 +73,7 @@ def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, A
 
 
 def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
-    """Constants and losses that are not as stated."""
+    """Constants and losses that differ from the stated ones."""
     dielectric = _loss(material, "eps33", 1.0)
     yield other_than_stated(device, "dielectric loss", TRANSDUCER, "loss", "the permittivity has a loss", dielectric)
     yield other_than_stated(device, "complex piezoelectric constant", TRANSDUCER, "loss", "e33 has a phase of its own",
@@ -90,8 +90,8 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
 
 
 def _gauge(material: str) -> Effect:
-    """A disc that was fitted with a wrong density: alone it has the spectrum of the right one, under a load it has not.
-    """
+    """A disc whose constants were fitted with a wrong density. Its spectrum is the right one without a load, and a
+    wrong one under a load."""
     name, limit = f"{TRANSDUCER}.gauge", MISTAKEN_GAUGE
     powers = tuple((f"{material}.{coefficient}", power) for coefficient, power in GAUGE.items())
     return Effect("density that the constants were fitted with", TRANSDUCER, "mass", "the disc's constants come from a "

@@ -1,5 +1,6 @@
-"""The commands of ``workbench``, one module a command, of its name: options are parsed, results written and printed.
+"""The commands of ``workbench``, one module each.
 
-Such a module has ``run(options, console) -> int``, which returns the exit status; the command line imports it once the
-options are parsed. A command is added by its module here and by its parser in :mod:`workbench.commands.options`.
+A module has ``run_<command>(options, console) -> int``, which runs the command with parsed options, writes and prints
+results, and returns the exit status. The command line imports it after parsing. A command is added by its module here
+and by its parser in :mod:`workbench.commands.options`.
 """

@@ -62,14 +62,14 @@ def run_app(options: argparse.Namespace, console: Console) -> int:
         if not options.no_browser:
             webbrowser.open(address)
 
-    # Its usual end.
+    # Ctrl-C is the usual end.
     with contextlib.suppress(KeyboardInterrupt), _cancelling():
         asyncio.run(view.serve(options.port, ready))
     return 0
 
 
 def diagnose_as_command(send: Send, *, campaign: Path, folder: Path) -> None:
-    """``workbench diagnose`` in this process; sends its exit status."""
+    """Run ``workbench diagnose`` in this process; send its exit status."""
     from workbench.cli import main
 
     send(main(["diagnose", str(campaign), "-o", str(folder)]))
@@ -77,8 +77,9 @@ def diagnose_as_command(send: Send, *, campaign: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _cancelling() -> Iterator[None]:
-    """Ctrl-C cancels what `asyncio.run` runs, which then ends in order, and raises nothing within it: asyncio sees to
-    that where the handler is the interpreter's own. The other signals that interrupt a command do the same."""
+    """Let Ctrl-C and other signals cancel `asyncio.run` in good order. asyncio cancels its main task, without an
+    exception in it, if the handler of SIGINT is the interpreter's own. The other signals that interrupt a command raise
+    SIGINT."""
     ours = threading.current_thread() is threading.main_thread()
     before = {end: handler for end in ENDS if ours and (handler := signal.getsignal(end)) is not signal.SIG_IGN}
     for end in before:

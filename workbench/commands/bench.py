@@ -1,4 +1,4 @@
-"""``workbench bench``: the ports and who answers, a check of the whole bench, and the simulated one."""
+"""``workbench bench``: ports, a check of the bench, and a simulated bench."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from workbench.simulation.solved_spectrum import frequency_grid
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Of the open-circuit voltage, beside what probes and generator may be off: more than this cannot be true.
+#: Largest plausible ratio of a signal to the open-circuit voltage, with the errors of probes and generator.
 POSSIBLE = 1.1
 
-#: A signal of fewer converter steps, zero to peak, measures nothing.
+#: Least amplitude of a signal in converter steps, zero to peak.
 LEAST_COUNTS = 4
 
 #: The pairs of probes that a simulated bench may have.
@@ -58,7 +58,7 @@ def run_bench(options: argparse.Namespace, console: Console) -> int:
 
 
 def _list(options: argparse.Namespace, console: Console) -> int:
-    """Every port of the computer, those named beside, and what answers there."""
+    """Print every port, the named ones too, and their instruments."""
     ports = [(port.name, port.description) for port in found_ports()]
     ports += [(name, "named") for name in options.ports if name not in dict(ports)]
     if not ports:
@@ -71,12 +71,12 @@ def _list(options: argparse.Namespace, console: Console) -> int:
         except InstrumentError as error:
             answer = f"({str(error).removeprefix(f'{name}: ')})"
         rows.append((name, description, answer or "nothing answers"))
-    print_table("Ports", TextTable(("port", "what the system says", "who answers"), tuple(rows)))
+    print_table("Ports", TextTable(("port", "description", "instrument"), tuple(rows)))
     return 0
 
 
 def _check(options: argparse.Namespace, console: Console) -> int:
-    """Identify both instruments, set and read back, capture once under drive; say what is wrong. The drive ends off."""
+    """Identify both instruments, set and read back, capture once, print faults. The drive is off at the end."""
     setup = read_bench(options.bench)
     try:
         with Rig(setup, marker_path(options.bench)) as rig:
@@ -94,7 +94,7 @@ def _check(options: argparse.Namespace, console: Console) -> int:
 
 
 def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
-    """Faults of the signals at the middle of the sweep, driven as gently as the bench's file allows, in words."""
+    """Faults of the signals at mid-sweep, at the smallest amplitude, in words."""
     frequency = round(0.5 * (setup.sweep.low + setup.sweep.high), 2)
     amplitude = math.floor(100.0 * min(*setup.levels, setup.safe_amplitude) + 1e-9) / 100.0
     rig.drive(frequency, amplitude)
@@ -135,7 +135,6 @@ def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
 
 
 def _simulate(options: argparse.Namespace, console: Console) -> int:
-    """Serve a simulated bench until interrupted."""
     device, title = _connected(options, console)
     reference = parse_quantity(options.reference, "resistance", source="command line", field="--reference")
     if not 0.0 < reference < math.inf:
@@ -173,7 +172,6 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
 
 
 def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, str]:
-    """The device between the clips, and its name."""
     match options.connect:
         case "device":
             pass
@@ -196,7 +194,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     console.print(f"simulating {chip.name} ...", markup=False)
     state = chip.state(options.state).name
     frequencies = frequency_grid(requested.band, requested.points)
-    # The simulated device is to be finer than the model fitted to it, and a liquid sticks to its walls.
+    # The simulated device has finer physics than a model that is fitted to it: a liquid sticks to its walls.
     device = fill(chip, state, replace(requested.registry, assumed_losses=True))
     for text in device.findings:
         say_finding(text, console)
@@ -211,11 +209,7 @@ _FAULT = re.compile(r"(?P<instrument>\w+):(?P<kind>\w+)@(?P<at>\d+)(?:x(?P<count
 
 
 def _fault(text: str) -> Fault:
-    """A fault from ``generator:silence@120`` or ``generator:silence@120x3``.
-
-    Raises:
-        InputError: not of this form, or a fault that cannot happen to the instrument.
-    """
+    """A fault from ``generator:silence@120`` or ``generator:silence@120x3``."""
     read = _FAULT.fullmatch(text)
     if read is None:
         raise InputError("command line", "--fault", text, "INSTRUMENT:KIND@COMMAND, such as generator:silence@120")

@@ -43,7 +43,8 @@ OUTPUTS = Outputs("compare", names=("report.html", "merit.json", "spectrum.csv",
 
 
 def run_compare(options: argparse.Namespace, console: Console) -> int:
-    """``workbench compare``: a recording, of impedance or of focusing, beside the simulation of a chip."""
+    """``workbench compare``: compare a recording with the simulation of a chip. The recording is of impedance or of
+    focusing."""
     if is_of_energy(options):
         return run_compare_energy(options, OUTPUTS, console)
     reading = reading_option(options, options.recording, console)
@@ -87,11 +88,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
 def _common_band(
     options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """The overlap (Hz) of the band asked for and the recording: simulating more would have nothing to be compared with.
-
-    Raises:
-        InputError: fewer than two recorded points lie in the band.
-    """
+    """The overlap (Hz) of the requested band and the recording."""
     inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
     if inside.size < 2:
         raise InputError(

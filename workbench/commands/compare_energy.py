@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 
 
 def is_of_energy(options: argparse.Namespace) -> bool:
-    """Whether the recording is a table of focusing; one whose columns or format are stated is of impedance."""
+    """Whether the recording is a table of focusing. One with stated columns or format is of impedance."""
     return options.columns is None and options.format is None and recognises_energy(load_text(options.recording))
 
 
 def run_compare_energy(options: argparse.Namespace, outputs: Outputs, console: Console) -> int:
-    """Recorded focusing beside the simulated energy of the sound in a chip.
+    """Compare recorded focusing with the simulated energy of the sound.
 
     Raises:
         InputError: a mistake in the table, a correction of impedances, a state without a liquid, or no common band.
     """
     for field, value in (("--correction", options.correction), ("--without-outliers", options.without_outliers)):
         if value:
-            raise InputError("command line", field, value, f"no such option: {options.recording} holds focusing over "
+            raise InputError("command line", field, value, f"no such option: {options.recording} has focusing over "
                              "frequency, no impedance")
     recording = read_energy_recording(options.recording)
     say_read_as(recording.read_as, options.recording.name, console)

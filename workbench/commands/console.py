@@ -11,12 +11,13 @@ if TYPE_CHECKING:
     from rich.style import Style
     from rich.text import Text
 
-#: Control characters that lay out the text of a terminal.
+#: Control characters for the layout of text.
 KEPT = "\n\t"
 
 
 def error_console() -> Console:
-    """A console on standard error that shows texts literally: no markup, no emoji, control characters as escapes."""
+    """A console on standard error that prints texts literally. It has no markup and no emoji, and control characters
+    are escapes."""
     from rich.console import Console
 
     class LiteralConsole(Console):

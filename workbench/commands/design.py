@@ -32,12 +32,12 @@ from workbench.report.design import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: The chip on the model, while the search goes on, and the one that takes its place.
+#: Files of the best chip by the model, during the search, and of the final one.
 SO_FAR, BEST = "best_so_far.toml", "best.toml"
 
 
 def run_design(options: argparse.Namespace, console: Console) -> int:
-    """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
+    """``workbench design``: the best chip for a goal, with CAD and report."""
     registry = replace(user_registry(options.materials, inviscid=options.inviscid), assumed_losses=True)
     accuracy = accuracy_option(options)
     goal = read_goal(options.goal, registry=registry)
@@ -62,13 +62,13 @@ def run_design(options: argparse.Namespace, console: Console) -> int:
         pictures = draw_design(found, ChipSolver(goal, registry, accuracy), folder, with_cad=not options.no_cad)
         show("report", "done", 1.0)
     write_design_report(found, pictures, folder)
-    _tell(found)
+    _print_results(found)
     return 0 if found.best is not None else 1
 
 
 
 
-def _tell(found: Design) -> None:
+def _print_results(found: Design) -> None:
     print_table(found.goal.chip.name, before_after_table(found))
     if found.best is not None:
         print_table("", lengths_table(found, found.best))

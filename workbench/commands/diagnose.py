@@ -39,7 +39,7 @@ from workbench.report.diagnosis import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Exit statuses of a diagnosis that was cut short: by Ctrl-C, and by the end of its minutes.
+#: Exit statuses of an incomplete diagnosis: by Ctrl-C, and by the end of its minutes.
 INTERRUPTED, NOT_FINISHED = 130, 3
 
 #: Files of `diagnose`.
@@ -47,9 +47,9 @@ OUTPUTS = Outputs("diagnose", names=("report.html", "diagnosis.json", "states.pn
 
 
 def run_diagnose(options: argparse.Namespace, console: Console) -> int:
-    """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be.
+    """``workbench diagnose``: locate differences and attribute them to physics.
 
-    Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.
+    If incomplete, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and the results claim nothing.
     """
     accuracy, minutes = accuracy_option(options), options.minutes
     if minutes is not None and not minutes > 0.0:
@@ -65,7 +65,7 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     except KeyboardInterrupt:
         write_stopped(campaign, folder, time.perf_counter() - started)
         raise
-    # Whatever ends what follows, the result is kept.
+    # The result is written first, in case one of the next steps fails.
     record = diagnosis_record(found)
     write_json(folder / "diagnosis.json", {**record, "known_physics": []})
     known = contributions(found)
@@ -74,12 +74,12 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     print_diagnosis(found)
     if found.provisional is None:
         return 0
-    console.print(f"not finished; what is known so far is in {folder}", style="yellow", markup=False)
+    console.print(f"not finished; the results so far are in {folder}", style="yellow", markup=False)
     return INTERRUPTED if found.found.interrupted else NOT_FINISHED
 
 
 def print_diagnosis(found: Diagnosis) -> None:
-    """Headline, established effects, the remainder of each state, and the next measurement, to standard output."""
+    """Print headline, established effects, residuals and the next measurement."""
     print_paragraph(found.headline)
     if found.established:
         print_table("", established_table(found))
@@ -90,7 +90,6 @@ def print_diagnosis(found: Diagnosis) -> None:
 
 
 def _of_file(options: argparse.Namespace, console: Console) -> Campaign:
-    """The campaign of a file."""
     found = read_campaign(options.diagnosed, materials=options.materials)
     for state in found.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
@@ -100,7 +99,9 @@ def _of_file(options: argparse.Namespace, console: Console) -> Campaign:
 
 
 def _of_one_recording(options: argparse.Namespace, console: Console) -> Campaign:
-    """The campaign of one recording and its chip file: one state, and known is what the chip and its materials state.
+    """The campaign of one recording and its chip file.
+
+    It has one state, and the priors in the files of the chip and its materials.
 
     Raises:
         InputError: a mistake in the options or the files, or a recording that cannot be of this chip.

@@ -1,5 +1,7 @@
-"""Checks made before the numerical libraries are loaded: files that are not there, chip files and quantities with
-mistakes in them. Whoever mistypes a name is told at once."""
+"""Checks before the numerical libraries are loaded.
+
+They find missing files, and mistakes in chip files and quantities, without delay.
+"""
 
 from __future__ import annotations
 
@@ -12,33 +14,33 @@ from workbench.files.errors import InputError, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
 
-#: Options that name a file that is read, of any command.
+#: Options that name an input file, of any command.
 FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "device", "file", "uncertainties",
          "diagnosed")
 
-#: Options that hold a quantity, as the command line spells them, and its dimension.
+#: Options with a quantity, as on the command line, and its dimension.
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "low": ("--from", "frequency"), "high": ("--to", "frequency"),
     "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"), "window": ("--window", "length"),
     "particle_radius": ("--particle-radius", "length"),
 }
 
-#: Options of `diagnose` about its one recording, as the command line spells them; a campaign file has keys for them.
+#: Options of `diagnose` for one recording, as on the command line; a campaign file has keys for them.
 OF_ONE_RECORDING: Mapping[str, str] = {
     "chip": "--chip", "state": "--state", "columns": "--columns", "format": "--format", "correction": "--correction",
     "without_outliers": "--without-outliers", "noise": "--noise", "low": "--from", "high": "--to"}
 
-#: Tables that a chip file has and a campaign file has not; a recording is no TOML file.
+#: Tables of a chip file that a campaign file lacks; a recording is not TOML.
 OF_CHIPS = ("chip", "layers")
 
 
 def _of_kind(path: Path) -> Callable[[Path], bool]:
-    """A test of files for the suffix of `path`, in either case of letters."""
+    """A test of files for the suffix of `path`, ignoring case."""
     return lambda each: each.suffix.lower() == path.suffix.lower()
 
 
 def check_early(options: argparse.Namespace) -> None:
-    """Look at what the options name, as far as that takes no time.
+    """Check the files and quantities in the options.
 
     Raises:
         InputError: as the command itself would raise.
@@ -79,8 +81,10 @@ def check_early(options: argparse.Namespace) -> None:
 
 
 def check_motion(options: argparse.Namespace) -> None:
-    """See that `particles` is given a drive, a time, a number of particles and a seed, sizes and convection above zero,
-    and ways for heat to leave only where there is heat.
+    """Check the options of `particles`.
+
+    They are a drive, a time, a number of particles and a seed, sizes and convection above zero, and ways for heat to
+    leave only if there is heat.
 
     Raises:
         InputError: anything else.
@@ -106,7 +110,7 @@ def check_motion(options: argparse.Namespace) -> None:
 
 
 def check_diagnosed(options: argparse.Namespace) -> None:
-    """See that `diagnose` is given a campaign file alone, or a recording and its chip file.
+    """Check that `diagnose` has a campaign, or a recording and its chip.
 
     Raises:
         InputError: anything else.
@@ -129,11 +133,11 @@ def check_diagnosed(options: argparse.Namespace) -> None:
         value = getattr(options, key)
         if value not in (None, False):
             raise InputError("command line", option, str(value), f"nothing beside the campaign file {given}, which "
-                             "says that itself of each of its states; or a recording in its place")
+                             "states it for each of its states; or a recording in its place")
 
 
 def check_order(recording: Path, chip: Path) -> None:
-    """See that a recording and a chip file do not stand in each other's place on the command line.
+    """Check that a recording and a chip file are not swapped.
 
     Raises:
         InputError: the recording is a TOML file, as chip files are.
@@ -147,7 +151,7 @@ def check_order(recording: Path, chip: Path) -> None:
 
 
 def _is_toml(path: Path) -> bool:
-    """Whether a file has keys of TOML, or is called so and has mistakes that its reader names."""
+    """Whether a file has keys of TOML, or at least its suffix."""
     try:
         return bool(read_toml(path))
     except InputError:
@@ -155,7 +159,6 @@ def _is_toml(path: Path) -> bool:
 
 
 def _is_chip_file(path: Path) -> bool:
-    """Whether a file is TOML with tables of a chip."""
     try:
         return any(key in OF_CHIPS for key in read_toml(path))
     except InputError:

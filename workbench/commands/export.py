@@ -30,7 +30,7 @@ def solid_names(chip: Chip) -> tuple[str, ...]:
 
 
 def export_solids(chip: Chip, folder: Path) -> tuple[Path, dict[str, Path]]:
-    """Write the solids of a chip: the STEP file of the assembly, and STL files by part."""
+    """Write the solids of a chip as STEP, and STL by part."""
     from geometry.export import export_step, export_stl
 
     return export_step(chip, folder / "chip.step"), export_stl(chip, folder)

@@ -47,7 +47,7 @@ BATCH_FILES = ("summary.json", "report.html", "batch.png")
 
 
 def run_fit(options: argparse.Namespace, console: Console) -> int:
-    """``workbench fit``: material parameters from one recording, or from many."""
+    """``workbench fit``: material parameters from one or several recordings."""
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of descents, 0 for none")
     settings = Settings(
@@ -59,11 +59,11 @@ def run_fit(options: argparse.Namespace, console: Console) -> int:
     job = Job(options.recording.stem, (_member(options),), save=options.save)
     folder = output_folder(options, Outputs("fit", fit_files(job)))
     if job.save is not None:
-        saving_folder(settings.materials)  # before it is read from
+        saving_folder(settings.materials)  # before materials are read from it
     with progress_bars(console) as show:
         done = run_job(job, settings, folder, progress=partial(show, job.name))
         show(job.name, "done", 1.0)
-    return _tell(done, console, options.save)
+    return _print_results(done, console, options.save)
 
 
 def _member(options: argparse.Namespace) -> BatchMember:
@@ -90,8 +90,8 @@ def _thicknesses(text: str | None) -> tuple[float, ...]:
     return found
 
 
-def _tell(done: Done, console: Console, wanted: str | None) -> int:
-    """Print what was found; the exit status."""
+def _print_results(done: Done, console: Console, wanted: str | None) -> int:
+    """Print the result of a fit; returns the exit status."""
     print_table(f"{done.prepared.material.name}, {done.result.algorithm}",
                 for_terminal(parameter_table(done.result, done.prepared)))
     if done.result.held:
@@ -125,19 +125,19 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
 
 
 def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
-    """``workbench fit batch``: finished fits are on disk at once, and a further run does only the rest."""
+    """``workbench fit batch``: several fits, resumable."""
     batch = read_batch(options.file)
     for job in batch.jobs:
         if job.name in (*BATCH_FILES, MARK):
             raise InputError(str(options.file), "name", job.name,
                              f"another name: {job.name} is a file of the batch itself")
-    # Fits of devices that are not in the file any more are results of their own.
+    # Fits of devices that were removed from the file are separate results.
     folder = output_folder(options, Outputs("fit batch", kept=("*/*",), names=(
         *BATCH_FILES, *(f"{job.name}/{name}" for job in batch.jobs
                                                       for name in fit_files(job)))))
     if any(job.save is not None for job in batch.jobs):
         saving_folder(settings.materials)
-    # Every file is looked at before the first fit, so that a mistake in the last one does not cost an hour.
+    # Every file is checked before the first fit, so that a mistake in the last one is found early.
     records = {job.name: None if options.again else known(job, settings, folder) for job in batch.jobs}
     waiting = [job for job in batch.jobs if records[job.name] is None]
     if options.only is not None:
@@ -146,9 +146,9 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
                              folder, console)
     for name, record in records.items():
         if record is not None:
-            console.print(f"{name}: finished before, --again would do it once more", markup=False)
+            console.print(f"{name}: finished before, --again repeats it", markup=False)
     for job in waiting:
-        # Or a fit that fails now would pass for the one that succeeded before.
+        # Otherwise the result of an earlier fit would replace that of a failed one.
         discard(folder / job.name / "fit.json")
     with (executor_option(options) as (executor, jobs), progress_bars(console) as show,
           begin_workers(min(jobs, len(waiting) or 1), executor) as workers):
@@ -174,14 +174,12 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
     with progress_bars(console) as show:
         done = run_job(job, settings, folder / job.name, progress=partial(show, job.name))
         show(job.name, "done", 1.0)
-    return _tell(done, console, job.save)
+    return _print_results(done, console, job.save)
 
 
 def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Workers, show: Show) -> dict[str, str]:
-    """Fit jobs into folders of theirs within `folder`; the error of each that failed, by its name.
-
-    Finished fits stay when the rest is interrupted.
-    """
+    """Fit jobs into their own folders. The errors of failed jobs are returned by name. Finished fits stay when the rest
+    is interrupted."""
     failed: dict[str, str] = {}
 
     def tasks() -> Iterator[tuple[str, Task[None]]]:
@@ -199,5 +197,4 @@ def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Work
 
 @one_thread()
 def _fitted(job: Job, settings: Settings, folder: Path) -> None:
-    """Fit a job: its results are in its folder."""
     run_job(job, settings, folder)

@@ -1,4 +1,4 @@
-"""One fit from its files to its results: what every kind of ``workbench fit`` does."""
+"""One fit from its files to its results, for all kinds."""
 
 from __future__ import annotations
 
@@ -49,10 +49,8 @@ from workbench.results.spectrum import write_spectrum
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A finished fit: its result, and the content of its ``fit.json``.
-
-    ``saved_before`` says that the registry had its content already, under the name ``saved_as`` of the record.
-    """
+    """A finished fit: its result, and the content of its ``fit.json``. ``saved_before`` is whether the registry had its
+    content already, under the name ``saved_as`` of the record."""
 
     result: FitResult
     prepared: Prepared
@@ -62,7 +60,7 @@ class Done:
 
 
 def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = no_progress) -> Done:
-    """Fit a job and write ``fit.json``, spectra, pictures and the report into `folder`.
+    """Fit a job; write ``fit.json``, spectra, pictures and the report into `folder`.
 
     Raises:
         InputError: a mistake in a file, or a recording that cannot be of its device.
@@ -111,7 +109,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         if gel:
             record["gel_study"] = gel_record(gel)
         write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
-        # Last: where it is, everything is.
+        # Written last: if it exists, all files exist.
         write_json(folder / "fit.json", record)
     except BaseException as error:
         if saved_as is not None:
@@ -128,13 +126,13 @@ def fit_files(job: Job) -> tuple[str, ...]:
 
 
 def job_key(job: Job, settings: Settings) -> str:
-    """A digest of all that decides the result of a job (see `batch.content_key`)."""
+    """A digest of all inputs of a job (see `batch.content_key`)."""
     registry = user_registry(settings.materials, inviscid=settings.inviscid)
     return content_key(job, settings, [_filling(member, registry) for member in job.members])
 
 
 def known(job: Job, settings: Settings, folder: Path) -> dict[str, Any] | None:
-    """The record of the job if it has been done before, None otherwise.
+    """The record of a finished job, or None.
 
     Raises:
         InputError: a mistake in one of its files.
@@ -159,7 +157,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         reading = read_recording(member.recording, columns=columns, format=member.format, correction=member.correction,
                                  without_outliers=member.without_outliers)
         chip = read_chip(member.chip)
-        band = tuple(own if asked is None else asked for asked, own in zip(member.band, chip.band, strict=True))
+        band = tuple(own if end is None else end for end, own in zip(member.band, chip.band, strict=True))
         if not 0.0 < band[0] < band[1]:
             raise InputError(member.name, "band", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
         free = member.free
@@ -174,7 +172,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
 
 
 def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progress) -> FitResult:
-    """Algorithm 2 or the polymer fit of the paper, from the first of the starts given."""
+    """Algorithm 2 or the polymer fit of the paper, from one start."""
     if len(prepared.recordings) > 1:
         raise InputError("fit", "algorithm", "paper", "joint: the paper's algorithms fit one recording")
     if len(starts) > 1:

@@ -27,7 +27,8 @@ OUTPUTS = Outputs("import", names=("ratios.csv", "spectrum.csv"))
 
 
 def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
-    """``workbench import``: ratios of pairs of waveforms and, with a resistor or current probe, the impedance."""
+    """``workbench import``: ratios of pairs of waveforms, and the impedance. The impedance needs a resistor or a
+    current probe."""
     resistance, tolerance = _resistor(options)
     probe = options.current is not None
     second = options.current if probe else options.reference
@@ -56,7 +57,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
     if probe and resistance is None:
         resistance = 1.0
         if unstated:
-            console.print(f"CH{second} states no unit: its numbers are taken as ampere; --resistance \"0.1 ohm\" "
+            console.print(f"CH{second} states no unit: its numbers are read as ampere; --resistance \"0.1 ohm\" "
                           "states a probe of 0.1 V/A", style="yellow", markup=False)
     if resistance is not None:
         values = [impedance([pair.fit], resistance, probe=probe) for pair in found]
@@ -70,7 +71,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
             write_spectrum(spectrum, folder / "spectrum.csv")
     print_table(f"CH{options.total} over CH{second}", pairs_table(found, values))
     if len(found) == 1 and values is not None:
-        console.print("one frequency: no spectrum.csv was written, which takes captures at two frequencies or more",
+        console.print("one frequency: no spectrum.csv was written, which needs captures at two frequencies or more",
                       style="yellow", markup=False)
     for pair in found:
         if pair.clipped:
@@ -80,7 +81,6 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
 
 
 def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Waveform, Waveform]:
-    """The two channels of a pair, each a file and its channel, in one file or in two."""
     if total[0] == reference[0]:
         channels = read_channels(total[0], wanted=(total[1], reference[1]))
         return channels[total[1]], channels[reference[1]]
@@ -90,7 +90,6 @@ def _waveforms(total: tuple[Path, int], reference: tuple[Path, int]) -> tuple[Wa
 def _check_units(
     waveforms: tuple[Waveform, Waveform], files: tuple[Path, Path], *, probe: bool, resistance: float | None
 ) -> None:
-    """Raise if a voltage is in amperes, or if a current needs a probe's volts per ampere or has no use for them."""
     total, second = waveforms
     if total.unit == "A":
         raise InputError(str(files[0]), f"CH{total.channel}", "A", "V: --total names the channel of the voltage")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def run_materials(options: argparse.Namespace, _console: Console) -> int:
-    """``workbench materials``: look at them, and keep the saved fits."""
+    """``workbench materials``: list, show, check and keep materials."""
     if options.action == "import":
         for imported in import_entries(options.file, folder=saving_folder(options.materials)):
             print_line(f"{imported.name}: {'imported' if imported.new else 'was there already'}")
@@ -61,7 +61,6 @@ def run_materials(options: argparse.Namespace, _console: Console) -> int:
 
 
 def _print_remarks(registry: Registry, name: str) -> None:
-    """Print the title, the conditions and the note of an entry."""
     content = read_toml(registry.find(name)[1])
     for key in ("title", "conditions", "note"):
         if key in content:

@@ -34,13 +34,13 @@ _WIDTH, _HEIGHT = 64, 10
 def run_measure(options: argparse.Namespace, console: Console) -> int:
     """``workbench measure``: sweep, run file, spectrum as CSV, report."""
     setup = read_bench(options.bench)
-    # Before the sweep, so that a recording that is missing is not found out after it.
+    # Before the sweep, so that a missing recording is found early.
     compensation = read_compensation(setup.standards)
     path: Path = options.output
     if path.suffix in (".csv", ".html"):
         raise InputError("command line", "--output", str(path), f"a run file, such as {path.stem}.h5; {path.stem}.csv "
                          f"and {path.stem}.html are written beside it")
-    options.held = begin(path.parent, Outputs(
+    options.run_folder = begin(path.parent, Outputs(
         "measure", (f"{path.stem}.csv", f"{path.stem}_*Vpp.csv", f"{path.stem}.html"), kept=("*",), marked=False,
         named=(path.name, journal_path(path).name, marker_path(path).name)), source="command line", field="--output",
         inputs=[options.bench])
@@ -49,7 +49,7 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
         with _live(console, expected_points(setup)) as show:
             measure(setup, path, resume=options.resume, on_point=show)
     except InputError:
-        raise  # a mistake in the command or in BENCH.toml: what is at the path is another run
+        raise  # a mistake in the command or in BENCH.toml: the file at the path is another run
     except BaseException:
         if exists(path) and (options.resume or not before):
             _write_results(setup, read_run(path), compensation, path, console)
@@ -59,7 +59,7 @@ def run_measure(options: argparse.Namespace, console: Console) -> int:
 
 
 class _live:
-    """The spectrum so far on the console: call with the run after every point."""
+    """The spectrum so far on the console; call it after every point."""
 
     def __init__(self, console: Console, expected: int) -> None:
         from rich.live import Live
@@ -89,7 +89,7 @@ class _live:
 
 
 def sketch(frequency: NDArray[np.float64], magnitude: NDArray[np.float64]) -> list[str]:
-    """|Z| (n,) ohm, logarithmic, over frequency (n,) Hz as lines of text; empty until there are two frequencies."""
+    """|Z| (n,) ohm, logarithmic, over frequency (n,) Hz as lines of text. Empty for less than two frequencies."""
     low, high = frequency.min(), frequency.max()
     if not high > low:
         return []
@@ -109,7 +109,7 @@ def sketch(frequency: NDArray[np.float64], magnitude: NDArray[np.float64]) -> li
 def _write_results(
     setup: BenchSetup, run: Run, compensation: Compensation, path: Path, console: Console
 ) -> None:
-    """RUN.csv (RUN_5Vpp.csv and so on for several levels), RUN.html and the results in RUN.h5, of what there is."""
+    """Write RUN.csv, RUN.html and the results in RUN.h5. Several levels have RUN_5Vpp.csv and so on."""
     levels = level_spectra(run, setup, compensation)
     if not levels:
         return

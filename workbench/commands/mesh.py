@@ -28,7 +28,7 @@ from workbench.simulation.run import Simulation
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: The mesh that those of the table are compared with has elements smaller than the finest of them by this factor.
+#: Ratio of the element sizes of the finest mesh in the table and the reference mesh.
 FINER = 1.5
 
 #: Files of `mesh --converge`.
@@ -36,7 +36,7 @@ OUTPUTS = Outputs("mesh", names=("report.html", "convergence.json", "convergence
 
 
 def run_mesh(options: argparse.Namespace, console: Console) -> int:
-    """``workbench mesh``: the mesh of a chip, and the errors of the accuracies it can be made for."""
+    """``workbench mesh``: the mesh, and the error at each accuracy setting."""
     chip = read_chip(options.chip)
     model, state = model_options(options, chip), chip.state(options.state).name
     problem = build(fill(chip, state, model.registry), band=model.band, accuracy=model.accuracy)
@@ -50,7 +50,8 @@ def run_mesh(options: argparse.Namespace, console: Console) -> int:
 
 
 def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, model: ModelOptions) -> int:
-    """The meshes of every accuracy against one finer than all; whether the one asked for is as accurate as that."""
+    """Compare the meshes of every accuracy with a finer one. The exit status is whether the requested one meets its
+    accuracy."""
     wanted = accuracy_option(options)
     folder = None if options.output is None else output_folder(options, OUTPUTS)
     accuracies = sorted({*ROWS, wanted}, reverse=True)
@@ -70,8 +71,8 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
     title = f"{chip.name}, {state}"
     print_table(f"meshes of {title}", convergence_table(rows))
     error = next(row.error for row in rows if row.accuracy == wanted)
-    print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: Z is {100.0 * error:.2g} % rms off the finer "
-               f"mesh, {100.0 * wanted:g} % asked")
+    print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: Z differs by {100.0 * error:.2g} % rms from the "
+               f"finer mesh, {100.0 * wanted:g} % requested")
     if folder is not None:
         write_json(folder / "convergence.json", convergence_record(rows))
         write_convergence_report(title, rows, folder)

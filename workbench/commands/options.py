@@ -1,6 +1,6 @@
-"""The options of every command: one function a command, listed in :data:`COMMANDS`.
+"""The options of every command, listed in :data:`COMMANDS`.
 
-Nothing but argparse is needed here, so that whoever asks for help, or mistypes an option, need not wait.
+Only argparse is imported, so that help and mistakes in options need no waiting.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import NoReturn
 from workbench import __version__
 from workbench.commands.driven_options import DRIVE_HELP, KEPT_COLD, with_warmth
 
-#: Accuracy of Z that meshes are made for (`workbench.model.discretisation.ACCURACY`).
+#: Default accuracy of Z of meshes (`workbench.model.discretisation.ACCURACY`).
 ACCURACY = "0.05 %"
 
-OUTPUT_HELP = "folder for the results, made if need be"
+OUTPUT_HELP = "folder for the results, created if needed"
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line; ``options.command`` is the name of the command."""
+    """The parser of the command line; ``options.command`` names the command."""
     whole = argparse.ArgumentParser(
         prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
@@ -42,16 +42,16 @@ def _with_materials(sub: argparse.ArgumentParser) -> None:
 
 def _with_scripts(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--no-scripts", action="store_true",
-                     help="refuse chip files with a script, which is a program with all your rights (default: it is "
-                          "named, and runs)")
+                     help="refuse chip files with a script, which is a program with all your rights (default: its name "
+                          "is printed, and it runs)")
 
 
 def _with_filling(sub: argparse.ArgumentParser) -> None:
-    """The options of every command that fills a chip with materials."""
+    """The options of commands that fill a chip with materials."""
     _with_materials(sub)
     _with_scripts(sub)
     sub.add_argument("--inviscid", action="store_true",
-                     help="leave out the boundary layers of what the cavity holds (default: part of the model)")
+                     help="leave out the boundary layers of the cavity's fluid (default: part of the model)")
 
 
 def _with_state(sub: argparse.ArgumentParser) -> None:
@@ -89,7 +89,7 @@ def _with_jobs(sub: argparse.ArgumentParser, pieces: str) -> None:
 
 
 class _Renamed(argparse.Action):
-    """An option that is refused with its new name, ``const``."""
+    """An option that fails with its new name, ``const``."""
 
     def __call__(self, parser: argparse.ArgumentParser, _namespace: object, _values: object,
                  option_string: str | None = None) -> NoReturn:
@@ -98,16 +98,16 @@ class _Renamed(argparse.Action):
 
 def _with_recording(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--columns", type=Path, metavar="MAP.toml",
-                     help="which columns of the recording are what (default: as their headings say; where these do "
-                          "not, the error proposes a map)")
+                     help="column map of the recording (default: by its headings; if they are unclear, the error "
+                          "proposes a map)")
     sub.add_argument("--format", metavar="NAME",
                      help="format of the recording: workbench, e4990a, 4294a, touchstone, labone, bode100, gamry, "
                           "biologic, zplot, hioki, lines or table (default: found out)")
     sub.add_argument("--correction", choices=("negate", "conjugate", "signs"),
-                     help="put a wrong phase right, on your word (default: as recorded)")
+                     help="correct a phase that you know to be wrong (default: as recorded)")
     sub.add_argument("--without-outliers", action="store_true",
-                     help="leave out the points that the findings name with their rows: those that leave their "
-                          "neighbours, or that no passive device has (default: they stay)")
+                     help="leave out the points that the findings name with their rows: those far from their "
+                          "neighbours, or impossible for a passive device (default: they stay)")
 
 
 def _simulate(sub: argparse.ArgumentParser) -> None:
@@ -133,11 +133,11 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
 
 
 def _study(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
-                     "workbench/design/plan.py")
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, its varied parameters, and the "
+                     "figures; see workbench/design/plan.py")
     _with_jobs(sub, "pieces of work")
     sub.add_argument("--overwrite", action="store_true",
-                     help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
+                     help="begin anew in a folder with another study (default: an error; the same one continues)")
     _with_filling(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
@@ -208,7 +208,7 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--start", choices=("spread", "floor"), default="spread",
                      help="where they are at switch-on: spread over the cavity (default), or on its floor")
     sub.add_argument("--flow", choices=("heat", "sound", "none"), default="heat",
-                     help="what moves the liquid: heat beside sound (default), sound alone, or nothing")
+                     help="cause of the liquid's flow: heat beside sound (default), sound alone, or none")
     with_warmth(sub)
     sub.add_argument("--particle", metavar="NAME", help="its material (default: of the state)")
     sub.add_argument("--particle-radius", metavar="LENGTH", help='such as "5 um" (default: of the state)')
@@ -270,11 +270,11 @@ def _tolerance(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_state(sub)
     sub.add_argument("--require", action="append", default=[], metavar="TEXT",
-                     help='what the chip must do, such as "f0 within 5 kHz" or "e_ac >= 20 J/m^3 at 10 Vpp" (may be '
-                          "repeated; without any: only what matters, no yield)")
+                     help='requirement of the chip, such as "f0 within 5 kHz" or "e_ac >= 20 J/m^3 at 10 Vpp" (may be '
+                          "repeated; without any: only sensitivities, no yield)")
     _with_uncertainty(sub)
     sub.add_argument("--figure", action="append", default=[], metavar="NAME",
-                     help="a further figure to look at (may be repeated; default f0, z_min, q and what is required)")
+                     help="a further figure (may be repeated; default f0, z_min, q and those of the requirements)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP + "; of figures whose requirement states none")
     sub.add_argument("--thermal-resistance", action="append", default=[], metavar="R",
                      help='of heating: "10 K/W" for all regions, or "transducer = 10 K/W" (may be repeated; default '
@@ -303,17 +303,17 @@ def _tolerance(sub: argparse.ArgumentParser) -> None:
 
 def _with_uncertainty(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--uncertainty", action="append", default=[], metavar="TEXT",
-                     help='what is uncertain beyond chip file and registry: "superstrate.thickness = 20 um" (limits), '
-                          '"pla.shear_modulus = 3 %%" (standard uncertainty); uniform, normal or standard behind it, '
+                     help='an uncertainty beside chip file and registry: "superstrate.thickness = 20 um" (limits), '
+                          '"pla.shear_modulus = 3 %%" (standard uncertainty); followed by uniform, normal or standard, '
                           "or exact (may be repeated)")
     sub.add_argument("--uncertainties", type=Path, metavar="FILE.toml",
                      help="the same in a table [uncertainty] of a file (default: none)")
     sub.add_argument("--distribution", choices=("uniform", "normal"), default="uniform",
-                     help="what the tolerance of a length is: limits, all within them as likely (default), or three "
-                          "standard deviations of a normal law")
+                     help="meaning of the tolerance of a length: limits of a uniform law (default), or three standard "
+                          "deviations of a normal law")
     sub.add_argument("--posterior", type=Path, action="append", default=[], metavar="FIT.json",
-                     help="fit.json of a fit, whose numbers, uncertainties and correlations are taken (may be "
-                          "repeated; default: as the registry states)")
+                     help="fit.json of a fit, with its values, uncertainties and correlations (may be repeated; "
+                          "default: as the registry states)")
 
 
 def _fit(sub: argparse.ArgumentParser) -> None:
@@ -339,9 +339,9 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 
     def with_one(found: argparse.ArgumentParser, region: str) -> None:
         found.add_argument("recording", type=Path, metavar="RECORDING")
-        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml", help="what was recorded (required)")
+        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml", help="the recorded chip (required)")
         _with_state(found)
-        found.add_argument("--material", metavar="NAME", help="what the fit starts from (default: the chip's material)")
+        found.add_argument("--material", metavar="NAME", help="start of the fit (default: the chip's material)")
         found.add_argument("--region", metavar="NAME", help=f"whose material is fitted (default: {region})")
         found.add_argument("--free", metavar="A,B,C",
                            help="parameters: coefficients such as c33 or c33.loss, dimensions such as "
@@ -350,7 +350,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
         with_search(found)
         _with_recording(found)
         _with_model(found)
-        found.add_argument("--save", metavar="MATERIAL/NAME", help="save what was found as the next version of this "
+        found.add_argument("--save", metavar="MATERIAL/NAME", help="save the result as the next version of this "
                            "material, if it is accepted (default: not saved)")
         found.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
@@ -362,11 +362,11 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     polymer.add_argument("--gel-study", metavar="A,B,C",
                          help='thicknesses of the gel to predict the spectrum with after the fit, such as '
                               '"5um,20um,50um" (default: none)')
-    batch = kind("batch", "fit many recordings, several at a time; a further run does only what is not finished")
+    batch = kind("batch", "fit many recordings, several at a time; a further run does only the unfinished ones")
     batch.add_argument("file", type=Path, metavar="FILE.toml",
                        help="lists the recordings; see workbench/fitting/batch.py")
     with_search(batch)
-    batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
+    batch.add_argument("--again", action="store_true", help="repeat finished fits (default: only the others)")
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
     _with_jobs(batch, "fits")
     _with_accuracy(batch)
@@ -376,11 +376,11 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 
 def _diagnose(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("diagnosed", type=Path, metavar="CAMPAIGN.toml|RECORDING",
-                     help="states of a device with their recordings, and what is known of it; or one recording, with "
-                          "--chip and the options of a recording")
+                     help="states of a device with their recordings, and its priors; or one recording, with --chip and "
+                          "the options of a recording")
     sub.add_argument("--chip", type=Path, metavar="CHIP.toml",
-                     help="what was recorded, of a recording without a campaign file: known is what this file and its "
-                          "materials state")
+                     help="the recorded chip, for a recording without a campaign file; its priors are those stated in "
+                          "this file and its materials")
     _with_state(sub)
     _with_recording(sub)
     sub.add_argument("--noise", metavar="SHARE",
@@ -392,7 +392,7 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
     _with_scripts(sub)
     _with_jobs(sub, "pieces of the search")
     sub.add_argument("--minutes", type=float, metavar="M",
-                     help="begin nothing new after so many minutes, and report what is known by then")
+                     help="begin no further step after this time, and report the results so far")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -400,12 +400,13 @@ def _app(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_state(sub)
     sub.add_argument("--recording", type=Path, metavar="FILE",
-                     help="recorded impedance, laid over the spectrum; freed numbers are fitted to it (default: none)")
+                     help="recorded impedance, drawn over the spectrum; free parameters are fitted to it (default: "
+                          "none)")
     _with_recording(sub)
     sub.add_argument("--campaign", type=Path, metavar="CAMPAIGN.toml",
-                     help="what a diagnosis is of (default: of the recording alone)")
+                     help="campaign of a diagnosis (default: the recording alone)")
     sub.add_argument("--vary", nargs="+", action="extend", default=[], metavar="NAME",
-                     help="what can be moved: lengths such as substrate.thickness, constants such as "
+                     help="adjustable parameters: lengths such as substrate.thickness, constants such as "
                           "pla/acevedo_2026.shear_modulus, each with a range if wanted, "
                           '"substrate.thickness=0.8mm..0.9mm" (default: all thicknesses, the radius of the cavity, the '
                           "sound speed in it, a shear modulus; by 5 % to either side)".replace("%", "%%"))
@@ -413,7 +414,7 @@ def _app(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--no-browser", action="store_true", help="only print the address (default: it is opened)")
     _with_model(sub)
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
-    # Not among the results that a command ends by naming.
+    # Another name than `output`, which the command line reports at the end.
     sub.add_argument("-o", "--output", dest="folder", type=Path, default=Path(), metavar="DIR",
                      help="where chip files and reports are saved (default: this folder)")
 
@@ -424,15 +425,15 @@ def _bench(sub: argparse.ArgumentParser) -> None:
     def action(name: str, text: str) -> argparse.ArgumentParser:
         return actions.add_parser(name, help=text, description=text)
 
-    found = action("list", "the ports of this computer, and what answers at them")
-    found.add_argument("ports", nargs="*", metavar="PORT", help="a further port to ask at, such as a simulated one")
+    found = action("list", "the ports of this computer, and their instruments")
+    found.add_argument("ports", nargs="*", metavar="PORT", help="a further port, such as a simulated one")
     found.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS",
-                       help="how long an answer may take (default 1)")
-    check = action("check", "identify both instruments, set and read back, capture once; say what is wrong")
+                       help="longest time for an answer (default 1)")
+    check = action("check", "identify both instruments, set and read back, capture once; print faults")
     check.add_argument("bench", type=Path, metavar="BENCH.toml")
     served = action("simulate", "serve a simulated bench, two ports that speak the real protocols, until interrupted")
     served.add_argument("device", type=Path, nargs="?", metavar="DEVICE",
-                        help="what is measured: a CHIP.toml, or a recorded spectrum; not needed with --connect")
+                        help="the measured device: a CHIP.toml, or a recorded spectrum; not needed with --connect")
     _with_state(served)
     _with_recording(served)
     _with_model(served)
@@ -450,18 +451,18 @@ def _bench(sub: argparse.ArgumentParser) -> None:
     served.add_argument("--drift", type=float, default=0.0, metavar="RATE",
                         help="relative change of the device's frequencies per simulated second (default 0)")
     served.add_argument("--pace", type=float, default=0.0, metavar="N",
-                        help="seconds that pass for a simulated one, 1 for a bench as slow as a real one (default 0)")
+                        help="real seconds for a simulated second, 1 for the speed of a real bench (default 0)")
     served.add_argument("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
     served.add_argument("--fault", action="append", default=[], metavar="INSTRUMENT:KIND@N",
-                        help="let a fault happen at the Nth command, such as generator:silence@120; x3 behind it makes "
-                             "it three times (may be repeated; default none)")
+                        help="a fault at the Nth command, such as generator:silence@120; x3 after it repeats it three "
+                             "times (may be repeated; default none)")
 
 
 def _measure(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("bench", type=Path, metavar="BENCH.toml", help="instruments, resistor, sweep, drive, limits; see "
                      "workbench/bench/setup.py")
     sub.add_argument("--resume", action="store_true",
-                     help="go on with a run that was interrupted (default: RUN.h5 must not exist)")
+                     help="continue an interrupted run (default: RUN.h5 must not exist)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5",
                      help="the run file; RUN.csv, the spectrum, and RUN.html, the report, are written beside it")
 
@@ -480,13 +481,13 @@ def _import(sub: argparse.ArgumentParser) -> None:
                      "the ratio of the two channels is written)")
     sub.add_argument("--tolerance", default="0 %", metavar="LIMITS", help='of the resistor, such as "1 %%" (default 0)')
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
-    # "import" is a word of the language, and no module can be called so.
+    # "import" is a keyword of Python, so the module has another name.
     sub.set_defaults(command="import_waveforms")
 
 
 def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("goal", type=Path, metavar="GOAL.toml",
-                     help="what may change, what is to be best, what must hold; see workbench/design/goal.py")
+                     help="variables, objectives and constraints; see workbench/design/goal.py")
     _with_jobs(sub, "starts")
     sub.add_argument("--no-cad", action="store_true", help="leave the solid model out")
     _with_accuracy(sub)
@@ -504,14 +505,14 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "modes": ("the modes of a chip: what each peak of its spectrum is", _modes),
     "render": ("draw the fields of a chip at one frequency", _render),
     "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
-    "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
-    "tolerance": ("what tolerances leave of a chip: what matters, yield, what to make more exactly", _tolerance),
+    "sensitivity": ("rank the constants of a transducer by their effect on its spectrum", _sensitivity),
+    "tolerance": ("the effect of tolerances on a chip: sensitivities, yield, tolerances to tighten", _tolerance),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
-    "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
+    "diagnose": ("locate differences between model and recordings, and name the missing physics", _diagnose),
     "design": ("the best chip for a goal: lengths, stock and materials, confirmed by full solves", _design),
     "app": ("the live view: move dimensions and constants on a page, see spectrum and fields", _app),
-    "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
+    "measure": ("sweep on the bench into a crash-safe run file, with spectrum and report", _measure),
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
-    "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),
+    "bench": ("the instruments: list, check, and a simulated bench", _bench),
     "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
 }

@@ -1,4 +1,4 @@
-"""Values of the options of a command, read and checked."""
+"""Values of the options of a command, checked."""
 
 from __future__ import annotations
 
@@ -30,15 +30,13 @@ if TYPE_CHECKING:
 
     from workbench.readers import Reading
 
-
-#: Bytes that there has to be room for before a command begins: a report with its pictures. Doubled, a nearly full disk
-#: is refused sooner.
+#: Free bytes on disk that a command needs: a report with its pictures. Doubled, a nearly full disk is rejected sooner.
 ROOM = 20e6
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """The model that the options state: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
+    """The model of the options. Frequencies are in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]
@@ -52,11 +50,10 @@ class ModelOptions:
 
 
 def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
-    """The model that the options state.
+    """The model of the options.
 
     Raises:
-        InputError: a band that does not rise, a frequency outside it, an accuracy there is no mesh for, or a drive
-            nobody can read.
+        InputError: a band that does not rise, a frequency outside it, an accuracy without a mesh, or an invalid drive.
     """
     band = band_option(options, chip)
     at = None if options.at is None else parse_operating_point(options.at)
@@ -71,15 +68,17 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
 
 
 def warm_option(options: argparse.Namespace, chip: Chip) -> WarmUp | None:
-    """The ways for the heat of the drive to leave; None for a liquid kept at its stated temperature.
+    """The ways for the heat of the drive to leave.
+
+    None for a liquid kept at its stated temperature.
 
     Raises:
-        InputError: a liquid that is kept and a drive that follows its warmth, an unknown boundary, or a convection that
-            is not positive.
+        InputError: a drive that follows the peak of a liquid kept at its temperature, an unknown boundary, or a
+            convection that is not positive.
     """
     if options.cold and options.follow:
-        raise InputError("command line", "--follow", "--follow and --cold", "one of both: a chip that is kept at its "
-                         "temperature keeps its peak")
+        raise InputError("command line", "--follow", "--follow and --cold", "one of both: the peak of a chip "
+                         "at a constant temperature does not move")
     convection = STILL_AIR if options.convection is None else parse_quantity(
         options.convection, "heat transfer coefficient", source="command line", field="--convection")
     if not convection > 0.0:
@@ -91,7 +90,7 @@ def warm_option(options: argparse.Namespace, chip: Chip) -> WarmUp | None:
 
 
 def relative_error_option(options: argparse.Namespace) -> float:
-    """The relative error of the reduced model that the options state, per cent or a plain number.
+    """The relative error of the reduced model, in per cent or plain.
 
     Raises:
         InputError: neither.
@@ -103,10 +102,10 @@ def relative_error_option(options: argparse.Namespace) -> float:
 
 
 def accuracy_option(options: argparse.Namespace) -> float:
-    """The relative accuracy of Z that the options state.
+    """The relative accuracy of Z.
 
     Raises:
-        InputError: no number or per cent, or an accuracy there is no mesh for.
+        InputError: no number or per cent, or an accuracy without a mesh.
     """
     accuracy = parse_quantity(options.accuracy, "share", source="command line", field="--accuracy")
     try:
@@ -133,7 +132,11 @@ def executor_option(options: argparse.Namespace) -> Iterator[tuple[Executor | No
 
 
 def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
-    """The band (Hz) that the options state, the chip's own at either end that they leave open."""
+    """The band (Hz); open ends are those of the chip.
+
+    Raises:
+        InputError: a band that does not rise, or is implausible for the chip.
+    """
     def end(text: str | None, default: float, field: str) -> float:
         return default if text is None else parse_quantity(text, "frequency", source="command line", field=field)
 
@@ -146,7 +149,7 @@ def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
 
 
 def reading_option(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
-    """The recording, read as the options of a recording say; the meaning of its columns is printed.
+    """Read the recording by its options, and print its columns' meaning.
 
     Raises:
         InputError: a recording that cannot be read, or --columns and --format together.
@@ -163,14 +166,15 @@ def reading_option(options: argparse.Namespace, recording: Path, console: Consol
 
 
 def say_read_as(read_as: str, name: str, console: Console) -> None:
-    """Print the meaning of the columns of a table, if a recording was read as one."""
+    """Print the meaning of the columns of a table, if known."""
     if read_as:
         console.print(f"{name}: read {read_as}", markup=False)
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:
-    """The folder where materials are saved: the last of the `folders` that the options name, made if need be, or else
-    the user's own.
+    """The folder for saved materials, created if needed.
+
+    It is the last of `folders`, or else the user's own.
 
     Raises:
         InputError: a file is where the folder should be.
@@ -188,14 +192,14 @@ def saving_folder(folders: Sequence[Path]) -> Path:
 def output_folder(
     options: argparse.Namespace, outputs: Outputs, *, room: float = ROOM, inputs: Sequence[Path | str] = ()
 ) -> Path:
-    """The output folder that the options name, held for this run (``options.held``) until the command ends.
+    """The output folder of the options, locked until the command ends.
 
-    Files that the options name, and further `inputs`, are neither replaced nor removed.
+    It is ``options.run_folder``. Files named in the options, and further `inputs`, are neither replaced nor removed.
 
     Raises:
         InputError: see `workbench.files.output.begin`.
     """
     named = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
     read = [each for each in (*named, *map(Path, inputs)) if isinstance(each, Path) and each.is_file()]
-    options.held = begin(options.output, outputs, source="command line", field="--output", room=room, inputs=read)
-    return options.held.path
+    options.run_folder = begin(options.output, outputs, source="command line", field="--output", room=room, inputs=read)
+    return options.run_folder.path

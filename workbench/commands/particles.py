@@ -38,8 +38,8 @@ from workbench.simulation.warm import WarmUp
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Radius of the window of the light curve unless stated, as a share of the cavity's. A sixteenth of evenly spread
-#: particles is in it, a quarter in a channel; doubled, rings beside the axis leave the curve flat.
+#: Default radius of the window of the light curve, relative to the cavity's. It contains a sixteenth of evenly spread
+#: particles, a quarter in a channel; doubled, the curve is flat for annuli near the axis.
 WINDOW = 0.25
 
 #: Files of `particles`.
@@ -49,7 +49,7 @@ OUTPUTS = Outputs("particles", names=(
 
 
 def run_particles(options: argparse.Namespace, console: Console) -> int:
-    """``workbench particles``: the trajectories of the particles of a state, their pictures, and the report."""
+    """``workbench particles``: trajectories, pictures, and the report."""
     radius = _quantity(options.particle_radius, "length", "--particle-radius")
     chip = with_particle(read_chip(options.chip), options.state, particle=options.particle, radius=radius)
     model = model_options(options, chip)
@@ -88,8 +88,8 @@ def run_particles(options: argparse.Namespace, console: Console) -> int:
 
 
 def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
-    """The field at the requested frequency, or at the operating point of the spectrum; where that is the middle of the
-    band, a finding says so."""
+    """The field at the requested frequency, or at the operating point. A finding reports an operating point that is
+    only the middle of the band."""
     if not isinstance(model.at, float):
         run = run_state(chip, name, model, show)
         return run if run.figures is not None or run.operating.peaks else replace(run, findings=(
@@ -100,14 +100,13 @@ def _field(chip: Chip, name: str, model: ModelOptions, show: Show) -> Snapshot:
 
 
 def _quantity(text: str | None, dimension: str, field: str) -> float | None:
-    """A quantity (SI) that an option states; None without the option."""
     return None if text is None else parse_quantity(text, dimension, source="command line", field=field)
 
 
 def _drawn(
     found: Trajectories, moving: LiquidMotion, window: Window, folder: Path, *, animated: bool
 ) -> tuple[list[Picture], dict[str, Path]]:
-    """The pictures of the report, and further files by what they hold."""
+    """The pictures of the report, and further files by description."""
     from workbench.render import beads
     from workbench.render.sections import draw_streaming
 

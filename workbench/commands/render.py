@@ -26,7 +26,7 @@ def run_render(options: argparse.Namespace, console: Console) -> int:
         choose(name, FIELDS, source="command line", field="--field")
     chip = read_chip(options.chip)
     model, name = model_options(options, chip), chip.state(options.state).name
-    # One field after the other may be drawn into a folder.
+    # Several runs may draw fields into one folder.
     folder = output_folder(options, Outputs("render", field_files(name), kept=tuple(field_files("*"))))
     with progress_bars(console) as show:
         shot = snapshot(chip, name, model.at, registry=model.registry, band=model.band, drive=model.drive,

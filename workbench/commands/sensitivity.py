@@ -34,7 +34,7 @@ OUTPUTS = Outputs("sensitivity", names=("report.html", "sensitivity.json", "rank
 
 
 def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
-    """``workbench sensitivity``: Algorithm 1 of the paper for the transducer of a chip, beside its Table 2."""
+    """``workbench sensitivity``: Algorithm 1 of the paper, with its Table 2."""
     chip = read_chip(options.chip)
     if options.density is not None:
         chip = _with_density(chip, parse_quantity(options.density, "density", source="command line", field="--density"))
@@ -54,7 +54,7 @@ def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     print_table(f"{chip.name}, {problem.materials[TRANSDUCER].name}", ranking_table(found))
     print_line(f"kept at {REAL_THRESHOLD:.0%} and {LOSS_THRESHOLD:.0%}: {', '.join(map(local_name, found.kept()))}")
     if found.undetermined:
-        console.print(f"zero in the baseline, so nothing can be said of them (--loss gives them one): "
+        console.print(f"zero in the baseline, so they have no rank (--loss sets a loss): "
                       f"{', '.join(map(local_name, found.undetermined))}", style="yellow", markup=False)
     console.print(f"{found.spectra} spectra in {found.seconds:.1f} s, {found.solves} full solves", markup=False)
     write_json(folder / "sensitivity.json", {
@@ -71,7 +71,7 @@ def _with_density(chip: Chip, density: float) -> Chip:
 
 
 def _baseline(problem: Problem, share: float) -> dict[str, complex]:
-    """Losses that the material does not state, as a share of the real part."""
+    """Losses that the material does not state, relative to the real part."""
     if not 0.0 <= share < 1.0:
         raise InputError("command line", "--loss", share, "a share of the real part, from 0 to below 1")
     material, result = problem.materials[TRANSDUCER].name, {}
@@ -81,7 +81,7 @@ def _baseline(problem: Problem, share: float) -> dict[str, complex]:
             key = parsed.key
             value = complex(problem.values[key])
             if value.imag == 0.0 and share:
-                # A permittivity loses with a positive imaginary part, a stiffness with a negative one.
+                # The loss of a permittivity is a positive imaginary part, that of a stiffness a negative one.
                 result[key] = complex(value.real, share * value.real * (1.0 if ".eps" in key else -1.0))
     return result
 

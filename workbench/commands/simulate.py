@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 
 
 def run_simulate(options: argparse.Namespace, console: Console) -> int:
-    """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
+    """``workbench simulate``: every state of a chip, with pictures, CAD and report."""
     chip = read_chip(options.chip)
     model = model_options(options, chip)
     chosen = options.state or [state.name for state in chip.states]
-    # Each once; and every state's materials are read before the first state is solved.
+    # Each state once. The materials of every state are read before the first state is solved.
     states = list(dict.fromkeys(chip.state(name).name for name in chosen))
     for name in states:
         fill(chip, name, model.registry)
@@ -58,19 +58,19 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     runs, failed = list[Simulation](), dict[str, RuntimeError]()
     wants = WantedFiles(cad=not options.no_cad, pictures=not options.no_pictures)
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
-    with _Beside(chip, folder, wants) as beside, progress_bars(console) as show:
+    with _DrawingProcess(chip, folder, wants) as drawing, progress_bars(console) as show:
         for run in _simulated(chip, states, model, show, folder, unfinished, wants, failed):
             runs.append(run)
             if options.vtu:
                 write_fields(run, folder)
             if wants.pictures:
                 show(run.state, "pictures", SIMULATED)
-                beside.draw(run, is_last=len(runs) == len(states))
+                drawing.draw(run, is_last=len(runs) == len(states))
             show(run.state, "done", 1.0)
         if not runs:
             raise _of_state(failed)
-        pictures, solid_view = beside.pictures(), beside.solid_view()
-    # The last state is the one the device works in: the filled chip comes after the empty one.
+        pictures, solid_view = drawing.pictures(), drawing.solid_view()
+    # The last state is the working one: the filled chip comes after the empty one.
     write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for run in runs
                if (found := gathering(run, registry=model.registry, kept=options.cold)) is not None]
@@ -80,7 +80,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
         "gathering": gathering_record(answers),
     })
     write_simulation_report(chip, runs, answers, pictures, solid_view, folder)
-    # Not sooner: a run interrupted in its second state must not solve the first one again.
+    # At the end, so that a run interrupted in its second state does not solve the first one again.
     for path in unfinished.values():
         discard(path)
     _print_results(chip, runs, answers, console, is_stated=options.at is not None)
@@ -92,7 +92,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
 def _print_results(
     chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], console: Console, *, is_stated: bool
 ) -> None:
-    """Print the results, the last state's first; that of a dry state has its frequency if it `is_stated`."""
+    """Print the results, the last state's first. The frequency of a dry state is printed if it `is_stated`."""
     first = straight_findings(chip.measure, chip.electrodes)
     for text in first:
         say_finding(text, console)
@@ -115,7 +115,6 @@ def _print_results(
 
 
 def _of_state(failed: Mapping[str, RuntimeError]) -> RuntimeError:
-    """The error of the first state that failed, with the name of the state."""
     name, error = next(iter(failed.items()))
     return RuntimeError(f"state {name}: {error}")
 
@@ -133,12 +132,10 @@ def _simulated(
     chip: Chip, states: Sequence[str], model: ModelOptions, show: Show, folder: Path, unfinished: Mapping[str, Path],
     wants: WantedFiles, failed: dict[str, RuntimeError],
 ) -> Iterator[Simulation]:
-    """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
-    computed while this one is drawn, if there is memory for both. A state that cannot be solved goes to `failed` with
-    its error; the others are finished.
-
-    Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
-    """
+    """The simulation of every state in turn. Its spectrum is in the `folder` as soon as it is known. The next state is
+    computed while this one is drawn, if there is memory for both. `failed` gets the errors of states that cannot be
+    solved; the others are finished. Full spectra are computed one after the other: they take long, and must stop when
+    they are interrupted."""
     files = {name: folder / f"spectrum_{name}.csv" for name in states}
     if unfinished:
         for name in states:
@@ -146,14 +143,14 @@ def _simulated(
         return
     stopped = Event()
 
-    def heard(state: str, activity: str, fraction: float) -> None:
+    def report(state: str, activity: str, fraction: float) -> None:
         if stopped.is_set():
             raise KeyboardInterrupt
         show(state, activity, fraction)
 
     def solved(name: str) -> Simulation:
-        run = run_state(chip, name, model, heard, spectrum=files[name])
-        _ = run.resonances  # fitted here, beside the other state
+        run = run_state(chip, name, model, report, spectrum=files[name])
+        _ = run.resonances  # fitted now, in parallel to the other state
         return run
 
     pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, model))
@@ -169,26 +166,28 @@ def _simulated(
                 continue
             yield run
     finally:
-        # Not waited for: what is in native code stops where it next says how far it is.
+        # No waiting: native code stops at its next report of progress.
         stopped.set()
         pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _at_a_time(chip: Chip, states: Sequence[str], model: ModelOptions) -> int:
-    """Two states at a time where there is memory for them, else one."""
+    """Two states at a time if the memory is sufficient, else one."""
     return 2 if sum(state_sizes(chip, states, model)[-2:]) <= memory_to_use().size else 1
 
 
 @dataclass(frozen=True)
 class WantedFiles:
-    """The files that a user wants: those of the solid model, and pictures."""
+    """The requested files: solid model, and pictures."""
 
     cad: bool
     pictures: bool
 
 
-class _Beside:
-    """A process that makes the solid model while this one solves, and then draws states while this one draws the last.
+class _DrawingProcess:
+    """A process for the solid model, and then for pictures of states.
+
+    It works in parallel to this one, which solves and draws too.
 
     Raises:
         RuntimeError: the export failed.
@@ -203,7 +202,7 @@ class _Beside:
             self._worker = Processes(1, words=Path(os.devnull))
             self._solids = self._worker.submit(partial(_solid_model, chip, folder, wants))
 
-    def __enter__(self) -> _Beside:
+    def __enter__(self) -> _DrawingProcess:
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -211,18 +210,16 @@ class _Beside:
             self._worker.close()
 
     def draw(self, run: Simulation, *, is_last: bool) -> None:
-        """Let the process draw a state, or half of the last one, whose other half this process draws."""
+        """Draw a state in the process; the last one half here."""
         halfway = len(gallery.FIELDS) // 2 if is_last else 0
         self._drawn[run.state] = self._worker.submit(
             partial(_drawn, run.drawn, self._folder, gallery.FIELDS[halfway:]))
         self._own[run.state] = gallery.draw_state(run, self._folder, of=gallery.FIELDS[:halfway])
 
     def pictures(self) -> dict[str, list[Picture]]:
-        """The pictures by state, once they are there."""
         return {state: [*self._own[state], *drawn.result()] for state, drawn in self._drawn.items()}
 
     def solid_view(self) -> list[Picture]:
-        """The picture of the solid model, once it and the files of the model are there."""
         try:
             return [] if self._solids is None else self._solids.result()
         except Exception as error:
@@ -230,7 +227,6 @@ class _Beside:
 
 
 def _solid_model(chip: Chip, folder: Path, wants: WantedFiles) -> list[Picture]:
-    """Write the solids of a chip and draw them; whatever pictures need is loaded by then."""
     solids = export_solids(chip, folder)[1] if wants.cad else {}
     if not wants.pictures:
         return []

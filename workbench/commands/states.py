@@ -1,4 +1,4 @@
-"""One state of a chip, simulated as the options ask."""
+"""Simulation of a state by the options of a command."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import Simulation, Snapshot
 from workbench.simulation.run import simulate as simulate_state
 
-#: Share of the progress bar of a state that is the simulation; the pictures are the rest.
+#: Share of the simulation in the progress bar of a state; the rest is for pictures.
 SIMULATED = 0.9
 
 
@@ -27,8 +27,8 @@ def run_state(
     chip: Chip, state: str | None, model: ModelOptions, show: Show, *, unfinished: Path | None = None,
     spectrum: Path | None = None,
 ) -> Simulation:
-    """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`. The
-    spectrum is in the file `spectrum` as soon as it is known: interrupted later, it is not lost."""
+    """The simulation of a state, by default the last one. A full spectrum continues from the file `unfinished`. The
+    spectrum is written to the file `spectrum` as soon as it is known, in case of an interruption."""
     name = chip.state(state).name
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, model)
     return simulate_state(
@@ -41,7 +41,7 @@ def run_state(
 
 
 def state_sizes(chip: Chip, states: Sequence[str], model: ModelOptions) -> list[float]:
-    """Estimated memory (bytes) of the models of states, the largest last."""
+    """Estimated memory (bytes) of the models of states, ascending."""
     made = discretisation(model.accuracy)
     devices = [fill(chip, name, model.registry) for name in states]
     return sorted(job_size(each.section, each.materials, made, model.band).memory for each in devices)
@@ -53,18 +53,16 @@ def simulated(show: Show, state: str, activity: str, fraction: float) -> None:
 
 
 class _UnfinishedSpectrum:
-    """Points of a full spectrum, on disk as soon as each is known, so that an interrupted run goes on from there.
-
-    The first line is a digest of all that decides an impedance: the chip, its materials with their values, and the
-    mesh. Points with another digest are not taken over. Numbers are hexadecimal, hence exact.
-    """
+    """Points of a full spectrum on disk, for a continued run. The first line is a digest of all inputs of the
+    impedance: the chip, its materials with their values, and the mesh. Points with another digest are not used. Numbers
+    are hexadecimal, hence exact."""
 
     def __init__(self, path: Path, chip: Chip, state: str, model: ModelOptions) -> None:
         filling = fill(chip, state, replace(model.registry, assumed_losses=True)).materials
         deciding = repr((chip, state, sorted(filling.items()), model.band[1], discretisation(model.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()
-        # Text after the last line end was cut short by a kill: a number there may lack its last digits.
+        # Text after the last line end is incomplete after a kill: a number may lack its last digits.
         first, *rows = path.read_text().split("\n")[:-1] if path.exists() else [""]
         for row in rows if first == key else []:
             frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))
@@ -82,13 +80,14 @@ def _hexadecimal(frequency: float, impedance: complex) -> str:
 
 
 def field_files(state: str) -> tuple[str, ...]:
-    """Names of the files of the fields of a state: pictures (`workbench.render.gallery`), and those for ParaView."""
+    """Names of the files of the fields of a state. They are pictures (`workbench.render.gallery`) and a file for
+    ParaView."""
     pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh")
     return (f"fields_{state}.vtu", *(f"{name}_{state}.png" for name in pictures))
 
 
 def write_fields(run: Snapshot, folder: Path) -> Path:
-    """The fields of a state for ParaView."""
+    """Write the fields of a state for ParaView."""
     from workbench.render.vtu import write_vtu
 
     return write_vtu(run.fields, folder / f"fields_{run.state}.vtu")

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def run_study(options: argparse.Namespace, console: Console) -> int:
-    """``workbench study``: every point of a study, its table, its pictures, and the report."""
+    """``workbench study``: every point of a study, with pictures and report."""
     plan = read_study(options.study, materials=options.materials, inviscid=options.inviscid)
     folder = output_folder(options, study_outputs(plan, options.output), inputs=[plan.chip.file])
     for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
         say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with executor_option(options) as (executor, jobs), progress_bars(console) as show:
-        found = study(plan, options.held, jobs=jobs, executor=executor, overwrite=options.overwrite,
+        found = study(plan, options.run_folder, jobs=jobs, executor=executor, overwrite=options.overwrite,
                       progress=by_rows(show))
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)
@@ -37,5 +37,5 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
     for each in found.statistics:
         if each.count < each.points:
             console.print(f"{each.figure}, {each.state}: missing at {each.points - each.count} of {each.points} "
-                          "points; the table says why", style="yellow", markup=False)
+                          "points; the table gives the reasons", style="yellow", markup=False)
     return 0

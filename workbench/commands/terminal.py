@@ -1,4 +1,4 @@
-"""Output of a command: results on standard output, so that they can be piped; progress on the error console."""
+"""Output of a command: results to standard output, progress to the console."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from workbench.report.page import TextTable
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-#: Called with a state, what is being done for it, and the fraction of it that is done.
+#: Called with a state, its present activity, and the finished fraction of it.
 Show = Callable[[str, str, float], None]
 
 
 @contextmanager
 def progress_bars(console: Console) -> Iterator[Show]:
-    """Progress bars, one for each state: called with the state, what is being done, and the fraction of it."""
+    """Progress bars, one for each state."""
     from rich import progress
 
     bars = progress.Progress(
@@ -42,32 +42,32 @@ def progress_bars(console: Console) -> Iterator[Show]:
 
 
 def by_rows(show: Show) -> Progress:
-    """Shows "part: what is done" in the row of the part."""
-    def told(text: str, share: float) -> None:
+    """A progress that shows "part: activity" in the row of the part."""
+    def progress(text: str, share: float) -> None:
         part, _, activity = text.rpartition(": ")
         show(part, activity, share)
 
-    return told
+    return progress
 
 
 def say_finding(text: str, console: Console) -> None:
-    """A finding, beside the results."""
+    """Print a finding to the error console."""
     console.print(f"finding: {text}", style="yellow", markup=False)
 
 
 def print_line(text: str) -> None:
-    """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
+    """Print a line of results to standard output."""
     sys.stdout.write(visible(text, keep=KEPT) + "\n")
 
 
 def print_paragraph(text: str) -> None:
-    """A result in sentences, on lines as wide as the terminal (80 columns where there is none)."""
+    """Print a result in sentences, wrapped to the terminal. It has 80 columns without a terminal."""
     print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_long_words=False,
                              break_on_hyphens=False))
 
 
 def print_table(title: str, table: TextTable) -> None:
-    """A table of results, to standard output, as wide as the terminal at most (80 columns where there is none)."""
+    """Print a table of results to standard output. It is at most as wide as the terminal, 80 columns without one."""
     from rich.console import Console
 
     console = Console(highlight=False)
@@ -77,13 +77,13 @@ def print_table(title: str, table: TextTable) -> None:
 
 
 def table_parts(title: str, table: TextTable, *, width: int) -> list[RenderableType]:
-    """A title and a table as `rich` draws them in `width` cells of a terminal; no word is cut.
+    """A title and a table for `rich` in `width` cells.
 
-    `rich` alone takes the width that is wanting from the widest columns, and cuts their words; so the widths are set
-    here. Headings and cells that are too long are wrapped between words, then behind the dots and slashes of names
-    ("transducer.thickness", "pla/acevedo_2026"; never within a number). If that is not enough, the columns are folded
-    into several tables below one another, each with the columns that tell the rows apart, and at last every row
-    becomes a list of headings and values. Only a word that is longer than a whole line is cut.
+    Words are not broken. `rich` alone takes the missing width from the widest columns, and breaks their words; so the
+    widths are set here. Headings and cells that are too long are wrapped between words, then after the dots and slashes
+    of names ("transducer.thickness", "pla/acevedo_2026"; never within a number). If that is not enough, the columns are
+    folded into several tables, each with the columns that identify the rows, and at last every row becomes a list of
+    headings and values. Only a word that is longer than a whole line is broken.
     """
     from rich.table import Table
     from rich.text import Text
@@ -107,7 +107,7 @@ def table_parts(title: str, table: TextTable, *, width: int) -> list[RenderableT
 
 
 def _widths(table: TextTable, width: int) -> list[int] | None:
-    """Cells for every column, so that the table fits in `width` and its words are whole; None if they are too long."""
+    """Column widths of a table in `width` cells, or None. None if its words would be broken."""
     from rich.cells import cell_len
 
     room = width - (3 * len(table.columns) + 1)
@@ -118,7 +118,7 @@ def _widths(table: TextTable, width: int) -> list[int] | None:
     for split in (str.split, _pieces):
         found = [max((cell_len(piece) for text in column for piece in split(text)), default=1) for column in columns]
         if sum(found) <= room:
-            # The rest of the room goes to the most crowded column, one character after the other.
+            # The remaining width goes to the most crowded column, one character after the other.
             for _ in range(room - sum(found)):
                 found[max(range(len(found)), key=lambda column: wanted[column] / found[column])] += 1
             return found
@@ -126,8 +126,8 @@ def _widths(table: TextTable, width: int) -> list[int] | None:
 
 
 def _folded(table: TextTable, width: int) -> list[TextTable] | None:
-    """Tables that fit in `width`, each with the columns that tell the rows apart; None if one column cannot."""
-    # The first columns that tell every row from the others; the first one, if all of them do not.
+    """Tables that fit in `width`, each with identifying columns, or None."""
+    # The first columns that identify every row; the first one, if all of them do not.
     keys = next((count for count in range(1, len(table.columns))
                  if len({row[:count] for row in table.rows}) == len(table.rows)), 1)
     found: list[TextTable] = []
@@ -146,13 +146,11 @@ def _folded(table: TextTable, width: int) -> list[TextTable] | None:
 
 
 def _chosen(table: TextTable, columns: Sequence[int]) -> TextTable:
-    """The table with these columns only."""
     heads, *rows = (tuple(row[column] for column in columns) for row in (table.columns, *table.rows))
     return TextTable(heads, tuple(rows))
 
 
 def _as_list(table: TextTable, width: int) -> RenderableType:
-    """Every row as a list of headings and values, with lines between the rows."""
     from rich.box import HORIZONTALS
     from rich.table import Table
     from rich.text import Text
@@ -166,17 +164,17 @@ def _as_list(table: TextTable, width: int) -> RenderableType:
     return drawn
 
 
-#: Where a name may be broken: behind a dot or slash that a letter follows.
+#: Breaks of a name: after a dot or slash before a letter.
 _JOINT = re.compile(r"(?<=[^\W_][./])(?=[^\W\d_])")
 
 
 def _pieces(text: str) -> list[str]:
-    """The members of names that a text may be broken into."""
+    """The parts of names at which a text may be broken."""
     return [piece for word in text.split() for piece in _JOINT.split(word)]
 
 
 def _breakable(text: str, width: int) -> str:
-    """The text with line ends at the joints of words longer than `width` cells, at which these must be broken."""
+    """The text with line ends in words longer than `width` cells."""
     from rich.cells import cell_len
 
     words = []

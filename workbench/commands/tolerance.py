@@ -41,7 +41,7 @@ OUTPUTS = Outputs("tolerance", names=("report.html", "tolerance.json", "toleranc
 
 
 def run_tolerance(options: argparse.Namespace, console: Console) -> int:
-    """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
+    """``workbench tolerance``: sensitivities, yield, and the uncertainty to halve first."""
     chip = read_chip(options.chip)
     model = model_options(options, chip)
     registry = replace(model.registry, assumed_losses=True)
@@ -68,18 +68,17 @@ def run_tolerance(options: argparse.Namespace, console: Console) -> int:
         write_samples(found, folder / "tolerance.parquet")
     write_json(folder / "tolerance.json", {**tolerance_record(found), "chip_file": str(options.chip)})
     write_tolerance_report(found, folder)
-    _tell(found, console)
+    _print_results(found, console)
     return 0
 
 
 def _statements(options: argparse.Namespace) -> list[Statement]:
-    """Statements of a file, then those of the command line."""
     of_file = [] if options.uncertainties is None else list(read_statements(options.uncertainties))
     return of_file + [parse_statement(text) for text in options.uncertainty]
 
 
 def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]:
-    """Thermal resistances (K/W) by region; "" for all that are not named."""
+    """Thermal resistances (K/W) by region; "" for all others."""
     found: dict[str, float] = {}
     for text in texts:
         region, equals, written = text.rpartition("=")
@@ -94,8 +93,7 @@ def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]
     return found
 
 
-def _tell(found: Tolerance, console: Console) -> None:
-    """Print what was found."""
+def _print_results(found: Tolerance, console: Console) -> None:
     title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
     print_table(title, uncertain_figures_table(found))
     print_table("sensitivities", sensitivities_table(found))

@@ -31,7 +31,7 @@ from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
 from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
-from workbench.files.output import OutputFolder, held
+from workbench.files.output import OutputFolder, run_folder
 from workbench.files.ownership import Manifest, Outputs, discard
 from workbench.files.sealed import read_arrays, write_arrays
 from workbench.files.writing import write_json
@@ -163,7 +163,7 @@ def opened(
     Raises:
         InputError: the folder holds another study, or see `workbench.files.output.begin`.
     """
-    with held(path, study_outputs(study, Path(path)), source=study.file) as folder:
+    with run_folder(path, study_outputs(study, Path(path)), source=study.file) as folder:
         _begin(folder.path, study, parts, overwrite=overwrite)
         yield StudyFolder(folder.path, study.figures)
 

@@ -157,7 +157,7 @@ class Model:
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
         """Indices of the free parameters, and of those whose prior is dropped."""
         moved = [self.index(p.name) for effect in chosen for p in effect.parameters]
-        without_prior = [self.index(name) for effect in chosen for name in effect.releases]
+        without_prior = [self.index(name) for effect in chosen for name in effect.freed]
         return sorted({*range(self.known), *moved}), sorted(set(without_prior))
 
 
@@ -233,10 +233,10 @@ def _with_cosines(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> Fit
 
 def _known_parameters(campaign: Campaign, problems: Mapping[str, Problem]) -> tuple[Parameter, ...]:
     """The known parameters: those shared by all states, then the offsets."""
-    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.taken
+    shared = {each.name: _known(each, campaign, list(problems.values())) for each in campaign.uncertain
               if not each.parsed.state}
     return (*shared.values(), *(_offset(each, campaign, problems, shared)
-                                for each in campaign.taken if each.parsed.state in problems))
+                                for each in campaign.uncertain if each.parsed.state in problems))
 
 
 def _problems(

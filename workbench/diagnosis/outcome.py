@@ -117,7 +117,7 @@ class Diagnosis(Shown):
     @cached_property
     def known(self) -> tuple[FoundNumber, ...]:
         """The known parameters, without those whose prior an effect drops."""
-        without_prior = {name for effect in self.fitted.hypothesis.effects for name in effect.releases}
+        without_prior = {name for effect in self.fitted.hypothesis.effects for name in effect.freed}
         names = [p.name for p in self.model.parameters[:self.model.known] if p.name not in without_prior]
         return estimates(self.model, self.fitted.explanation, names)
 

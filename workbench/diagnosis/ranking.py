@@ -146,7 +146,7 @@ def _ranked(
     for effect in (each for each in model.effects if not taken & set(each.names)):
         own = np.array([model.index(name) for name in effect.names])
         bounds = np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])
-        imitated = everything if not effect.releases else _Nuisances.of(
+        imitated = everything if not effect.freed else _Nuisances.of(
             model, tangents, residual, nuisances, offset, without_prior, own.tolist())
         scores.append(_score(effect, tangents[:, own], everything.residual, imitated, bounds, recordings))
     return sorted(scores, key=lambda score: -score.evidence)

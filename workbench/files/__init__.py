@@ -1,4 +1,4 @@
-"""Input files of users, the errors that answer mistakes in them, and files written whole or not at all.
+"""Input files of users, errors for mistakes in them, and atomic writing.
 
-The lowest layer: materials, geometry and the rest of the workbench stand on it, and it imports none of them.
+The lowest layer: materials, geometry and the other packages of the workbench import it, and it imports none of them.
 """

@@ -1,4 +1,4 @@
-"""Errors for mistakes in a user's input, and names chosen from closed lists."""
+"""Errors for mistakes in a user's input, and choices of names."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-#: Characters of a received value that a message shows. Doubled, an array fills the lines that say what is expected.
+#: Characters of a received value in a message. Doubled, an array hides the description of the expected value.
 SHOWN_CHARACTERS = 200
 
-#: Names that a message lists. Doubled, the list of a folder of materials hides the nearest one.
+#: Names in a message. Doubled, the list of a folder of materials hides the nearest one.
 LISTED = 15
 
 
 @dataclass
 class InputError(ValueError):
-    """A mistake in a user's input, with all that is needed to mend it.
-
-    ``source`` is the file (or command) at fault, ``field`` the place in it, ``value`` the received value and
-    ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a mistyped name.
-    """
+    """A mistake in a user's input. ``source`` is the file or command, ``field`` the place in it, ``value`` the received
+    value and ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a mistyped name."""
 
     source: str
     field: str
@@ -40,13 +37,15 @@ class InputError(ValueError):
 
 
 def _shown(value: object) -> str:
-    """A received value for a message, in one line, its end cut off if it is long."""
+    """A received value on one line, cut off if it is long."""
     text = " ".join(line.strip() for line in repr(value).splitlines())
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}... ({len(text)} characters)"
 
 
 def expect(value: object, kind: type, *, reader: str, source: str, field: str) -> None:
-    """Refuse a value that is not of a `kind`; `reader` is the public function that makes one from a file.
+    """Raise for a value that is not of a `kind`.
+
+    `reader` is the public function that reads one from a file.
 
     Raises:
         InputError: it is of another kind, such as the path of a file.
@@ -58,7 +57,9 @@ def expect(value: object, kind: type, *, reader: str, source: str, field: str) -
 
 
 def expect_number(value: object, expected: str, *, source: str, field: str, low: float = -math.inf) -> float:
-    """The finite number that a caller passed, not below `low`; `expected` describes it with its unit.
+    """The finite number from a caller, not below `low`.
+
+    `expected` describes it with its unit.
 
     Raises:
         InputError: anything else, such as a text with a unit.
@@ -69,7 +70,7 @@ def expect_number(value: object, expected: str, *, source: str, field: str, low:
 
 
 def expect_whole(value: object, expected: str, *, source: str, field: str, low: int) -> int:
-    """The whole number, not below `low`, that a caller passed.
+    """The whole number from a caller, not below `low`.
 
     Raises:
         InputError: anything else.
@@ -80,7 +81,7 @@ def expect_whole(value: object, expected: str, *, source: str, field: str, low: 
 
 
 def one_of(names: Collection[str], name: object) -> str:
-    """The choices for a message: all of a few, of more than :data:`LISTED` their count and the three nearest `name`."""
+    """The choices for a message. For more than :data:`LISTED` choices, their count and the three nearest to `name`."""
     if len(names) <= LISTED:
         return "one of " + ", ".join(names)
     folded = {each.casefold(): each for each in names}
@@ -89,19 +90,24 @@ def one_of(names: Collection[str], name: object) -> str:
 
 
 def nearest_names(name: str, known: Iterable[str], *, count: int = 3) -> tuple[str, ...]:
-    """Names in `known` that `name` may stand for, best first (case is ignored)."""
+    """Names in `known` similar to `name`, best first; case is ignored."""
     folded = {k.casefold(): k for k in known}
     return tuple(folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=count, cutoff=0.5))
 
 
 def nearest_files(path: Path, wanted: Callable[[Path], bool]) -> tuple[str, ...]:
-    """Names of `wanted` files beside a `path` that is not there, called nearly so; in its absence, of this folder."""
+    """Names of `wanted` files with names similar to `path`. They are in its folder or, if there is no such folder, in
+    the working directory."""
     folder = path.parent if path.parent.is_dir() else Path()
     return nearest_names(path.name, (each.name for each in folder.iterdir() if wanted(each)))
 
 
 def choose(name: object, known: Iterable[str], *, source: str, field: str) -> str:
-    """The `name` if it is one of `known`; otherwise an :class:`InputError` with :func:`one_of` and the nearest."""
+    """The `name` if it is one of `known`.
+
+    Raises:
+        InputError: it is not; with :func:`one_of` and the nearest names.
+    """
     names = sorted(known)
     if isinstance(name, str) and name in names:
         return name

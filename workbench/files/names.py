@@ -1,6 +1,6 @@
-"""Names that a user's files give, and the text of files as a terminal may show it.
+"""Checks of names in a user's files, and text safe to print.
 
-Names are of two kinds. One that becomes part of a file name (a state, a recording of a batch, a material and its
+Names are of two kinds. A name that becomes part of a file name (a state, a recording of a batch, a material and its
 source) has letters, digits and a few marks, and never a part of a path. A title (a chip, a study, a note) is any
 printable text on one line.
 """
@@ -20,34 +20,29 @@ from workbench.files.quantities import ProgramSource
 #: Marks that a name may have beside letters and digits.
 MARKS = " .+-_"
 
-#: Marks of a part of a number's name, such as ``pzt4/disc_7.density``, in which dots and blanks end a part.
+#: Marks in a part of a parameter's name, such as ``pzt4/disc_7.density``, in which dots and blanks end a part.
 NUMBER_MARKS = "-_"
 
-#: Most bytes (UTF-8) of a name. File systems take 255 for a file, whose name holds one or two names and an ending.
+#: Most bytes (UTF-8) of a name. A file name of one or two names and a suffix then fits in 255 bytes.
 MOST_BYTES = 80
 
-#: Categories of Unicode that act on a terminal or end a line: controls, half characters, separators of lines.
+#: Categories of Unicode that act on a terminal or end a line: controls, surrogates, separators of lines.
 _CONTROLS = ("Cc", "Cs", "Zl", "Zp")
 
-#: Characters that turn the direction of the text behind them, so that it reads as another one.
+#: Characters that change the direction of the text after them, so that it can look like another text.
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 
 def check_name(name: object, *, source: str, field: str, form: str = "name", marks: str = MARKS) -> str:
-    """The `name` if it can be part of a file name, or of as many folders and files as `form` has.
+    """The `name` if it can be part of a file name.
 
-    Parameters
-    ----------
-    form : str
-        The kind of name; "material/source" stands for two names with a slash between them.
-    marks : str
-        Characters that it may have beside letters and digits of any script.
+    Args:
+        form: the kind of name; "material/source" is two names with a slash between them.
+        marks: allowed characters beside letters and digits of any script.
 
-    Raises
-    ------
-    InputError
-        Another character, a mark at the start, a blank or dot at the end, or more than :data:`MOST_BYTES` bytes. The
-        nearest choice is the name without them.
+    Raises:
+        InputError: another character, a mark at the start, a blank or dot at the end, or more than :data:`MOST_BYTES`
+            bytes. The nearest choice is the name without them.
     """
     count = form.count("/")
     parts = name.split("/", count) if isinstance(name, str) else []
@@ -63,11 +58,9 @@ def check_name(name: object, *, source: str, field: str, form: str = "name", mar
 def check_title(title: object, *, source: str, field: str) -> str:
     """The `title` if it is printable text on one line.
 
-    Raises
-    ------
-    InputError
-        A line end, a control character, one that turns the direction of text, or nothing printable at all. The nearest
-        choice is the title without them.
+    Raises:
+        InputError: a line end, a control character, one that changes the direction of text, or nothing printable at
+            all. The nearest choice is the title without them.
     """
     if isinstance(title, str) and title.strip() and (title.isprintable() or not any(map(_is_control, title))):
         return title
@@ -78,7 +71,7 @@ def check_title(title: object, *, source: str, field: str) -> str:
 
 
 def visible(text: str, *, keep: str = "") -> str:
-    r"""The `text` with its control characters, those in `keep` excepted, as escapes such as ``\x1b``."""
+    r"""The `text` with control characters, except `keep`, as escapes such as ``\x1b``."""
     if text.isprintable():
         return text
     return "".join(each.encode("unicode_escape").decode("ascii") if _is_control(each) and each not in keep else each
@@ -95,17 +88,17 @@ def _is_name(part: str, marks: str) -> bool:
 
 
 def _starts(character: str) -> bool:
-    # Legends of pictures leave out names that begin with an underscore.
+    # Matplotlib leaves names that begin with an underscore out of legends.
     return unicodedata.category(character)[0] in "LN"
 
 
 def _is_of_word(character: str) -> bool:
-    """Whether it is a letter, a digit, or an accent or vowel sign that a script sets on a letter."""
+    """Whether it is a letter, a digit, or a combining accent."""
     return unicodedata.category(character)[0] in "LNM"
 
 
 def _as_name(part: str, marks: str) -> str:
-    """The nearest name; empty if nothing of it can stay."""
+    """The nearest valid name; empty if there is none."""
     kept = "".join(each if _is_of_word(each) or each in marks else "\0" for each in part)
     # A run of other characters becomes one underscore; the dots of "../" go with it.
     kept = re.sub(r"[\0._]*\0[\0._]*", "_", kept).rstrip("_" if "\0" in kept else " ")
@@ -119,20 +112,20 @@ def _nearest(parts: list[str], count: int) -> tuple[str, ...]:
 
 
 def _placed(source: str, name: object) -> str:
-    """The `source`, with the line of the name if it is a TOML file that states it."""
+    """The `source`, with the line of the name in a TOML file."""
     if not isinstance(name, str) or isinstance(source, ProgramSource) or not source.endswith(".toml"):
         return source
     try:
         lines = Path(source).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
         return source
-    # A statement on one line is TOML by itself.
+    # A statement on one line is valid TOML.
     line = next((number for number, line in enumerate(lines, 1) if name in _texts(line)), None)
     return source if line is None else f"{source}, line {line}"
 
 
 def _texts(line: str) -> set[str]:
-    """The keys and texts that one line of TOML states; none if it is no statement."""
+    """The keys and texts in one line of TOML."""
     try:
         return set(_within(tomllib.loads(line)))
     except (ValueError, RecursionError):

@@ -1,10 +1,10 @@
-"""The output folder of a command: one run at a time, and no file of the user replaced or removed.
+"""The output folder of a command, which never replaces a user's file.
 
     with begin(path, Outputs("simulate", names=("report.html", "spectrum_*.csv"))) as folder:
         write_atomic(folder.path / "report.html", text)
 
-Files that are written in the folder meanwhile, by any thread or process, are entered in its manifest
-(`workbench.files.ownership`), which the next run goes by.
+Only one run at a time uses a folder. Files that any thread or process of it writes are entered in the folder's manifest
+(`workbench.files.ownership`), which the next run reads.
 """
 
 from __future__ import annotations
@@ -46,39 +46,39 @@ MARK = "INCOMPLETE.txt"
 #: The first line of a mark of the versions without a manifest.
 OLD_MARK = re.compile(r"\d+ is the process that writes the results in this folder\.\n")
 
-#: Names that a message lists; of more there is a number.
+#: Names in a message; further ones are counted.
 LISTED = 12
 
-#: Attempts to lock, this many seconds apart: a look at the lock holds it for a moment.
+#: Attempts to lock, and seconds between them: another process that tests the lock takes it for a moment.
 ATTEMPTS, PAUSE = 5, 0.02
 
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files of earlier runs in a folder: those ``removed``, and those that remain, by the ``command`` of each."""
+    """Files of earlier runs in a folder. ``removed`` are gone; ``remaining`` are (name, command) of the others."""
 
     removed: tuple[str, ...]
     remaining: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        said = [f"removed {enumerated(self.removed)} of an earlier run"] if self.removed else []
+        parts = [f"removed {enumerated(self.removed)} of an earlier run"] if self.removed else []
         for command in dict.fromkeys(command for _, command in self.remaining):
             names = [name for name, each in self.remaining if each == command]
-            said.append(f"{enumerated(names)} {'are' if len(names) > 1 else 'is'} of an earlier `workbench {command}`")
-        return "; ".join(said)
+            parts.append(f"{enumerated(names)} {'are' if len(names) > 1 else 'is'} of an earlier `workbench {command}`")
+        return "; ".join(parts)
 
 
 class OutputFolder:
-    """The folder ``path`` of a run, held until :meth:`finish`; the end of a ``with`` block finishes it."""
+    """The folder ``path`` of a run, locked until :meth:`finish`. The end of a ``with`` block finishes it."""
 
     def __init__(self, path: Path, outputs: Outputs, lock: int, inputs: frozenset[str]) -> None:
         self.path, self.outputs, self._lock, self._inputs = path, outputs, lock, inputs
-        #: Whether a mark is still there though the results are complete: of another run, or changed by the user.
-        self.mark_stays = False
+        #: Whether a mark of another run, or one changed by the user, remains although the results are complete.
+        self.has_mark = False
         manifest = Manifest(path)
         self._before = {name: command for name, command in manifest.commands.items()
                         if manifest.owns(name, outputs.working)}
-        # The manifest begins anew with the files that are there; the lines of this run follow.
+        # A new manifest begins with the present files; the lines of this run follow.
         write_atomic(path / STATE / MANIFEST, HEADER + "".join(
             entry(name, digest_of(path / name), command) for name, command in self._before.items()))
         mark, self._earlier_mark = path / MARK, None
@@ -101,10 +101,8 @@ class OutputFolder:
         self.finish(complete=error is None)
 
     def finish(self, *, complete: bool) -> None:
-        """Let the folder go. Its mark stays unless the results are `complete`, or nothing was written.
-
-        The mark of an earlier run that did not end is there again, unless this run of the same command is complete.
-        """
+        """Unlock the folder, and remove its mark if the results are `complete`. The mark is also removed if nothing was
+        written. The mark of an earlier incomplete run is restored, unless this run of the same command is complete."""
         if self._lock < 0:
             return
         written, mark, earlier = self._written(), self.path / MARK, self._earlier_mark
@@ -113,14 +111,14 @@ class OutputFolder:
             write_atomic(mark, earlier)
         elif self.outputs.marked and (complete or not written) and Manifest(self.path).owns(MARK):
             mark.unlink()
-        self.mark_stays = complete and mark.exists()
+        self.has_mark = complete and mark.exists()
         clear(self.path)
         (self.path / STATE / RUN).unlink(missing_ok=True)
         os.close(self._lock)
         self._lock = -1
 
     def tidy(self) -> Leftovers:
-        """Remove files of the command's earlier runs that this run, which is complete, has not written."""
+        """Remove files of the command's earlier runs, except those written again. Only for a complete run."""
         manifest, written = Manifest(self.path), self._written()
         removed, remaining = [], []
         for name, command in self._before.items():
@@ -133,13 +131,12 @@ class OutputFolder:
                 path.unlink()
                 removed.append(name)
                 with suppress(OSError):
-                    # A folder that is empty now was made for the files in it.
+                    # A folder that is empty now was created for its files.
                     for folder in path.relative_to(self.path).parents[:-1]:
                         (self.path / folder).rmdir()
         return Leftovers(tuple(removed), tuple(remaining))
 
     def _written(self) -> set[str]:
-        """Relative paths of the files that this run has written."""
         entered = list(lines(self.path / STATE / MANIFEST))[1 + len(self._before):]
         return {str(line.get("file")) for line in entered} - {MARK}
 
@@ -147,16 +144,18 @@ class OutputFolder:
 def begin(
     path: Path, outputs: Outputs, *, source: str, field: str, room: float = 0.0, inputs: Sequence[Path] = ()
 ) -> OutputFolder:
-    """Hold the folder for results, made if need be, with `room` (bytes) on its disk.
+    """Lock the folder for results, and create it if needed.
 
-    `inputs` are files that the run reads: they are neither replaced nor removed.
+    Until :meth:`OutputFolder.finish`, the file :data:`MARK` marks it as incomplete, so that partial results are
+    recognised after any end of the program.
 
-    Until :meth:`OutputFolder.finish` it holds a file (:data:`MARK`) that marks it as incomplete: whatever ends the
-    program, nobody takes half of the results for all.
+    Args:
+        room: free bytes that the results need on its disk.
+        inputs: files that the run reads, which are neither replaced nor removed.
 
     Raises:
-        InputError: it holds files of the user under names that the run writes, another run is at work in it, it cannot
-            be made or written to, or its disk is too full.
+        InputError: it contains files of the user under names that the run writes, another run is at work in it, it
+            cannot be created or written to, or its disk is too full.
     """
     if path.name == STATE:
         raise InputError(source, field, str(path), f"a folder of another name: {STATE} holds the manifest of a run")
@@ -188,8 +187,8 @@ def begin(
 
 
 @contextmanager
-def held(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterator[OutputFolder]:
-    """The folder, as it is held already or as it is held in this block."""
+def run_folder(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterator[OutputFolder]:
+    """The folder, locked already or for this block."""
     if isinstance(path, OutputFolder):
         yield path
         return
@@ -198,19 +197,19 @@ def held(path: Path | OutputFolder, outputs: Outputs, *, source: str) -> Iterato
 
 
 def marking(mark: str) -> str:
-    """The command that a mark is of; nothing for those of earlier versions."""
+    """The command in a mark; "" for marks of earlier versions."""
     found = re.match(r"`workbench ([^`]*)`", mark)
     return found.group(1) if found else ""
 
 
 def clear(folder: Path) -> None:
-    """Remove files that were being written in the folder when a run ended."""
+    """Remove files that an interrupted run was writing."""
     for begun in (folder / STATE).glob(f"{NEW}*"):
         shutil.rmtree(begun, ignore_errors=True)
 
 
 def enumerated(names: Sequence[str]) -> str:
-    """Names with commas between them, at most :data:`LISTED` of them."""
+    """Names with commas between them, at most :data:`LISTED`."""
     more = f" and {len(names) - LISTED} more files" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more
 
@@ -221,11 +220,7 @@ def now() -> str:
 
 
 def _locked(path: Path, source: str, field: str) -> int:
-    """A handle that holds the lock of a folder.
-
-    Raises:
-        InputError: another run holds it, or the state of the folder is not of the workbench.
-    """
+    """A handle with the lock of a folder."""
     state = path / STATE
     with suppress(FileExistsError):
         state.mkdir()
@@ -233,7 +228,7 @@ def _locked(path: Path, source: str, field: str) -> int:
         raise InputError(source, field, str(path), f"a folder whose {STATE} is of the workbench; move {state} away, or "
                          "choose another folder")
     for attempt in range(ATTEMPTS):
-        # Never written to or emptied: a folder from somebody else may hold a hard link in its place.
+        # Never written to or truncated: in a folder of somebody else it may be a hard link to another file.
         handle = os.open(state / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -255,11 +250,7 @@ def _locked(path: Path, source: str, field: str) -> int:
 
 
 def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> None:
-    """Refuse a folder that holds files of the user under names that the run writes.
-
-    Raises:
-        InputError: so it does.
-    """
+    """Raise if the run would write over files of the user."""
     clear(path)
     manifest = Manifest(path)
     theirs = [name for name in in_the_way(path, (*outputs.names, *([MARK] if outputs.marked else [])))
@@ -274,11 +265,7 @@ def _refuse_others(path: Path, outputs: Outputs, source: str, field: str) -> Non
 def _refuse_inputs(
     path: Path, outputs: Outputs, inputs: Sequence[Path], source: str, field: str
 ) -> frozenset[str]:
-    """The relative paths of inputs in the folder.
-
-    Raises:
-        InputError: the run would replace one of them.
-    """
+    """The relative paths of inputs in the folder."""
     real = Path(os.path.realpath(path))
     inside = {each: Path(os.path.realpath(each)) for each in inputs}
     names = {each: at.relative_to(real).as_posix() for each, at in inside.items() if at.is_relative_to(real)}
@@ -294,7 +281,6 @@ def _is_old_mark(mark: Path) -> bool:
 
 
 def _unmake(made: Sequence[Path]) -> None:
-    """Remove folders that were made for a run that is refused."""
     for each in made:
         with suppress(OSError):
             if each.name == LOCK:

@@ -1,9 +1,9 @@
-"""The files of an output folder that runs of the workbench wrote, known by their digests.
+"""Files that runs of the workbench wrote in an output folder.
 
-    DIR/.workbench/lock            held (flock) by the run at work, never written to
+    DIR/.workbench/lock            locked (flock) by the run at work, never written to
     DIR/.workbench/run.json        that run: its command, process, begin, and the names that it writes
     DIR/.workbench/manifest.jsonl  a line for each file that a run wrote, entered before the file takes its place
-    DIR/.workbench/new-*           files that are being written; the next run clears them
+    DIR/.workbench/new-*           files that are being written; the next run removes them
 
 A file that is not in the manifest with its present digest belongs to the user: no run replaces or removes it.
 """
@@ -25,21 +25,21 @@ STATE, LOCK, RUN, MANIFEST, NEW = ".workbench", "lock", "run.json", "manifest.js
 #: First line of a manifest.
 HEADER = '{"format": "files of the workbench, 1"}\n'
 
-#: Folders above a file in which its run is looked for. Doubled, files may lie deeper in an output folder.
+#: Levels of folders above a file that are searched for its run. Doubled, files may lie deeper in an output folder.
 DEPTH = 4
 
-#: Answer to the replacement of a file of the user.
+#: Message for a file of the user.
 FOREIGN = "a file that no run of the workbench wrote"
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """The ``names`` of files that a ``command`` writes, as patterns of relative paths; ``*`` is part of one name.
+    """The files that a ``command`` writes.
 
-    A run removes files of the command's earlier runs that it does not write again, except those that match ``kept``,
-    which are results of their own, and ``working``, with which a run goes on. A working file is known by its name, so
-    that a damaged one is made again. Files that the user ``named`` are the command's business. A folder is ``marked``
-    as incomplete until the run ends.
+    ``names`` are patterns of relative paths; ``*`` is part of one name. A run removes files of the command's earlier
+    runs that it does not write again. Exceptions are ``kept`` files (results of their own) and ``working`` files (a run
+    continues with them). A working file is known by its name, so that a damaged one is written again. The folder does
+    not own files that the user ``named``. A folder is ``marked`` as incomplete until the run ends.
     """
 
     command: str
@@ -58,10 +58,8 @@ def matches(name: str, patterns: Iterable[str]) -> bool:
 
 
 def in_the_way(folder: Path, patterns: Iterable[str]) -> Iterator[str]:
-    """Relative paths of entries in a folder that bear one of the names, or a file or link where one needs a folder.
-
-    Hidden entries are left out; no link is followed, and no folder is entered that no pattern names.
-    """
+    """Relative paths of entries in a folder with one of the names. Also of a file or link in the place of a folder.
+    Hidden entries are left out; links and other folders are not followed."""
     wanted = [pattern.split("/") for pattern in patterns]
     for here, folders, files in os.walk(folder, followlinks=False):
         above = () if Path(here) == folder else Path(here).relative_to(folder).parts
@@ -80,7 +78,8 @@ def in_the_way(folder: Path, patterns: Iterable[str]) -> Iterator[str]:
 
 
 class Manifest:
-    """The files that runs wrote in a folder: digests by relative path, and the command that wrote each last."""
+    """The files that runs wrote in a folder. ``digests`` and ``commands`` are by relative path; the command is that
+    which wrote the file last."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -93,7 +92,7 @@ class Manifest:
                 self.commands[name] = str(line.get("command"))
 
     def owns(self, name: str, working: Iterable[str] = ()) -> bool:
-        """Whether a relative path is a file as a run wrote it, or one that matches `working` and that a run began."""
+        """Whether a relative path is an unchanged file of a run. A file that matches `working` may be changed."""
         path = self.folder / name
         if name not in self.digests or link_above(self.folder, path) is not None or not path.is_file():
             return False
@@ -106,7 +105,7 @@ def entry(name: str, digest: str, command: str) -> str:
 
 
 def lines(path: Path) -> Iterator[Mapping[str, Any]]:
-    """Entries of a manifest; a line that a kill cut off is passed over: its file never took its place."""
+    """Entries of a manifest; an incomplete line is skipped. Its file never took its place."""
     if not path.is_file():
         return
     for line in path.read_bytes().split(b"\n"):
@@ -119,13 +118,13 @@ def lines(path: Path) -> Iterator[Mapping[str, Any]]:
 
 
 def is_state(path: Path) -> bool:
-    """Whether a path is the state of an output folder, and holds no file of anybody else."""
+    """Whether a path is the state folder of the workbench alone."""
     if path.is_symlink() or not path.is_dir():
         return False
     for each in path.iterdir():
         if each.is_symlink() or not (each.name in (LOCK, RUN, MANIFEST) or each.name.startswith(NEW)):
             return False
-        # A lock is never written to.
+        # The lock is always empty.
         begins = {LOCK: b"", RUN: b'{"command"', MANIFEST: HEADER.encode()}.get(each.name)
         if begins is not None and (not each.is_file() or each.stat().st_size < len(begins)
                                    or _beginning(each, max(1, len(begins))) != begins):
@@ -144,7 +143,7 @@ def stays_inside(name: str) -> bool:
 
 
 def link_above(folder: Path, path: Path) -> Path | None:
-    """The link among a path in a folder and the folders above it there; None if there is none."""
+    """The first link among a path and its folders, or None. Only folders within `folder` are checked."""
     return next((each for each in (path, *path.parents) if folder in each.parents and each.is_symlink()), None)
 
 
@@ -156,7 +155,7 @@ def digest_of(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """A file ``name`` in a ``folder`` that a run, described by ``run``, holds."""
+    """A file ``name`` in a ``folder`` that the run ``run`` has locked."""
 
     folder: Path
     name: str
@@ -167,10 +166,10 @@ class Claim:
         return self.folder / self.name
 
     def enter(self, whole: Path) -> None:
-        """Enter the file in the manifest as it will be: `whole` is about to take its place.
+        """Enter the file in the manifest before `whole` takes its place.
 
         Raises:
-            OSError: the file is there, and no run wrote it.
+            OSError: the file exists, and no run wrote it.
         """
         self.check()
         line = entry(self.name, digest_of(whole), str(self.run.get("command")))
@@ -181,7 +180,7 @@ class Claim:
             os.close(handle)
 
     def check(self) -> None:
-        """Refuse a file that is there and that no run wrote, and a folder above it that is a link.
+        """Raise if a user's file or a link is in the place.
 
         Raises:
             OSError: so it is; the error names the file.
@@ -193,10 +192,8 @@ class Claim:
 
 
 def claim_of(path: Path) -> Claim | None:
-    """The claim of the run at work on a file in its folder; None for a file elsewhere, or that the user named.
-
-    The lock on the disk tells whether a run is at work, so that its threads and processes need not be told.
-    """
+    """The claim of the run at work on a file. None for a file outside the folder of a run, or that the user named. The
+    lock on the disk shows whether a run is at work, so its threads and processes need no message."""
     here = Path(os.path.abspath(path))
     for folder in list(here.parents)[:DEPTH]:
         if folder.name == STATE:
@@ -209,7 +206,7 @@ def claim_of(path: Path) -> Claim | None:
 
 
 def run_at_work(folder: Path) -> Mapping[str, Any] | None:
-    """The run that holds a folder; None if none does."""
+    """The run that has locked a folder, or None."""
     try:
         handle = os.open(folder / STATE / LOCK, os.O_RDONLY | os.O_NOFOLLOW)
     except OSError:
@@ -226,7 +223,7 @@ def run_at_work(folder: Path) -> Mapping[str, Any] | None:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that a run wrote, if it is there.
+    """Remove a file that a run wrote, if it exists.
 
     Raises:
         OSError: it belongs to the user; the error names it.

@@ -1,5 +1,4 @@
-"""Quantities with units. Everything inside the packages is a float in SI units; text such as ``"2.02 mm"`` is read
-here, once, when a file is read."""
+"""Quantities with units, such as ``"2.02 mm"``, read to floats in SI."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
     "diffusivity": {"m^2/s": 1.0},
-    # A permittivity is held relative to that of free space, whichever way it is written.
+    # A permittivity is relative to that of free space in memory, for every unit in a file.
     "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
     "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12,
                    "m^2/N": 1.0, "1/MPa": 1e-6},
@@ -51,60 +50,58 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "thermal resistance": {"K/W": 1.0},
     "heat transfer coefficient": {"W/(m^2 K)": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
-    # A part of a whole (noise, accuracy, tolerance). Without the per cent sign it could be a fraction or a percentage.
+    # Noise, accuracy or tolerance. Without the per cent sign it could be a fraction or a percentage.
     "share": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
 }
 
-#: Number of characters by which a text in the first requested unit may be longer than in another
-#: (:func:`format_quantity`). Doubled, a rounding in the sixteenth digit still counts as a tail.
+#: Largest number of characters by which a text in the first requested unit is longer than in another
+#: (:func:`format_quantity`). Doubled, a rounding in the sixteenth digit still excludes a unit.
 SPARED = 6
 
 #: A number with a decimal comma.
 _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 
-#: The unit of a dimension in messages, if it is not the first one: nobody states a chip in metres.
+#: The unit of a dimension in messages, if it is not the first one.
 EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
 
 #: Dimensions whose numbers may stand without a unit.
 BARE = ("dimensionless", "permittivity")
 
-#: Units in which numbers are shown, and their factor from SI, by the SI unit; others are shown in SI.
+#: Units for display, and their factors from SI, by the SI unit; others are displayed in SI.
 SHOWN: Mapping[str, tuple[str, float]] = {
     "Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
     "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 
 
 class ProgramSource(str):
-    """The name of a value that a program makes, as the source that mistakes in it are reported under.
-
-    Numbers from such a source are in SI and need no unit; in a file a length without its unit is refused.
-    """
+    """The source of a value from a program, for error messages. Numbers from such a source are in SI and need no unit;
+    in a file a length needs its unit."""
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
 def si_unit(dimension: str) -> str:
-    """The SI unit of a dimension, a key of :data:`UNITS`; empty for none."""
+    """The SI unit of a dimension (a key of :data:`UNITS`), or ""."""
     return next((unit for unit, factor in UNITS.get(dimension, {}).items() if factor == 1.0), "")
 
 
 def shown_unit(unit: str) -> str:
-    """The unit in which numbers of an SI `unit` are shown."""
+    """The unit for display of numbers in an SI `unit`."""
     return SHOWN.get(unit, (unit, 1.0))[0]
 
 
 def shown_factor(unit: str) -> float:
-    """The factor from an SI `unit` to the one that its numbers are shown in."""
+    """The factor from an SI `unit` to its unit for display."""
     return SHOWN.get(unit, (unit, 1.0))[1]
 
 
 def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> float:
-    """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
+    """The SI value of a text such as ``"2.02 mm"``.
 
-    A bare number is refused unless the dimension needs no unit (:data:`BARE`): a length without its unit is the
-    commonest mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin. From a
-    program (`source` is a :class:`ProgramSource`) a number is in SI.
+    `dimension` is a key of :data:`UNITS`. A bare number is an error unless the dimension needs no unit (:data:`BARE`):
+    a length without its unit is the commonest mistake in a chip file. A share of 0 needs no sign. Temperatures in degC
+    are returned in kelvin. From a program (`source` is a :class:`ProgramSource`) a number is in SI.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
@@ -139,7 +136,7 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
 
 
 def _bare_share(text: object, number: float, source: str, field: str) -> float:
-    """A share that is written without its sign: zero, or an error that asks for the sign."""
+    """A share without its sign: zero, or an error."""
     if number == 0.0:
         return 0.0
     # Both possible meanings, unless they exceed the whole.
@@ -148,11 +145,11 @@ def _bare_share(text: object, number: float, source: str, field: str) -> float:
 
 
 def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
-    """A text from which :func:`parse_quantity` reads `value` (SI) back to the last digit.
+    """A text that :func:`parse_quantity` reads back to the same `value` (SI).
 
-    It is in the first of `units` (of the `dimension`) that needs no tail of digits for it (:data:`SPARED`). The last of
-    them must be SI itself, in which every number can be written; a product with another unit's factor misses some
-    numbers by a rounding.
+    It is in the first of `units` (of the `dimension`) that does not need many more digits than another one
+    (:data:`SPARED`). The last unit must be SI, in which every number can be written; conversion from another unit may
+    round.
 
     Raises:
         ValueError: the last unit is not SI.
@@ -168,10 +165,10 @@ def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
     if not found[-1]:
         raise ValueError(f"{value!r} is not a finite number")
     least = min(len(text) for text in found if text)
-    # The first requested unit unless it takes a tail of digits for a number that another unit writes in few.
+    # The first requested unit that does not need many more digits than another one.
     return next(text for text in found if text and (len(text) <= least + SPARED))
 
 
 def finite(number: float) -> float | None:
-    """A number for a file, None where it is infinite or not a number."""
+    """A number for a file; None if infinite or NaN."""
     return float(number) if math.isfinite(number) else None

@@ -1,6 +1,6 @@
-"""Files that end in a digest of all that is before it, so that a changed byte or a cut end is always noticed.
+"""Files that end in a digest, to detect changes and truncation.
 
-The digest is a line at the end of the file, ``sha256 ...``: readers of HDF5 and of zip archives pass over it.
+The digest is a line at the end of the file, ``sha256 ...``; readers of HDF5 and of zip archives ignore it.
 """
 
 from __future__ import annotations
@@ -24,22 +24,24 @@ _MARK = b"\nsha256 "
 #: Bytes of the last line.
 _SIZE = len(_MARK) + 64 + 1
 
-#: Bytes that are read at a time. Doubled, so much more memory is used, and no time is saved.
+#: Bytes that are read at a time. Doubled, it needs more memory, and no less time.
 _BLOCK = 1 << 20
 
-#: Name of the array that holds the JSON text of :func:`write_arrays`.
+#: Name of the array with the JSON text of :func:`write_arrays`.
 _CONTENT = "content"
 
 
 def seal(path: Path) -> None:
-    """Add the digest of a file to its end."""
+    """Append the digest of a file to it."""
     digest, _ = _digest_and_end(path, 0)
     with path.open("ab") as stream:
         stream.write(_MARK + digest + b"\n")
 
 
 def is_sealed(path: Path) -> bool:
-    """Check the digest at the end of a file; False if there is none.
+    """Check the digest at the end of a file.
+
+    False if there is none.
 
     Raises:
         InputError: the digest is of another content, or the file cannot be read.
@@ -59,17 +61,19 @@ def is_sealed(path: Path) -> bool:
 
 
 def _digest_and_end(path: Path, size: int) -> tuple[bytes, bytes]:
-    """The digest of all but the last `size` bytes of a file, and these."""
-    found, left = hashlib.sha256(), max(path.stat().st_size - size, 0)
+    """The digest of all but the last `size` bytes, and these bytes."""
+    digest, remaining = hashlib.sha256(), max(path.stat().st_size - size, 0)
     with path.open("rb") as stream:
-        while left > 0 and (block := stream.read(min(left, _BLOCK))):
-            found.update(block)
-            left -= len(block)
-        return found.hexdigest().encode(), stream.read(size)
+        while remaining > 0 and (block := stream.read(min(remaining, _BLOCK))):
+            digest.update(block)
+            remaining -= len(block)
+        return digest.hexdigest().encode(), stream.read(size)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], content: Mapping[str, Any] | None = None) -> None:
-    """Write arrays by name, and a `content` of JSON, as a sealed npz file, whole or not at all.
+    """Write named arrays, and JSON `content`, as a sealed npz file.
+
+    It is atomic.
 
     Raises:
         OSError: it cannot be written; the error names `path`.
@@ -82,10 +86,12 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], content: Mappin
 
 
 def read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The content and the arrays of a file of :func:`write_arrays`. Nothing of the file is executed.
+    """The content and the arrays of a file of :func:`write_arrays`.
+
+    No code in the file is executed.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or was written by something else.
+        InputError: the file cannot be read, is damaged, or was written by another program.
     """
     if not is_sealed(path):
         raise InputError(str(path), "content", "no digest at its end", "a whole file of this version of the workbench: "

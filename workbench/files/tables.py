@@ -1,4 +1,4 @@
-"""TOML files and the tables in them."""
+"""TOML files and their tables."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from typing import Any
 from workbench.files.errors import InputError, choose, nearest_files, nearest_names, one_of
 from workbench.files.quantities import parse_quantity
 
-#: Most levels of tables and lists in a file. Files of the workbench have eight at most; Python's own limits for reading
-#: and for showing a value lie near a thousand.
+#: Most levels of tables and lists in a file. Files of the workbench have at most eight; Python's own limits for reading
+#: and printing a value are near a thousand.
 DEEPEST = 50
 
 #: A line that begins with a key of more parts than that.
 LONG_KEY = re.compile(rf"\s*\[{{0,2}}\s*[\w-]+(?:\s*\.\s*[\w-]+){{{DEEPEST},}}\s*[]=]")
 
-#: The parser's words for a table that is there twice.
+#: The parser's message for a repeated table.
 TWICE = re.compile(r"Cannot declare \((?P<parts>.*?)\) twice \((?P<place>.*?)\)")
 
 #: Whole numbers of TOML have 64 bits.
@@ -33,9 +33,9 @@ def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[st
     """The content of TOML text from a `source`, in its `field`.
 
     Raises:
-        InputError: it is not TOML (the parser's line and column are kept), or is nested beyond :data:`DEEPEST`.
+        InputError: it is not TOML (the parser's line and column are kept), or has more levels than :data:`DEEPEST`.
     """
-    # The parser takes the square of the number of parts of a key.
+    # The parser's time grows with the square of the number of parts of a key.
     if any(LONG_KEY.match(line) for line in text.splitlines()):
         raise InputError(source, field, f"a key of more than {DEEPEST} parts",
                          f"valid TOML, with at most {DEEPEST} levels of tables and lists")
@@ -43,7 +43,7 @@ def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[st
 
 
 def _loaded(text: str) -> dict[str, Any]:
-    """The content of TOML text; a table that is there twice has a message in words of the file."""
+    """The content of TOML text; a repeated table has a clear error."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -55,10 +55,12 @@ def _loaded(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str, *, source: str, expected: str) -> Any:
-    """The content of JSON text from a `source`; `expected` describes the file.
+    """The content of JSON text from a `source`.
+
+    `expected` describes the file.
 
     Raises:
-        InputError: it is not JSON, or is nested beyond :data:`DEEPEST`.
+        InputError: it is not JSON, or has more levels than :data:`DEEPEST`.
     """
     return _parsed(json.loads, text, expected, source=source, field="JSON syntax")
 
@@ -70,9 +72,9 @@ def _parsed(parse: Callable[[str], Any], text: str, expected: str, *, source: st
     except RecursionError:
         raise InputError(source, field, "deeper levels than can be read", levels) from None
     except ValueError as error:
-        # Python refuses thousands of digits with a remedy for programmers behind the semicolon.
+        # For thousands of digits, Python's message has a remedy for programmers after the semicolon.
         raise InputError(source, field, str(error).partition(";")[0], expected) from None
-    # Level by level: a recursion would end where that of the parser did.
+    # Level by level, since a recursion could fail as the parser's does.
     level = [content]
     for _ in range(DEEPEST + 1):
         level = [each for table in level if isinstance(table, Mapping | list)
@@ -97,18 +99,18 @@ def read_toml(path: Path) -> dict[str, Any]:
         near = nearest_files(path, lambda each: each.suffix == ".toml")
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
     except (OSError, ValueError) as error:
-        # A path with a zero byte is a ValueError, as is a byte that is no UTF-8.
+        # A path with a zero byte, and a byte that is not UTF-8, are ValueErrors.
         raise InputError(str(path), "file", path.name, f"a readable text file ({error})") from None
     return parse_toml(text, source=str(path))
 
 
 @dataclass(frozen=True)
 class FileTable:
-    """A table of a file and its place there, from which keys are taken one by one.
+    """A table of a file and its place there, with checked keys.
 
-    ``source`` is the file, ``field`` the dotted name of the table in it (empty: the whole file). Every method that
-    takes a key raises an :class:`InputError` with file, field, value and expectation for an invalid value. A default
-    stands in for a missing key; without a default the key is required.
+    ``source`` is the file, ``field`` the dotted name of the table in it (empty: the whole file). Every method for a key
+    raises an :class:`InputError` with file, field, value and expectation for an invalid value. A default replaces a
+    missing key; without a default the key is required.
     """
 
     source: str
@@ -126,7 +128,8 @@ class FileTable:
 
     @classmethod
     def made(cls, source: str, content: Mapping[str, Any]) -> FileTable:
-        """The table of what a program gives: tuples and arrays are lists, paths are texts, what is None is left out."""
+        """A table of values from a program. Tuples and arrays become lists, and paths become texts. Values of None are
+        omitted."""
         return cls(source, "", _plain(content))
 
     @classmethod
@@ -134,7 +137,7 @@ class FileTable:
         """The `content` as a table.
 
         Raises:
-            InputError: it is none.
+            InputError: it is not a table.
         """
         if not isinstance(content, Mapping):
             raise InputError(source, field, content, expected)
@@ -147,18 +150,20 @@ class FileTable:
         return iter(self.content)
 
     def at(self, key: str) -> str:
-        """The dotted name of a key of the table."""
+        """The dotted name of a key."""
         return f"{self.field}.{key}" if self.field else key
 
     def error(self, key: str, expected: str, nearest: tuple[str, ...] = ()) -> InputError:
-        """The error that states the `expected` content in place of the value of `key`."""
+        """The error for the value of `key`, with the `expected` one."""
         return InputError(self.source, self.at(key), self.content.get(key), expected, nearest)
 
     def only(self, keys: Iterable[str], *, renamed: Mapping[str, str] = MappingProxyType({})) -> FileTable:
-        """The table itself, checked that all its keys are in `keys`; `renamed` are former names of some of them.
+        """The table itself, if all its keys are in `keys`.
+
+        `renamed` maps former names to present ones.
 
         Raises:
-            InputError: the first key that is not.
+            InputError: another key.
         """
         known = sorted(keys)
         for key in self.content:
@@ -175,19 +180,19 @@ class FileTable:
         return self.content[key]
 
     def text(self, key: str, default: str | None = None, *, expected: str = "a text") -> str:
-        """A text; an empty one only if there is a default."""
+        """A text, not empty unless there is a default."""
         value = self.content.get(key, default)
         if not isinstance(value, str) or (default is None and not value):
             raise self.error(key, expected)
         return value
 
     def optional_text(self, key: str) -> str | None:
-        """A text that is not empty, or None if there is no such key."""
+        """A text that is not empty, or None without the key."""
         return self.text(key) if key in self else None
 
     def texts(self, key: str, default: tuple[str, ...] | None = None, *, expected: str = "a list of texts"
               ) -> tuple[str, ...]:
-        """A list of texts, empty ones included."""
+        """A list of texts, which may be empty."""
         if key not in self and default is not None:
             return default
         value = self.content.get(key)
@@ -203,17 +208,17 @@ class FileTable:
         return tuple(value)
 
     def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
-        """A quantity with its unit, in SI; `dimension` is a key of `workbench.files.quantities.UNITS`."""
+        """A quantity with its unit, in SI. `dimension` is a key of `workbench.files.quantities.UNITS`."""
         if key not in self and default is not None:
             return default
         return parse_quantity(self.content.get(key), dimension, source=self.source, field=self.at(key))
 
     def optional_quantity(self, key: str, dimension: str) -> float | None:
-        """A quantity as in :meth:`quantity`, or None if there is no such key."""
+        """A quantity as in :meth:`quantity`, or None without the key."""
         return self.quantity(key, dimension) if key in self else None
 
     def quantities(self, key: str, dimension: str, *, expected: str, numbered: bool = False) -> tuple[float, float]:
-        """Two quantities with their units, in SI; mistakes are placed in ``key[0]`` or ``key[1]`` if `numbered`."""
+        """Two quantities with their units, in SI. If `numbered`, errors name ``key[0]`` or ``key[1]``."""
         value = self.content.get(key)
         if not isinstance(value, list) or len(value) != 2:
             raise self.error(key, expected)
@@ -223,7 +228,7 @@ class FileTable:
         return first, second
 
     def optional_number(self, key: str) -> float | None:
-        """A finite number without unit, or None if there is no such key."""
+        """A finite number without unit, or None without the key."""
         if key not in self:
             return None
         value = self.content[key]
@@ -250,10 +255,10 @@ class FileTable:
         return choose(self.content.get(key, default), known, source=self.source, field=self.at(key))
 
     def path(self, key: str, folder: Path, *, expected: str) -> Path:
-        """The file that a key names, relative to `folder`.
+        """An existing file, relative to `folder`.
 
         Raises:
-            InputError: there is no such file; those of its folder are named that are called nearly so.
+            InputError: there is no such file; it has files of similar names.
         """
         found = folder / self.text(key, expected=expected)
         if not found.is_file():
@@ -261,11 +266,11 @@ class FileTable:
         return found
 
     def table(self, key: str, *, expected: str = "a table") -> FileTable:
-        """The table under a key; an empty one if there is no such key."""
+        """The table of a key, empty without the key."""
         return FileTable.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
 
     def tables(self, key: str, *, expected: str) -> tuple[FileTable, ...]:
-        """The tables listed under a key; none if there is no such key."""
+        """The list of tables of a key, empty without the key."""
         rows = self.content.get(key, [])
         if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
             raise self.error(key, expected)
@@ -273,7 +278,7 @@ class FileTable:
 
 
 def _plain(value: Any) -> Any:
-    """A value as a TOML file would have it, as far as it is one."""
+    """A value in the types of a TOML file, where possible."""
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items() if each is not None}
     if isinstance(value, PurePath):

@@ -1,4 +1,4 @@
-"""TOML text that is read back as exactly what was written, laid out as people write it."""
+"""Readable TOML text that is read back exactly."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ TomlEntry = str | float | bool | Mapping[str, "TomlEntry"] | Sequence["TomlEntry
 
 
 def toml_table(heading: str, content: Mapping[str, TomlEntry]) -> str:
-    """A table under its `heading` line, an empty line at its end."""
+    """A table under its `heading` line, with an empty line after it."""
     return "\n".join([heading, *toml_lines(content), ""])
 
 
 def toml_heading(*names: str) -> str:
-    """The heading of a table, its names quoted where they must be."""
+    """The heading of a table, with names quoted if needed."""
     nested: dict[str, object] = {}
     for name in reversed(names):
         nested = {name: nested}
@@ -27,7 +27,7 @@ def toml_heading(*names: str) -> str:
 
 
 def toml_lines(content: Mapping[str, TomlEntry]) -> list[str]:
-    """One line a key, tables and lists on it; only a text of several lines keeps them."""
+    """One line for each key, except for texts of several lines."""
     return [
         tomli_w.dumps({key: value}, multiline_strings=True).rstrip("\n")
         if isinstance(value, str) and "\n" in value and "\r" not in value else _assignment(key, value)
@@ -35,16 +35,16 @@ def toml_lines(content: Mapping[str, TomlEntry]) -> list[str]:
 
 
 def _assignment(key: str, value: TomlEntry) -> str:
-    """``key = value``, the key quoted where it must be."""
+    """``key = value``, with the key quoted if needed."""
     return tomli_w.dumps({key: 0}).removesuffix("0\n") + _value(value)
 
 
 def _value(value: TomlEntry) -> str:
-    """The value on one line: `tomli_w` gives tables and lists lines of their own."""
+    """The value on one line; `tomli_w` would use several."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(_assignment(key, each) for key, each in value.items()) + " }"
     if isinstance(value, str):
-        # The escapes of JSON are TOML's, but for the DEL that JSON leaves as it is; `tomli_w` writes tabs as they are.
+        # The escapes of JSON are valid TOML, except that JSON does not escape DEL; `tomli_w` does not escape tabs.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, float):
         return toml_number(value)
@@ -54,9 +54,9 @@ def _value(value: TomlEntry) -> str:
 
 
 def toml_number(value: float) -> str:
-    """A float to the last bit; in powers of ten where that is shorter to read."""
+    """A float to the last bit, in the shorter of two notations."""
     value = float(value)
     if value == 0.0 or 1e-3 <= abs(value) < 1e6 or not math.isfinite(value):
         return repr(value)
-    # An exponent makes it a float even without a decimal point.
+    # With an exponent it is a float, even without a decimal point.
     return format(Decimal(repr(value)).normalize(), "e")

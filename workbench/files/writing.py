@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the remedies if one cannot be written."""
+"""Atomic writing of files, and remedies for errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from workbench.files.ownership import NEW, STATE, claim_of
 
-#: Part of the names of folders, beside the files, in which these are written before they take their place.
+#: Part of the names of temporary folders, beside the files that are being written.
 UNFINISHED = ".unfinished-"
 
 #: Remedies for errors of the system.
@@ -36,11 +36,10 @@ REMEDIES = {
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path of the same name to write to; its file takes the place of `path` once it is whole.
+    """A temporary path to write to, which replaces `path` at the end.
 
-    A reader sees either the old file or the new one, never a part of it, and a power cut leaves one of the two. A
-    device or a pipe is written to directly, and stays as it is. In the folder of a run the file is entered in the
-    manifest, and takes the place of a run's file only.
+    A reader sees either the old file or the new one, never a part of it, also after a power cut. A device or a pipe is
+    written to directly. In the folder of a run the file is entered in the manifest, and replaces only a run's file.
 
     Raises:
         OSError: it cannot be written, or belongs to the user; the error names `path`.
@@ -71,7 +70,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let an error of the system in this block name the file to be written, if it names none or a temporary one."""
+    """Make errors of the system in this block name the file `path`. Only if they name no file or a temporary one."""
     try:
         yield
     except OSError as error:
@@ -83,19 +82,19 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def _number(error: OSError) -> int | None:
-    """The system's number of an error; libraries that wrap one state it in their message."""
+    """The system's number of an error, also from a library's message."""
     found = re.search(r"errno = (\d+)", str(error)) if error.errno is None else None
     return int(found.group(1)) if found else error.errno
 
 
 def remedy(error: OSError, output: Path | None = None) -> str:
-    """A description of an error on a file, with a remedy; `output` is the folder a command writes to, if any."""
+    """A description of an error on a file, with a remedy. `output` is the folder that a command writes to, if any."""
     if error.errno is None:
         return str(error)
     where = error.filename if error.filename is not None else output
     words = error.strerror or type(error).__name__
-    what = words if where is None else f"{where}: {words}"
-    return f"{what}; {REMEDIES[error.errno]}" if error.errno in REMEDIES else what
+    text = words if where is None else f"{where}: {words}"
+    return f"{text}; {REMEDIES[error.errno]}" if error.errno in REMEDIES else text
 
 
 def sync_folder(folder: Path) -> None:
@@ -108,7 +107,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write `content` to `path` so that a reader sees either the old file or the new one (:func:`replacing`).
+    """Write `content` to `path`, atomically (:func:`replacing`).
 
     Raises:
         OSError: it cannot be written; the error names `path`.
@@ -118,7 +117,7 @@ def write_atomic(path: Path, content: str | bytes) -> None:
 
 
 def _numbers(record: object, key: str = "") -> Iterator[tuple[str, float]]:
-    """The floating-point numbers of a record with their keys, such as ``states.filled.q``."""
+    """The floating-point numbers of a record with their keys. Keys are such as ``states.filled.q``."""
     if isinstance(record, float):
         yield key, record
     elif isinstance(record, Mapping):
@@ -130,10 +129,10 @@ def _numbers(record: object, key: str = "") -> Iterator[tuple[str, float]]:
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> Path:
-    """Write a record as JSON, whole or not at all.
+    """Write a record as JSON, atomically.
 
     Raises:
-        ValueError: a number in it is infinite or none; the error names its key.
+        ValueError: a number in it is infinite or NaN; the error names its key.
         OSError: it cannot be written; the error names `path`.
     """
     for key, value in _numbers(record):

@@ -1,1 +1,1 @@
-"""The two bench instruments, their commands and replies on the wire, and a simulated bench with the same ones."""
+"""The two bench instruments, and a simulated bench with the same commands."""

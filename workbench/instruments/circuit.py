@@ -1,4 +1,4 @@
-"""The circuit of the bench: a generator behind its source resistance, the device, and a reference resistor in series.
+"""The circuit of the bench: generator, device and reference resistor in series.
 
 Z = (V_total - V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25) is exact if the parasitic
 elements of leads, probes and resistor in :class:`Circuit` are zero. Everything is in e^{+j w t}.
@@ -26,9 +26,9 @@ class Circuit:
     """The bench's circuit beside the device, in SI units.
 
     ``reference_inductance`` is in series with the reference resistance. ``lead_inductance`` and ``lead_resistance`` are
-    in series with the device, ``lead_capacitance`` across it. Each probe's ``probe_capacitance`` is across the points
-    it measures. ``gain_total``, ``gain_reference`` are those of the channels, ``delay_reference`` (s) is the delay of
-    the reference channel's samples. The defaults are those of half a metre of twisted leads and two probes.
+    in series with the device, ``lead_capacitance`` across it. ``probe_capacitance`` is across the points of each probe.
+    ``gain_total`` and ``gain_reference`` are those of the channels, ``delay_reference`` (s) is the delay of the
+    reference channel's samples. The defaults are for half a metre of twisted leads and two probes.
     """
 
     source_resistance: float = 50.0
@@ -48,7 +48,8 @@ class Circuit:
                              f"{self.reference_resistance!r} ohm; expected both above zero")
 
     def responses(self, frequency: float, device: complex) -> tuple[complex, complex]:
-        """Complex volts of the total and the reference channel per volt of the open circuit; `device` in ohm."""
+        """Volts of both channels per volt of the open circuit. They are complex, the total channel first; `device` is
+        in ohm."""
         s = 2j * pi * frequency
         reference = self.reference_resistance + s * self.reference_inductance
         reference = reference / (1.0 + s * self.probe_capacitance * reference)
@@ -68,7 +69,7 @@ TYPICAL = Circuit()
 
 
 def resistor(resistance: float) -> Device:
-    """A resistance (ohm) without inductance or capacitance, zero for a short circuit."""
+    """An ideal resistance (ohm), zero for a short circuit."""
     return lambda frequency: complex(resistance)
 
 
@@ -78,7 +79,8 @@ def open_circuit() -> Device:
 
 
 def device_of(spectrum: Spectrum) -> Device:
-    """A device with this impedance; outside the band, where a bench may be set too, it keeps that of the nearer end."""
+    """A device with this impedance. Outside the band, it is that of the nearer end, since a bench may be set there
+    too."""
     impedance = spectrum.interpolant()
     low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
     return lambda frequency: complex(impedance(min(max(frequency, low), high)))

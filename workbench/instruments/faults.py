@@ -1,4 +1,4 @@
-"""Faults that happen to the simulated bench at a chosen command."""
+"""Faults of the simulated bench at a chosen command."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ GENERATOR, OSCILLOSCOPE = "generator", "oscilloscope"
 
 
 class FaultKind(StrEnum):
-    """Kinds of fault. The first ones can happen to both instruments, the others to the one they name."""
+    """Kinds of fault, of both instruments unless one is named."""
 
-    SILENCE = "silence"  # done, but not answered
-    DEAFNESS = "deafness"  # neither done nor answered
+    SILENCE = "silence"  # the command is executed, without an answer
+    DEAFNESS = "deafness"  # the command is ignored, without an answer
     GARBAGE = "garbage"  # random bytes in place of the answer
     NOISE = "noise"  # random bytes before the answer
     PARTIAL = "partial"  # the answer breaks off
@@ -32,12 +32,12 @@ class FaultKind(StrEnum):
     IGNORED_FREQUENCY = "ignored_frequency"  # generator: a frequency is not set
     IGNORED_AMPLITUDE = "ignored_amplitude"  # generator: an amplitude is not set
     CLIPPED = "clipped"  # oscilloscope: an acquisition runs off the screen
-    HIDDEN = "hidden"  # oscilloscope: a channel is switched off just before its curve is asked for
+    HIDDEN = "hidden"  # oscilloscope: a channel is switched off just before the query of its curve
     TRUNCATED_CURVE = "truncated_curve"  # oscilloscope: the curve breaks off
-    WRONG_COUNT = "wrong_count"  # oscilloscope: the curve announces another number of bytes than come
+    WRONG_COUNT = "wrong_count"  # oscilloscope: the curve announces a wrong number of bytes
     HEADERS = "headers"  # oscilloscope: every answer begins with its header
     NO_TRIGGER = "no_trigger"  # oscilloscope: an acquisition does not end
-    IGNORED_RUN = "ignored_run"  # oscilloscope: an acquisition is not made, the records stay those of the one before
+    IGNORED_RUN = "ignored_run"  # oscilloscope: an acquisition is not made, and the previous records stay
 
 
 _GENERATOR_ONLY = (FaultKind.WRONG_FREQUENCY, FaultKind.IGNORED_FREQUENCY, FaultKind.IGNORED_AMPLITUDE)
@@ -50,7 +50,7 @@ KINDS = {GENERATOR: tuple(kind for kind in FaultKind if kind not in _OSCILLOSCOP
 #: Identification of a wrong instrument, by the one that should be there.
 STRANGERS = {GENERATOR: b"MHS-5200A\n", OSCILLOSCOPE: b"RIGOL TECHNOLOGIES,DS1052E,0,00.04.02\n"}
 
-#: The commands that a kind can strike; a kind that is not listed strikes questions.
+#: The commands that a kind can affect; other kinds affect queries.
 _QUESTION = rb"a|cf|.*\?"
 _STRUCK = {
     FaultKind.WRONG_INSTRUMENT: rb"a|\*IDN\?", FaultKind.WRONG_FREQUENCY: rb"cf",
@@ -63,10 +63,8 @@ _STRUCK = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: it strikes the first `count` commands it fits, from command number `at` of this instrument on.
-
-    The first command since the bench was opened has number 0. ``seconds`` is the duration of a disconnection.
-    """
+    """One fault, of the first `count` matching commands of this instrument. It starts at command number `at`; the first
+    command after opening the bench has number 0. ``seconds`` is the duration of a disconnection."""
 
     instrument: str
     kind: FaultKind
@@ -86,12 +84,12 @@ class Fault:
 
 
 def fits(kind: FaultKind, line: bytes) -> bool:
-    """Whether a fault can strike this command."""
+    """Whether a fault can affect this command."""
     return re.fullmatch(_STRUCK.get(kind, _QUESTION), line, re.DOTALL) is not None
 
 
 class FaultyInstrument:
-    """A simulated instrument to which faults happen. ``struck`` lists those that have, with the command's number."""
+    """A simulated instrument with faults. ``struck`` lists the faults that occurred, with the number of the command."""
 
     def __init__(
         self, name: str, instrument: SimulatedGenerator | SimulatedOscilloscope, *, random: np.random.Generator,
@@ -102,7 +100,7 @@ class FaultyInstrument:
         self._random = random
         self._disconnect = disconnect
         self._pending: list[Fault] = []
-        self._held = b""
+        self._late = b""
         self.commands = 0
         self.struck: list[tuple[int, Fault]] = []
 
@@ -111,7 +109,7 @@ class FaultyInstrument:
         self._pending.append(fault)
 
     def respond(self, line: bytes) -> bytes:
-        """The reply to one line, given without its LF."""
+        """The reply to one line, without its LF."""
         number, self.commands = self.commands, self.commands + 1
         fault = next((f for f in self._pending if f.at <= number and fits(f.kind, line)), None)
         if fault is None:
@@ -123,11 +121,11 @@ class FaultyInstrument:
             self.struck.append((number, fault))
             answer = self._strike(fault, line)
         if answer:
-            answer, self._held = self._held + answer, b""
+            answer, self._late = self._late + answer, b""
         return answer
 
     def _strike(self, fault: Fault, line: bytes) -> bytes:
-        """The reply as it arrives, after the instrument was disturbed or has executed the command."""
+        """The reply as it arrives, with a fault."""
         match fault.kind:
             case FaultKind.DEAFNESS | FaultKind.IGNORED_FREQUENCY | FaultKind.IGNORED_AMPLITUDE | FaultKind.IGNORED_RUN:
                 return b""
@@ -151,7 +149,7 @@ class FaultyInstrument:
             case FaultKind.PARTIAL | FaultKind.TRUNCATED_CURVE:
                 return answer[: len(answer) // 2]
             case FaultKind.LATE:
-                self._held += answer
+                self._late += answer
                 return b""
             case FaultKind.ECHO:
                 return line + b"\n" + answer
@@ -166,7 +164,7 @@ class FaultyInstrument:
 
 
 def _disturb(oscilloscope: SimulatedOscilloscope, kind: FaultKind) -> None:
-    """Disturb the oscilloscope as a hand, or the signal, would."""
+    """Disturb the oscilloscope, as a person or the signal may do."""
     match kind:
         case FaultKind.CLIPPED:
             oscilloscope.surge = 4.0

@@ -1,9 +1,9 @@
-"""FeelTech FY3200S series: two-channel generators on a serial line, of which the main channel is used.
+"""FeelTech FY3200S series: two-channel generators on a serial line.
 
-9600 baud, lower-case ASCII, LF. Settings are not acknowledged and mistakes are not reported: the instrument stops at
-the first character it does not understand. So every setting is checked before anything is written. After every command
-the frequency is read back, the only setting of an output that this series reports. Only commands on which all public
-drivers agree are used. No command switches the output off; off is amplitude zero.
+The main channel is used. 9600 baud, lower-case ASCII, LF. Settings are not acknowledged and mistakes are not reported:
+the instrument stops at the first character it does not understand. So every setting is checked before anything is
+written. After every command the frequency is read back, the only setting of an output that this series reports. Only
+commands common to all public drivers are used. No command switches the output off; off is amplitude zero.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from workbench.instruments.transport import ATTEMPTS, Link, Query, open_port
 #: Highest frequency (Hz) by the model's own identification.
 MODELS: Mapping[str, float] = {"FY3206S": 6e6, "FY3212S": 12e6, "FY3220S": 20e6, "FY3224S": 24e6}
 
-#: The instruments take nine digits of 0.01 Hz without exception; not every firmware takes a tenth.
+#: All instruments accept nine digits of 0.01 Hz; only some firmware accepts a tenth digit.
 HIGHEST_FREQUENCY = 9_999_999.99
 
 #: Largest deviation, in steps, of a whole number of steps: the rounding of a decimal fraction.
@@ -28,10 +28,10 @@ STEP_ROUNDING = 1e-4
 
 @dataclass(frozen=True)
 class Setting:
-    """A number that the instrument takes, in whole steps, of which ``steps_per_unit`` are one ``unit``.
+    """A numeric setting of the instrument, in whole steps.
 
-    On the wire it is ``command``, then the number of steps with its last ``decimals`` digits after a point and at least
-    ``whole`` digits before them.
+    ``steps_per_unit`` steps are one ``unit``. On the wire it is ``command``, then the number of steps with its last
+    ``decimals`` digits after a point and at least ``whole`` digits before them.
     """
 
     name: str
@@ -44,7 +44,11 @@ class Setting:
     decimals: int
 
     def counts(self, value: float) -> int:
-        """`value` as a whole number of steps. Raises ValueError if it is out of range or finer than a step."""
+        """`value` as a whole number of steps.
+
+        Raises:
+            ValueError: it is out of range or finer than a step.
+        """
         if not self.lowest <= value <= self.highest:
             raise ValueError(f"{self.name} {value!r} {self.unit} is out of range; expected {self.lowest:.9g} to "
                              f"{self.highest:.9g} {self.unit}")
@@ -56,7 +60,11 @@ class Setting:
         return counts
 
     def text(self, value: float) -> str:
-        """The command that sets `value`. Raises ValueError like :meth:`counts`."""
+        """The command that sets `value`.
+
+        Raises:
+            ValueError: as :meth:`counts`.
+        """
         whole, rest = divmod(self.counts(value), 10**self.decimals)
         return f"{self.command}{whole:0{self.whole}d}" + (f".{rest:0{self.decimals}d}" if self.decimals else "")
 
@@ -72,16 +80,20 @@ READ_FREQUENCY = Query("cf", re.compile(r"cf(\d{9,10})"), "cf and the frequency 
 
 
 class FeelTech:
-    """The main channel of a FeelTech FY3200S, identified, its amplitude zero (see :func:`open_feeltech`)."""
+    """The main channel of a FeelTech FY3200S (see :func:`open_feeltech`)."""
 
     def __init__(self, link: Link, model: str) -> None:
         self._link = link
         self._model = model
-        #: The frequency (0.01 Hz) that the generator must still have, None before it was first read.
+        #: The present frequency (0.01 Hz) of the generator, None before it was first read.
         self._counts: int | None = None
 
     def identify(self) -> str:
-        """The model. Raises InstrumentError if it is another than expected."""
+        """The model.
+
+        Raises:
+            InstrumentError: it is another model than expected.
+        """
         found = self._link.synchronise()[0]
         if found != self._model:
             raise InstrumentError(f"{self._link.name}: sent 'a'; expected {self._model}; {found!r} came: another model "
@@ -91,38 +103,40 @@ class FeelTech:
     def set_frequency(self, frequency: float) -> None:
         """Set the frequency (Hz) and read it back.
 
-        Raises ValueError before writing if it is out of range or finer than 0.01 Hz, InstrumentError if it reads back
-        otherwise or the generator has forgotten the one before.
+        Raises:
+            ValueError: before writing, if it is out of range or finer than 0.01 Hz.
+            InstrumentError: it reads back another frequency, or the generator has lost the previous one.
         """
         highest = min(HIGHEST_FREQUENCY, MODELS[self._model])
         if frequency > highest:
             raise ValueError(f"frequency {frequency!r} Hz is out of range; expected {FREQUENCY.lowest:.9g} to "
                              f"{highest:.9g} Hz for {self._model}")
         text, counts = FREQUENCY.text(frequency), FREQUENCY.counts(frequency)
-        # Otherwise a generator that was switched off and on would continue with an amplitude of its own.
+        # Otherwise a generator that was switched off and on would continue with its default amplitude.
         self._confirm("before setting another frequency")
         self._link.send(text)
         self._counts = counts
         self._confirm(f"after {text!r}")
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
-        """Set the open-circuit amplitude (V peak to peak); the frequency read back shows that the instrument listened.
-
-        Raises like :meth:`set_frequency`.
-        """
+        """Set the open-circuit amplitude (V peak to peak). The frequency is read back, to check that the instrument
+        listened. Raises like :meth:`set_frequency`."""
         text = AMPLITUDE.text(volts_peak_to_peak)
         self._link.send(text)
         self._confirm(f"after {text!r}")
 
     def off(self) -> None:
-        """Set the amplitude to zero, whatever else is wrong with the generator.
+        """Set the amplitude to zero, in any state of the generator.
 
         The amplitude cannot be read back. It is set twice, and again if the frequency shows that the generator was
-        switched off and on in between. Raises InstrumentError if the drive may still be on.
+        switched off and on in between.
+
+        Raises:
+            InstrumentError: the drive may still be on.
         """
         text = AMPLITUDE.text(0.0)
         try:
-            # Once to end an unfinished command of a previous owner, once more after the instrument has answered.
+            # The first command ends an unfinished command of a previous owner; others follow the instrument's answer.
             self._link.send(text)
             self._link.synchronise()
             for _ in range(ATTEMPTS):
@@ -146,7 +160,6 @@ class FeelTech:
         self._link.close()
 
     def _confirm(self, when: str) -> None:
-        """Read the frequency and compare it with the one that was set."""
         found = int(self._link.ask(READ_FREQUENCY)[1])
         if self._counts is not None and found != self._counts:
             expected, self._counts = self._counts, None
@@ -155,9 +168,11 @@ class FeelTech:
 
 
 def open_feeltech(settings: GeneratorSettings) -> FeelTech:
-    """Open the generator: identified, amplitude zero, then sine without offset.
+    """Open the generator: identified, amplitude zero, sine without offset.
 
-    Raises InputError for an unknown model, InstrumentError for a port or an instrument that does not answer as it.
+    Raises:
+        InputError: an unknown model.
+        InstrumentError: the port cannot be opened, or another instrument answers.
     """
     choose(settings.model, MODELS, source="generator", field="model")
     if settings.timeout <= 0.0 or settings.pause < 0.0:

@@ -1,4 +1,4 @@
-"""Interfaces of a generator and of an oscilloscope of any make, as the bench uses them."""
+"""Interfaces of a generator and of an oscilloscope for the bench."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 
 class InstrumentError(RuntimeError):
-    """A failure of an instrument or its link; the message names the port, and the sent, expected and received text."""
+    """A failure of an instrument or its link. The message names the port, and the sent, expected and received text."""
 
 
 class Silence(InstrumentError):
-    """Nothing came, or not all of it, within the time-out."""
+    """The reply is missing or incomplete at the time-out."""
 
 
 @dataclass(frozen=True)
 class GeneratorSettings:
     """Address and identity of the generator.
 
-    ``port`` is a serial port; ``model`` its expected identification (a key of ``feeltech.MODELS``); ``timeout`` (s) the
-    limit for a reply; ``pause`` (s) follows every command, because settings are not acknowledged.
+    ``port`` is a serial port; ``model`` is its expected identification (a key of ``feeltech.MODELS``); ``timeout`` (s)
+    is the limit for a reply; ``pause`` (s) follows every command, because settings are not acknowledged.
     """
 
     port: str
@@ -35,12 +35,12 @@ class GeneratorSettings:
 
 @dataclass(frozen=True)
 class OscilloscopeSettings:
-    """Address and identity of the oscilloscope, and the assignment of its channels.
+    """Address and identity of the oscilloscope, and its channels.
 
     ``port`` is a serial port, a USBTMC device file (``/dev/usbtmc0``) or a VISA resource (``USB0::...::INSTR``).
-    ``channel_total`` measures across device and reference resistor, ``channel_reference`` across the resistor alone;
-    the probe factors (1 or 10) are those of the probes on them. ``trigger`` is "CH1" to "CH4" or "EXT". ``timeout`` (s)
-    is for one reply, ``acquisition_timeout`` (s) for one whole acquisition, averages included.
+    ``channel_total`` is across device and reference resistor, ``channel_reference`` across the resistor alone; the
+    probe factors (1 or 10) are those of the probes on them. ``trigger`` is "CH1" to "CH4" or "EXT". ``timeout`` (s) is
+    for one reply, ``acquisition_timeout`` (s) for one whole acquisition, averages included.
     """
 
     port: str
@@ -59,10 +59,10 @@ class OscilloscopeSettings:
 class Waveform:
     """One channel of one capture.
 
-    ``volts`` (n,) V at the probe's tip, or A of a current probe; ``unit`` "V", "A" or "" if not stated; ``raw`` (n,)
-    as the converter gave it, signed 8 bit; ``start`` (s) the time of the first sample relative to the trigger; ``step``
-    (s) per sample; ``volts_per_count`` the quantisation step, in the unit; ``clipped`` whether any sample stands at the
-    limit of the converter or of the screen.
+    ``volts`` (n,) are V at the probe's tip, or A of a current probe; ``unit`` is "V", "A" or "" if not stated; ``raw``
+    (n,) are the converter's values, signed 8 bit; ``start`` (s) is the time of the first sample relative to the
+    trigger, ``step`` (s) that between samples; ``volts_per_count`` is the quantisation step, in the unit; ``clipped``
+    is whether any sample is at the limit of the converter or of the screen.
     """
 
     channel: int
@@ -76,41 +76,41 @@ class Waveform:
 
 
 class Generator(Protocol):
-    """A sine generator with one driven output. A value out of range raises ValueError before anything is written."""
+    """A sine generator with one output. A value out of range raises ValueError before anything is written."""
 
     def identify(self) -> str:
-        """The model as the instrument answers. Raises InstrumentError if it is another instrument."""
+        """The model. Raises InstrumentError for another instrument."""
 
     def set_frequency(self, frequency: float) -> None:
-        """Set the frequency (Hz, a whole number of 0.01 Hz) and check it by reading it back."""
+        """Set the frequency (Hz, in steps of 0.01) and read it back."""
 
     def set_amplitude(self, volts_peak_to_peak: float) -> None:
-        """Set the open-circuit amplitude (V peak to peak, a whole number of 0.01 V)."""
+        """Set the open-circuit amplitude (Vpp, in steps of 0.01)."""
 
     def off(self) -> None:
         """Set the safe state: amplitude zero."""
 
     def close(self) -> None:
-        """Give the port back. Does not change the output; call :meth:`off` first."""
+        """Close the port. It does not change the output; call :meth:`off` first."""
 
 
 class Oscilloscope(Protocol):
     """A digital oscilloscope whose channels are captured together."""
 
     def identify(self) -> str:
-        """The identification as the instrument answers. Raises InstrumentError if it is another instrument."""
+        """The identification. Raises InstrumentError for another instrument."""
 
     def set_scale(self, channel: int, volts_per_division: float) -> float:
-        """Choose the 1-2-5 step at or above `volts_per_division` (V at the probe's tip), and return it."""
+        """Set and return the 1-2-5 step at or above `volts_per_division`. Volts are at the probe's tip."""
 
     def set_timebase(self, seconds_per_division: float) -> float:
-        """Choose the 1-2.5-5 step at or above `seconds_per_division`, and return it."""
+        """Set and return the 1-2.5-5 step at or above `seconds_per_division`."""
 
     def set_averages(self, count: int) -> None:
         """Set 1 (single capture), 4, 16, 64 or 128 averaged captures."""
 
     def capture(self, channels: Sequence[int]) -> dict[int, Waveform]:
-        """Make one new acquisition, and return every channel of `channels` from it."""
+        """Make one new acquisition, and return its `channels`."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""

@@ -1,4 +1,4 @@
-"""Opening the bench: both instruments, each owned by one process, identified, and the drive off."""
+"""Opening of both instruments of the bench, with the drive off."""
 
 from __future__ import annotations
 
@@ -19,11 +19,8 @@ from workbench.instruments.transport import Link, open_port
 
 
 def open_bench(generator: GeneratorSettings, oscilloscope: OscilloscopeSettings) -> tuple[Generator, Oscilloscope]:
-    """Open both instruments: identified, the generator's amplitude zero, the oscilloscope ready to capture.
-
-    The generator comes first: if anything else fails, a drive that was left on is already off. Raises like
-    :func:`open_feeltech` and :func:`open_tektronix`.
-    """
+    """Open both instruments, identified and ready, with the drive off. The generator is first: if anything else fails,
+    its drive is already off. Raises like :func:`open_feeltech` and :func:`open_tektronix`."""
     drive = open_feeltech(generator)
     try:
         return drive, open_tektronix(oscilloscope)
@@ -41,7 +38,7 @@ class FoundPort:
 
 
 def found_ports() -> list[FoundPort]:
-    """The serial ports and the USBTMC device files of this computer; VISA resources are not looked for."""
+    """The serial ports and USBTMC device files of this computer. VISA resources are not searched."""
     from serial.tools.list_ports import comports
 
     serial = [FoundPort(port.device, port.description or "serial port") for port in comports()]
@@ -50,9 +47,12 @@ def found_ports() -> list[FoundPort]:
 
 
 def who_answers(port: str, *, timeout: float = 1.0) -> str | None:
-    """The identification of the instrument at `port`, None if nothing answers; only questions are sent, at 9600 baud.
+    """The identification of the instrument at `port`, or None.
 
-    Raises InstrumentError if the port cannot be opened or the reply is no identification.
+    Only queries are sent, at 9600 baud.
+
+    Raises:
+        InstrumentError: the port cannot be opened, or the reply is no identification.
     """
     opened = open_port(port, baud=9600, timeout=timeout)
     try:
@@ -62,7 +62,7 @@ def who_answers(port: str, *, timeout: float = 1.0) -> str | None:
             except Silence:
                 continue
             except InstrumentError:
-                # An instrument is there: it may answer the other question.
+                # An instrument is there: it may answer the other query.
                 if hello is IDENTITY:
                     raise
         return None

@@ -1,11 +1,11 @@
-"""The simulated bench: both instruments behind pseudo-terminals, with a device between them.
+"""The simulated bench: both instruments on pseudo-terminals, with a device.
 
     with SimulatedBench(device_of(spectrum), seed=1) as bench:
         generator, oscilloscope = open_bench(*bench.settings())
 
-Each instrument is served by a thread of its own and knows only the bytes on its line. One seed reproduces all noise, if
-the same commands come in the same order. There is no waiting unless requested (``pace``), but the simulated clock
-advances as if there were, and the device drifts with it.
+A thread serves each instrument, which only sees the bytes on its line. One seed reproduces all noise, if the same
+commands come in the same order. There is no waiting unless requested (``pace``), but the simulated clock advances as if
+there were, and the device drifts with it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSett
 from workbench.instruments.simulated_generator import SimulatedGenerator
 from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscilloscope, Tone
 
-#: Simulated seconds that a command takes.
+#: Simulated duration of a command in seconds.
 COMMAND_TIME = 0.05
 
-#: Seconds between two checks whether a line should end, and before it gives up on a peer that does not read.
+#: Seconds between two checks whether a line should end, and until unread bytes are dropped.
 SLICE, PATIENCE = 0.05, 1.0
 
 USUAL_ERRORS = Errors()
@@ -40,7 +40,8 @@ USUAL_ERRORS = Errors()
 
 @dataclass(frozen=True)
 class Drift:
-    """Relative change per second of a device's frequencies (about -1e-7 in a warming transducer) and impedance."""
+    """Relative change per second of a device's frequencies and impedance. A transducer that becomes warmer has about
+    -1e-7 in frequency."""
 
     frequency: float = 0.0
     impedance: float = 0.0
@@ -50,12 +51,13 @@ NO_DRIFT = Drift()
 
 
 class SimulatedBench:
-    """A generator, an oscilloscope and a device; the channels are 1 (total) and 2 (reference), with 10:1 probes.
+    """A generator, an oscilloscope and a device between them.
 
-    ``device`` is the connected device; ``frequency_error`` (relative) that of the generator's clock. ``folder`` holds
-    the two ports as ``generator`` and ``oscilloscope`` (a temporary folder if not given). ``pace`` is the number of
-    seconds that pass for one simulated second. It is a context manager: the ports exist within the ``with``. It needs
-    pseudo-terminals, which Windows does not have.
+    The channels are 1 (total) and 2 (reference), with 10:1 probes. ``device`` is the connected device;
+    ``frequency_error`` (relative) is that of the generator's clock. ``folder`` contains the two ports as ``generator``
+    and ``oscilloscope`` (default: a temporary folder). ``pace`` is the number of real seconds for one simulated second.
+    It is a context manager: the ports exist within the ``with``. It needs pseudo-terminals, which Windows does not
+    have.
     """
 
     def __init__(
@@ -112,21 +114,21 @@ class SimulatedBench:
 
     @property
     def drive(self) -> float:
-        """The generator's amplitude now, V peak to peak of the open circuit; 0 is the safe state."""
+        """The generator's present open-circuit amplitude (Vpp); 0 is the safe state."""
         return self._generator.amplitude
 
     @property
     def frequency(self) -> float:
-        """The generator's frequency now, Hz."""
+        """The generator's present frequency, Hz."""
         return self._generator.frequency
 
     @property
     def clock(self) -> float:
-        """Simulated seconds since the bench was made."""
+        """Simulated seconds since the bench was created."""
         return self._clock
 
     def struck(self, instrument: str) -> list[tuple[int, Fault]]:
-        """The faults that have happened to an instrument, each with the number of the command."""
+        """The faults of an instrument so far, with their commands' numbers."""
         return list(self._instruments[instrument].struck)
 
     def commands(self, instrument: str) -> int:
@@ -134,7 +136,7 @@ class SimulatedBench:
         return self._instruments[instrument].commands
 
     def settings(self, *, timeout: float = 0.25) -> tuple[GeneratorSettings, OscilloscopeSettings]:
-        """Settings that open the simulated instruments without pauses; `timeout` (s) is short for tests."""
+        """Settings for the simulated instruments, without pauses. `timeout` (s) is short for tests."""
         return (
             GeneratorSettings(self.generator_port, self._generator.model, timeout=timeout, pause=0.0),
             OscilloscopeSettings(self.oscilloscope_port, self._oscilloscope.model, probe_total=self._probes[0],
@@ -142,7 +144,7 @@ class SimulatedBench:
         )
 
     def truth(self, frequency: float) -> complex:
-        """The impedance (ohm, e^{+j w t}) of the connected device at this moment."""
+        """The present impedance (ohm, e^{+j w t}) of the connected device."""
         change = self._drift.frequency * self._clock
         return self._device(frequency / (1.0 + change)) * (1.0 + self._drift.impedance * self._clock)
 
@@ -152,12 +154,12 @@ class SimulatedBench:
             self._device = device
 
     def inject(self, fault: Fault) -> None:
-        """Add a fault, which will happen at its time."""
+        """Add a fault."""
         with self._lock:
             self._instruments[fault.instrument].inject(fault)
 
     def disconnect(self, instrument: str, seconds: float) -> None:
-        """Disconnect an instrument's port; it comes back by itself, under the same name."""
+        """Disconnect an instrument's port for some seconds."""
         self._lines[instrument].drop(seconds)
 
     def _respond(self, instrument: str, line: bytes) -> bytes:
@@ -171,7 +173,6 @@ class SimulatedBench:
             time.sleep(seconds * self._pace)
 
     def _tones(self) -> Mapping[int, Tone]:
-        """The signals at the tips of the two probes now."""
         frequency = self._generator.frequency * (1.0 + self._frequency_error)
         responses = self._circuit.responses(frequency, self.truth(frequency))
         volts = 0.5 * self._generator.amplitude
@@ -179,7 +180,7 @@ class SimulatedBench:
 
 
 class _Line:
-    """A pseudo-terminal under a name of its own; a thread answers line by line at its other end."""
+    """A named pseudo-terminal, with a thread that answers line by line."""
 
     def __init__(self, path: Path, respond: Callable[[bytes], bytes]) -> None:
         self.path = path
@@ -194,7 +195,6 @@ class _Line:
         self._away = seconds
 
     def close(self) -> None:
-        """End the thread and remove the port."""
         self._ended.set()
         self._thread.join()
         if self._plugged_in:
@@ -204,10 +204,10 @@ class _Line:
         import tty
 
         self._ours, self._theirs = os.openpty()
-        # Bytes as they are, no echo; and our end never waits for a reader.
+        # Raw bytes, no echo; and our end never waits for a reader.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        # A port that a bench left behind; a link to anything else is the user's.
+        # The link of an earlier bench; a link to anything else belongs to the user.
         if self.path.is_symlink() and os.readlink(self.path).startswith("/dev/"):
             self.path.unlink()
         self.path.symlink_to(os.ttyname(self._theirs))
@@ -229,7 +229,7 @@ class _Line:
                 if not self._ended.wait(self._away):
                     self._plug_in()
                 continue
-            # We hold the terminal open, so a killed owner's exclusive lock would outlive it, unlike on a real port.
+            # The terminal stays open here, so a killed owner's exclusive lock would stay, unlike on a real port.
             fcntl.ioctl(self._theirs, termios.TIOCNXCL)
             if not select.select([self._ours], [], [], SLICE)[0]:
                 continue
@@ -242,7 +242,7 @@ class _Line:
                 self._send(answer)
 
     def _send(self, data: bytes) -> None:
-        """Send as much as is taken; the rest is lost, as on a wire, if nobody reads."""
+        """Send bytes; those that nobody reads are lost, as on a wire."""
         deadline = time.monotonic() + PATIENCE
         while data and time.monotonic() < deadline and not self._ended.is_set():
             with contextlib.suppress(BlockingIOError):

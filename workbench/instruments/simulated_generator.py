@@ -1,4 +1,4 @@
-"""A simulated FeelTech FY3200S, which handles the lines it is sent byte for byte."""
+"""A simulated FeelTech FY3200S, which processes lines byte by byte."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 #: Length of the longest command without its LF.
 LONGEST = 14
 
-#: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) after switching on: not zero, so a drive left on is noticed.
+#: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) after switching on. They are not zero, so that tests notice a
+#: drive that stays on.
 SWITCHED_ON = (1_000_000, 500)
 
 _SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
@@ -16,7 +17,7 @@ _SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
 
 @dataclass
 class Output:
-    """One channel: frequency and amplitude in hundredths of Hz and of V peak to peak, waveform 0 is sine."""
+    """One channel, in hundredths of Hz and of V peak to peak. Waveform 0 is sine."""
 
     frequency: int
     amplitude: int
@@ -25,10 +26,10 @@ class Output:
 
 
 class SimulatedGenerator:
-    """The two channels behind the serial line.
+    """The two channels on the serial line.
 
-    Settings are taken without an answer; a line is read up to the first character that does not fit, and the part
-    before it counts. Only the model, the main channel's frequency, duty and sweep time and the counter answer.
+    Settings have no answer; a line is read up to the first invalid character, and the part before it is used. Only the
+    model, the main channel's frequency, duty and sweep time and the counter have answers.
     """
 
     def __init__(self, model: str) -> None:
@@ -47,11 +48,11 @@ class SimulatedGenerator:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of the main channel's sine, V peak to peak without load; 0 while another waveform is chosen."""
+        """Open-circuit amplitude (Vpp) of the main channel's sine. It is 0 for another waveform."""
         return self.main.amplitude / 100 if self.main.waveform == 0 else 0.0
 
     def respond(self, line: bytes) -> bytes:
-        """The reply to one line, given without its LF; empty for a setting."""
+        """The reply to one line without its LF; empty for a setting."""
         text = line[:LONGEST].decode("latin-1")
         answers = {"a": self.model, "cf": f"cf{self.main.frequency:010d}", "cd": "cd500", "ct": "ct10",
                    "ce": "ce0000000000", "cc": "cc0000000000"}

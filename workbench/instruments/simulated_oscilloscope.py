@@ -1,4 +1,4 @@
-"""A simulated Tektronix TDS2024B, which handles the lines it is sent byte for byte.
+"""A simulated Tektronix TDS2024B, which processes lines byte by byte.
 
 Its records follow the rules of real captures: YMULT = V/div / 25, YOFF = 25 x position, XINCR = 10 x s/div / 2500,
 XZERO = -5 x s/div.
@@ -21,13 +21,13 @@ CHANNELS = (1, 2, 3, 4)
 VOLTS_STEPS = tuple(m * 10.0**e for e in range(-3, 1) for m in (1, 2, 5) if 2e-3 <= m * 10.0**e <= 5.0)
 SECONDS_STEPS = tuple(m * 10.0**e for e in range(-9, 2) for m in (1, 2.5, 5) if 2.5e-9 <= m * 10.0**e <= 50.0)
 
-#: Least amplitude of a signal that gives a trigger, in divisions.
+#: Least amplitude of a signal for a trigger, in divisions.
 TRIGGER_DIVISIONS = 0.2
 
 
 @dataclass(frozen=True)
 class Tone:
-    """A sine at the probe's tip: complex amplitude (V, e^{+j w t}) at a frequency (Hz)."""
+    """A sine at the probe's tip. ``amplitude`` is complex (V, e^{+j w t}), ``frequency`` in Hz."""
 
     amplitude: complex
     frequency: float
@@ -35,8 +35,8 @@ class Tone:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors that the oscilloscope adds: noise of the converter (counts, rms) and at the tip (V, rms), jitter of the
-    trigger (s, rms; common to all channels of one capture)."""
+    """Errors of the oscilloscope, rms. Noise is of the converter (counts) and at the tip (V), jitter of the trigger (s;
+    common to all channels of one capture)."""
 
     noise_counts: float = 0.4
     noise_volts: float = 0.0
@@ -45,10 +45,8 @@ class Errors:
 
 @dataclass(frozen=True)
 class Item:
-    """A setting: its name with the short form in capitals, its value after switching on, and its legal values.
-
-    ``legal`` holds words (short form in capitals), or steps to which a number is rounded, or nothing for any number.
-    """
+    """A setting: name, initial value, and legal values. The short form of names and words is in capitals. ``legal`` has
+    words, or steps to which a number is rounded; it is empty for any number."""
 
     name: str
     initial: str | float
@@ -83,7 +81,7 @@ WHOLE = ("HEADer", "VERBose", "ACQuire:NUMAVg", "DATa:WIDth", "DATa:STARt", "DAT
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One channel of the last acquisition: ``raw`` (2500,) and the settings it was made with."""
+    """One channel of the last acquisition. ``raw`` (2500,) are its samples, the others its settings."""
 
     raw: NDArray[np.int64]
     volts_per_division: float
@@ -95,10 +93,10 @@ class Record:
 
 
 class SimulatedOscilloscope:
-    """Four channels behind a line, two of which show `tones` (called at every acquisition: channel to tone).
+    """Four channels, two of which show `tones`.
 
-    ``probes`` are the probes really plugged in, channel to factor. ``wait`` is called with the duration of an
-    acquisition in seconds.
+    `tones` is called at every acquisition and returns tones by channel. ``probes`` are the factors of the real probes,
+    by channel. ``wait`` is called with the duration of an acquisition in seconds.
     """
 
     def __init__(
@@ -111,7 +109,7 @@ class SimulatedOscilloscope:
         self._errors = errors
         self._random = random
         self._wait = wait
-        #: Divisions by which the next acquisition is pushed off the screen, and whether it never gets a trigger.
+        #: Offset of the next acquisition in divisions, and whether it never gets a trigger.
         self.surge = 0.0
         self.blind = False
         self.restart()
@@ -124,7 +122,7 @@ class SimulatedOscilloscope:
         self._running = self._forced = self._blinded = False
 
     def hide(self, channel: int) -> None:
-        """Hide a channel, as somebody would by pressing its button."""
+        """Switch a channel off, as with its button."""
         self._values[f"SELect:CH{channel}"] = 0.0
         self._records.pop(channel, None)
 
@@ -133,11 +131,11 @@ class SimulatedOscilloscope:
         return int(self._word("DATa:SOUrce")[2:])
 
     def respond(self, line: bytes) -> bytes:
-        """The reply to one line, given without its LF: the answers to the questions in it, or nothing."""
+        """The answers to the queries in one line without its LF."""
         answers: list[bytes] = []
         path = ""
         for text in filter(None, (command.strip() for command in line.decode("latin-1").split(";"))):
-            # After a semicolon the beginning of the last header is implied, unless a colon or a star says otherwise.
+            # After a semicolon the beginning of the last header is implied, unless there is a colon or a star.
             absolute = text[0] in ":*" or not path or _item(text.split()[0].rstrip("?")) is not None
             whole = text.lstrip(":") if absolute else path + text
             path = "".join(whole.split()[0].rpartition(":")[:2])
@@ -147,7 +145,7 @@ class SimulatedOscilloscope:
         return b";".join(answers) + b"\n" if answers else b""
 
     def _command(self, text: str) -> bytes | None:
-        """The answer to one command, None for a setting or for a missing curve."""
+        """The answer to one command; None for a setting or no curve."""
         header, _, argument = text.partition(" ")
         query = header.endswith("?")
         name = header.rstrip("?").upper()
@@ -230,7 +228,7 @@ class SimulatedOscilloscope:
         self._finish()
 
     def _finish(self) -> None:
-        """Take the running acquisition, if there is a trigger; a single sequence then stops."""
+        """Finish the running acquisition on a trigger; a sequence then stops."""
         if self._running and self._acquire():
             self._running = self._word("ACQuire:STOPAfter") != "SEQUENCE"
 
@@ -255,7 +253,7 @@ class SimulatedOscilloscope:
         return True
 
     def _trigger(self, tones: Mapping[int, Tone]) -> float | None:
-        """The time (s) of the trigger in the tones' own time, None if the signal is too small."""
+        """The time (s) of the trigger for the tones, or None."""
         source = self._word("TRIGger:MAIn:EDGE:SOUrce")
         if not source.startswith("CH"):
             # The generator's own pulse.
@@ -272,13 +270,13 @@ class SimulatedOscilloscope:
         return float((turn - np.angle(tone.amplitude)) / (2.0 * np.pi * tone.frequency))
 
     def _tip_scale(self, channel: int) -> float:
-        """V per division at the tip of the probe that is really plugged in."""
+        """V per division at the tip of the real probe."""
         return self._number(f"CH{channel}:SCAle") * self._probes.get(channel, 1)
 
     def _record(
         self, channel: int, tone: Tone | None, times: NDArray[np.float64], seconds: float, start: float
     ) -> Record:
-        """Sample at `times` (captures, 2500), convert to 8 bit capture by capture, average, and round to 8 bit."""
+        """Sample at `times` (captures, 2500), convert, average and round. Conversion to 8 bit is capture by capture."""
         scale, position = self._tip_scale(channel), self._number(f"CH{channel}:POSition")
         coupling = self._word(f"CH{channel}:COUPling")
         volts = np.zeros_like(times)
@@ -347,7 +345,7 @@ class SimulatedOscilloscope:
 
 
 def _fits(name: str, full: str) -> bool:
-    """Whether `name` (capitals) is `full` or anything between its short form (the capitals in it) and itself."""
+    """Whether `name` (capitals) abbreviates `full`. The short form is the capitals in `full`."""
     given, parts = name.split(":"), full.split(":")
     if len(given) != len(parts):
         return False

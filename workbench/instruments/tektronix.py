@@ -1,8 +1,9 @@
-"""Tektronix TDS2000 series oscilloscopes (TDS2024B and relatives): 8 bit, records of 2500 points.
+"""Tektronix TDS2000 series oscilloscopes (TDS2024B and relatives).
 
-Every setting is read back. A capture is one single-sequence acquisition; all channels are transferred from it, in
-binary. A channel that is not displayed gives no curve at all, so the channels are switched on before every capture.
-Sources: the public drivers' common commands and real captures; Tektronix 077-0444 for the format of the data.
+They have 8 bit and records of 2500 points. Every setting is read back. A capture is one single-sequence acquisition;
+all channels are transferred from it, in binary. A channel that is not displayed gives no curve, so the channels are
+switched on before every capture. Sources: the public drivers' common commands and real captures; Tektronix 077-0444 for
+the format of the data.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ MODELS: Mapping[str, int] = {"TDS 2001C": 2, **{
 #: Volts per division at the input connector, 1-2-5.
 SCALES = (2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1, 1.0, 2.0, 5.0)
 
-#: Seconds per division, 1-2.5-5. At faster settings the converter does not take a sample for every point of the record;
-#: at slower ones the series changes over to a rolling display.
+#: Seconds per division, 1-2.5-5. Faster settings have fewer samples than points of the record; slower ones use a
+#: rolling display.
 TIMEBASES = (2.5e-7, 5e-7, 1e-6, 2.5e-6, 5e-6, 1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2,
              5e-2)
 
@@ -40,19 +41,19 @@ PROBES = (1, 10)
 #: screen to its edge.
 POINTS, DIVISIONS, COUNTS_PER_DIVISION, HALF_SCREEN = 2500, 10, 25, 4
 
-#: Start of the record in divisions: half of the record lies before the trigger.
+#: Start of the record in divisions: half of the record is before the trigger.
 RECORD_START = -5.0
 
 #: Largest relative difference of two readings of one setting; the instrument prints 3 or more digits.
 READBACK_TOLERANCE = 2e-3
 
-#: Largest peak-to-peak value (counts) at which two records may be equal by chance: a quiet input gives mostly zeros.
+#: Largest peak-to-peak value (counts) of records that may be equal by chance: a quiet input gives mostly zeros.
 QUIET = 4
 
-#: Seconds between two questions whether the acquisition has ended.
+#: Seconds between two queries whether the acquisition has ended.
 POLL = 0.02
 
-#: The settings that stay for the whole run, of the instrument and of each channel.
+#: Settings for the whole run, of the instrument and of each channel.
 RUN_SETTINGS = (
     ("DATA:ENCDG", "RIBINARY"), ("DATA:WIDTH", "1"), ("DATA:START", "1"), ("DATA:STOP", str(POINTS)),
     ("HORIZONTAL:MAIN:POSITION", "0.0E0"), ("ACQUIRE:STOPAFTER", "SEQUENCE"), ("TRIGGER:MAIN:EDGE:SLOPE", "RISE"),
@@ -73,21 +74,25 @@ PREAMBLE = Query("WFMPRE?", re.compile(
 
 
 class Tektronix:
-    """A TDS2000 series oscilloscope, identified and set up (see :func:`open_tektronix`)."""
+    """A TDS2000 series oscilloscope (see :func:`open_tektronix`)."""
 
     def __init__(self, link: Link, settings: OscilloscopeSettings) -> None:
         self._link = link
         self._settings = settings
         self._probes = {settings.channel_total: settings.probe_total,
                         settings.channel_reference: settings.probe_reference}
-        #: The settings made: volts per division by channel, and seconds per division.
+        #: The present volts per division by channel, and seconds per division.
         self._scales: dict[int, float] = {}
         self._timebase: float | None = None
         #: The last record of every channel, to notice a missing acquisition.
         self._last: dict[int, NDArray[np.int16]] = {}
 
     def identify(self) -> str:
-        """The whole identification. Raises InstrumentError if it is another model than expected."""
+        """The whole identification.
+
+        Raises:
+            InstrumentError: it is another model than expected.
+        """
         found = self._link.synchronise()
         if found[1] != self._settings.model:
             raise InstrumentError(
@@ -96,10 +101,13 @@ class Tektronix:
         return found[0]
 
     def set_scale(self, channel: int, volts_per_division: float) -> float:
-        """Set the 1-2-5 step (V per division at the probe's tip) at or above `volts_per_division`, and return it.
+        """Set and return the 1-2-5 step at or above `volts_per_division`.
 
-        Raises ValueError before writing if there is no such step or channel, InstrumentError if it reads back
-        otherwise.
+        Volts are at the probe's tip.
+
+        Raises:
+            ValueError: before writing, if there is no such step or channel.
+            InstrumentError: it reads back another value.
         """
         probe = self._probe(channel)
         step = _step_above(volts_per_division, [probe * scale for scale in SCALES], "V per division")
@@ -108,17 +116,15 @@ class Tektronix:
         return step
 
     def set_timebase(self, seconds_per_division: float) -> float:
-        """Set the 1-2.5-5 step at or above `seconds_per_division`, and return it. Raises like :meth:`set_scale`."""
+        """Set and return the 1-2.5-5 step at or above `seconds_per_division`. Raises like :meth:`set_scale`."""
         step = _step_above(seconds_per_division, TIMEBASES, "s per division")
         self._set("HORIZONTAL:MAIN:SCALE", _number(step))
         self._timebase = step
         return step
 
     def set_averages(self, count: int) -> None:
-        """Set a single capture (1), taken without a trigger too, or an average of 4, 16, 64 or 128, which needs one.
-
-        Raises like :meth:`set_scale`.
-        """
+        """Set a single capture (1), or a number of averages. They are 4, 16, 64 or 128, and need a trigger. Raises like
+        :meth:`set_scale`."""
         if count not in AVERAGES:
             raise ValueError(f"averages {count!r}; expected one of {', '.join(map(str, AVERAGES))}")
         if count == 1:
@@ -127,14 +133,17 @@ class Tektronix:
         else:
             self._set("ACQUIRE:MODE", "AVERAGE")
             self._set("ACQUIRE:NUMAVG", str(count))
-            # Records taken at any moment would average to nothing.
+            # The average of records without a trigger would vanish.
             self._set("TRIGGER:MAIN:MODE", "NORMAL")
 
     def capture(self, channels: Sequence[int]) -> dict[int, Waveform]:
-        """Make one acquisition, and return the waveform of every one of `channels` from it.
+        """Make one acquisition, and return the waveforms of its `channels`.
 
-        Raises ValueError for none or another channel, Silence if one gives no curve, InstrumentError if the acquisition
-        does not end, or its records are those of the capture before or belong to other settings.
+        Raises:
+            ValueError: no channel, or an unknown one.
+            Silence: a channel gives no curve.
+            InstrumentError: the acquisition does not end, or its records equal the previous ones or have other
+                settings.
         """
         if not channels:
             raise ValueError("capture of no channel; expected at least one")
@@ -153,7 +162,7 @@ class Tektronix:
         return found
 
     def set_up(self) -> None:
-        """Make all settings that stay for the whole run: formats, channels, trigger, single sequence."""
+        """Make all settings for the whole run. They are formats, channels, trigger, and single sequence."""
         link, settings = self._link, self._settings
         link.send("HEADER OFF")
         link.synchronise()
@@ -164,11 +173,11 @@ class Tektronix:
             for item, value in (("PROBE", _number(probe)), *CHANNEL_SETTINGS):
                 self._set(f"CH{channel}:{item}", value)
         self.set_averages(1)
-        # A first capture shows that it works, and removes a previous owner's record from the screen.
+        # A first capture is a test, and removes a previous owner's record from the screen.
         self.capture(tuple(self._probes))
 
     def close(self) -> None:
-        """Give the port back; the oscilloscope stays stopped on its last acquisition."""
+        """Close the port; the oscilloscope stays stopped."""
         self._link.close()
 
     def _probe(self, channel: int) -> int:
@@ -178,7 +187,7 @@ class Tektronix:
         return self._probes[channel]
 
     def _set(self, command: str, value: str) -> None:
-        """Make a setting, and compare it with the reading: a number in value, a word in its beginning."""
+        """Make a setting, and compare it with its reading."""
         self._link.send(f"{command} {value}")
         found = self._link.ask(Query(f"{command}?", ONE_WORD, "one word or number"))[0]
         if not _same(found, value):
@@ -205,10 +214,10 @@ class Tektronix:
         if self._timebase is not None:
             expected.append(("s per point", step, self._timebase * DIVISIONS / POINTS))
             expected.append(("start in s", float(preamble["zero"]), RECORD_START * self._timebase))
-        for what, found, wanted in expected:
+        for name, found, wanted in expected:
             if abs(found - wanted) > READBACK_TOLERANCE * abs(wanted):
                 raise InstrumentError(f"{self._link.name}: sent 'WFMPRE?' for channel {channel}; expected {wanted:g} "
-                                      f"for the {what}; {found:g} came")
+                                      f"for the {name}; {found:g} came")
         raw = np.frombuffer(self._link.ask_block("CURVE?", POINTS), dtype=np.int8).astype(np.int16)
         edge = HALF_SCREEN * COUNTS_PER_DIVISION
         return Waveform(
@@ -224,10 +233,11 @@ class Tektronix:
 
 
 def open_tektronix(settings: OscilloscopeSettings) -> Tektronix:
-    """Open the oscilloscope: identified, set up for single captures, and with one made.
+    """Open the oscilloscope, set up for single captures.
 
-    Raises InputError for settings that the series does not have, InstrumentError for a port or an instrument that does
-    not answer as it.
+    Raises:
+        InputError: settings that the series does not have.
+        InstrumentError: the port cannot be opened, or another instrument answers.
     """
     _check(settings)
     port = open_port(settings.port, baud=settings.baud, timeout=settings.timeout)
@@ -267,13 +277,13 @@ def _step_above(value: float, steps: Sequence[float], unit: str) -> float:
 
 
 def _number(value: float) -> str:
-    """A number as the instrument itself writes it: 2.0E-1. All its settings have one or two digits."""
+    """A number in the instrument's format: 2.0E-1. All its settings have one or two digits."""
     mantissa, exponent = f"{value:.1E}".split("E")
     return f"{mantissa}E{int(exponent)}"
 
 
 def _same(found: str, value: str) -> bool:
-    """Whether a setting that was read back is the one made. Words may be answered in their short form."""
+    """Whether a setting reads back as `value`. Words may be answered in their short form."""
     try:
         number = float(value)
     except ValueError:

@@ -1,8 +1,8 @@
-"""Bytes to and from an instrument: ports with one owner and a time-out, and a dialogue that resynchronises after
-errors.
+"""Bytes to and from an instrument, with resynchronisation after errors.
 
-A :class:`Link` on a :class:`Port` speaks in commands and replies. After anything went wrong it asks for the
-identification: replies come in order, so once that is read, every late reply to an earlier question has been read too.
+A port has one owner and a time-out. A :class:`Link` on a :class:`Port` exchanges commands and replies. After an error
+it queries the identification: replies come in order, so once that is read, every late reply to an earlier query has
+been read too.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from workbench.instruments.instrument import InstrumentError, Silence
 if TYPE_CHECKING:
     import serial
 
-#: Number of times a question is asked before its failure is reported; asking changes nothing in the instrument.
+#: Number of attempts of a query before its failure is reported; a query changes nothing in the instrument.
 ATTEMPTS = 3
 
 #: Largest number of bytes of a reply.
 LONGEST_LINE = 4096
 
-#: Largest number of lines under way when a link resynchronises: earlier replies, or the pieces of a block of samples,
-#: one byte in 128 of which looks like an end of a line.
+#: Largest number of pending lines when a link resynchronises: earlier replies, or the pieces of a block of samples, in
+#: which one byte in 128 looks like an end of a line.
 LONGEST_BACKLOG = 40
 
 Reply = TypeVar("Reply")
@@ -46,20 +46,22 @@ class Port(Protocol):
         """Send all of `data`."""
 
     def read(self, timeout: float) -> bytes:
-        """The received bytes, at least one, or none after `timeout` seconds."""
+        """The received bytes, or none after `timeout` seconds."""
 
     def discard(self) -> None:
         """Drop received bytes that were not read."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 def open_port(name: str, *, baud: int, timeout: float) -> Port:
-    """Open a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no handshake).
+    """Open a USBTMC file, a VISA resource, or else a serial port.
 
-    Nobody else can open it until it is closed or this process ends, however it ends. Raises InstrumentError if the port
-    does not exist, may not be opened, or has another owner.
+    A serial port is 8N1 without handshake. The port is locked until it is closed or this process ends in any way.
+
+    Raises:
+        InstrumentError: the port does not exist, may not be opened, or has another owner.
     """
     if re.fullmatch(r"/dev/usbtmc\d+", name):
         return UsbtmcPort(name, timeout=timeout)
@@ -92,13 +94,13 @@ def _present(name: str, doing: str, *errors: type[Exception]) -> Iterator[None]:
         yield
     except errors as error:
         raise InstrumentError(
-            f"{name}: {doing}: the port is gone, or the instrument takes nothing ({error})") from None
+            f"{name}: {doing}: the port is gone, or the instrument accepts no bytes ({error})") from None
 
 
 class SerialPort:
     """A serial port, 8N1 without flow control."""
 
-    #: Length (s) of the slices in which pyserial waits, so that its time-out need not be set anew for every reply.
+    #: Length (s) of one wait of pyserial, so that its time-out need not be set again for every reply.
     SLICE = 0.02
 
     def __init__(self, name: str, *, baud: int, timeout: float) -> None:
@@ -107,7 +109,7 @@ class SerialPort:
         self.name = name
         self._errors: tuple[type[Exception], ...] = (OSError,)
         try:
-            # The lock is on the device itself and goes with the process: a killed one leaves nothing to clean up.
+            # The lock is on the device and ends with the process, so a killed one needs no cleaning up.
             self._port: serial.Serial = serial.Serial(
                 name, baud, timeout=self.SLICE, write_timeout=timeout, exclusive=True)
         except serial.SerialException as error:
@@ -117,7 +119,7 @@ class SerialPort:
             import termios
 
             self._errors = OSError, termios.error
-            # For programs that do not ask for the lock.
+            # For programs that ignore the lock.
             fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
 
     def write(self, data: bytes) -> None:
@@ -142,7 +144,7 @@ class SerialPort:
 
 
 class UsbtmcPort:
-    """The device file of a USB test and measurement instrument under Linux, whose driver frames the messages."""
+    """The device file of a USBTMC instrument under Linux. Its driver frames the messages."""
 
     #: ``_IO(91, 2)`` clears the device, ``_IOW(91, 10, __u32)`` sets the time-out in ms (linux/usb/tmc.h).
     CLEAR, SET_TIMEOUT = 0x5B02, 0x40045B0A
@@ -167,7 +169,7 @@ class UsbtmcPort:
             os.write(self._handle, data)
 
     def read(self, timeout: float) -> bytes:
-        del timeout  # The driver waits for its own, which was set to the link's.
+        del timeout  # The driver uses its own time-out, which was set to the link's.
         with _present(self.name, "reading", OSError):
             try:
                 return os.read(self._handle, LONGEST_LINE)
@@ -187,7 +189,7 @@ class UsbtmcPort:
 
 
 class VisaPort:
-    """A VISA resource on USB, through pyvisa and pyvisa-py, which are an optional extra."""
+    """A VISA resource on USB, through the optional pyvisa and pyvisa-py."""
 
     def __init__(self, name: str, *, timeout: float) -> None:
         try:
@@ -200,7 +202,7 @@ class VisaPort:
         self._error: type[Exception] = pyvisa.errors.VisaIOError
         self._timed_out = pyvisa.constants.StatusCode.error_timeout
         try:
-            # No lock is requested, which pyvisa-py does not have: libusb gives the interface to one process.
+            # pyvisa-py has no locks, and needs none: libusb gives the interface to one process.
             self._resource: Any = pyvisa.ResourceManager("@py").open_resource(name)
         except (self._error, ValueError, OSError) as error:
             raise InstrumentError(f"{name}: the resource cannot be opened ({error})") from None
@@ -230,7 +232,7 @@ class VisaPort:
 
 @dataclass(frozen=True)
 class Query:
-    """A question, and the pattern of a whole line of reply to it; ``expected`` describes ``reply`` in words."""
+    """A query, and the pattern of a whole line of reply. ``expected`` describes ``reply`` in words."""
 
     command: str
     reply: re.Pattern[str]
@@ -238,12 +240,11 @@ class Query:
 
 
 class Link:
-    """A dialogue in lines of ASCII text ended by LF; replies may end with CR or CRLF too, or with nothing.
+    """A dialogue in lines of ASCII text that end with LF.
 
-    A reply without an end counts as whole if it matches the pattern and comes alike when asked for again: some firmware
-    leaves the end out, and a reply that was cut short is not cut twice at one place.
-
-    ``hello`` asks for the identification; ``timeout`` (s) is the longest silence; ``pause`` (s) follows every command.
+    Replies may also end with CR or CRLF, or have no end. A reply without an end is complete if it matches the pattern
+    and is the same after a second query: some firmware omits the end, and truncated replies differ. ``hello`` is the
+    query of the identification; ``timeout`` (s) is the longest silence; ``pause`` (s) follows every command.
     """
 
     def __init__(self, port: Port, *, hello: Query, timeout: float, pause: float) -> None:
@@ -252,7 +253,7 @@ class Link:
         self._timeout = timeout
         self._pause = pause
         self._received = b""
-        #: Whether the second byte of a CRLF is still to come.
+        #: Whether the second byte of a CRLF is missing so far.
         self._ended = False
         #: The last reply without an end by command, and the commands whose replies have none.
         self._cut: dict[str, bytes] = {}
@@ -264,22 +265,28 @@ class Link:
         return self._port.name
 
     def send(self, command: str) -> None:
-        """Send one command; no reply is awaited."""
+        """Send one command, without waiting for a reply."""
         self._port.write(command.encode("ascii") + b"\n")
         if self._pause:
             time.sleep(self._pause)
 
     def ask(self, query: Query) -> re.Match[str]:
-        """The reply to `query`, which is asked again after resynchronising if another text comes.
+        """The reply to `query`, repeated after resynchronising if needed.
 
-        Raises Silence if nothing, or no end of the line, came at the last attempt, InstrumentError for another text.
+        Raises:
+            Silence: no reply, or no end of the line, at the last attempt.
+            InstrumentError: another text.
         """
         return self._attempt(query.command, lambda: self._matching(query))
 
     def ask_block(self, command: str, count: int) -> bytes:
-        """The `count` bytes of a definite-length block (IEEE 488.2: ``#``, digits, bytes, LF), asked like :meth:`ask`.
+        """The `count` bytes of a definite-length block, queried like :meth:`ask`.
 
-        Raises Silence for too few bytes, InstrumentError for another count or no end after the last byte.
+        IEEE 488.2: ``#``, digits, bytes, LF.
+
+        Raises:
+            Silence: too few bytes.
+            InstrumentError: another count, or no end after the last byte.
         """
         length = str(count)
         header = f"#{len(length)}{length}".encode("ascii")
@@ -292,7 +299,7 @@ class Link:
             try:
                 end = self._exactly(1, command)
             except Silence:
-                return data  # whole by its length
+                return data  # complete by its length
             if end not in (b"\n", b"\r"):
                 raise self._wrong(command, f"LF after {count} bytes", end)
             self._skip_end(end)
@@ -301,11 +308,15 @@ class Link:
         return self._attempt(command, block)
 
     def synchronise(self) -> re.Match[str]:
-        """Find the beginning of the next reply: ask for the identification and drop all that comes before it.
+        """Find the beginning of the next reply, by the identification.
 
-        This also ends a command of which a previous owner of the port had sent only a part: the instrument tries to
-        execute that part together with the question after it, stays silent, and is asked again. Raises Silence if
-        nothing came, InstrumentError if no reply is an identification.
+        All earlier bytes are dropped. This also ends an incomplete command of a previous owner of the port: the
+        instrument tries to execute that part together with the following query, stays silent, and the query is
+        repeated.
+
+        Raises:
+            Silence: no reply.
+            InstrumentError: no reply is an identification.
         """
         came: list[bytes] = []
         for _ in range(ATTEMPTS):
@@ -335,17 +346,17 @@ class Link:
                       f"within {self._timeout:g} s, {ATTEMPTS} times (switched on? the right port and speed?)")
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._port.close()
 
     def _attempt(self, command: str, read: Callable[[], Reply]) -> Reply:
-        for left in reversed(range(ATTEMPTS)):
+        for attempts_left in reversed(range(ATTEMPTS)):
             self.send(command)
             try:
                 return read()
             except InstrumentError:
                 self.synchronise()
-                if not left:
+                if not attempts_left:
                     raise
         raise AssertionError("ATTEMPTS is positive")
 
@@ -363,7 +374,7 @@ class Link:
         return found
 
     def _without_end(self, query: Query) -> re.Match[str] | None:
-        """The received text without an end, if it is a reply to `query` and came alike before."""
+        """The received text without an end, if it is a repeated reply."""
         found = query.reply.fullmatch(_text(self._received))
         if found is None:
             return None
@@ -415,7 +426,6 @@ def _text(line: bytes) -> str:
 
 
 def _came(data: bytes) -> str:
-    """Received bytes as text, short enough to be read."""
     if not data:
         return "nothing"
     return f"{data!r}" if len(data) <= 60 else f"{data[:40]!r} and {len(data) - 40} more bytes"

@@ -1,9 +1,9 @@
-"""Waveforms that oscilloscopes save as one CSV table: time, or its start and step, and a column per channel.
+"""Waveforms that oscilloscopes save as one CSV table.
 
-It reads the files of Rigol (DS1000E, DS1000Z, MSO5000), Siglent (SDS1000, SDS2000), Tektronix (DPO, MSO, MDO, TBS2000),
-Keysight InfiniiVision, LeCroy (one channel a file, named by the file), and any table whose headings are a time and
-channels, each with its unit. If a step is stated and the printed time agrees with it, the stated step is used, since
-some makers print the time in too few digits.
+The table has the time, or its start and step, and a column per channel. It reads the files of Rigol (DS1000E, DS1000Z,
+MSO5000), Siglent (SDS1000, SDS2000), Tektronix (DPO, MSO, MDO, TBS2000), Keysight InfiniiVision, LeCroy (one channel a
+file, named by the file), and any table whose headings are a time and channels, each with its unit. If a step is stated
+and the printed time agrees with it, the stated step is used, since some makers print the time in too few digits.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
 
-#: Number of lines in which headings are looked for; the longest head seen (Tektronix MSO) has 21.
+#: Number of lines of the search for headings; the longest head seen (Tektronix MSO) has 21.
 HEAD_LINES = 60
 
-#: Largest deviation of samples from even steps, as a share of a step and beyond the rounding of printed digits, in one
-#: record. Doubled, a jump of a twenty-fifth of a step is taken for rounding.
+#: Largest deviation of samples from equal steps, relative to a step and beyond the rounding of printed digits, in one
+#: record. Doubled, a jump of 4 % of a step is accepted as rounding.
 UNEVEN = 0.02
 
-#: Largest relative uncertainty of a step from printed times; a coarser one is refused, since every frequency would be
-#: wrong by as much.
+#: Largest relative uncertainty of a step from printed times, which is also that of every frequency.
 COARSE_STEP = 1e-3
 
-#: Voltage (V) above which a value marks a sample that left the screen.
+#: Voltage (V) above which a value marks a sample outside the screen.
 OFF_SCREEN = 1e30
 
-#: Largest difference, as a share of the range of a signal, that is rounding and not a step of the converter (16 bit is
+#: Largest difference, relative to the range of a signal, that is rounding and not a step of the converter (16 bit is
 #: 1.5e-5).
 SAME_VALUE = 5e-6
 
@@ -47,7 +46,7 @@ _VOLTS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "µv": 1e
 _AMPERES = {"a": 1.0, "amp": 1.0, "amps": 1.0, "ampere": 1.0, "amperes": 1.0, "ma": 1e-3, "ua": 1e-6, "µa": 1e-6,
             "μa": 1e-6, "ka": 1e3}
 
-#: The number of a channel that only the name of its file states, and the unit of its samples, which nothing states.
+#: The number of a channel that only the name of its file states, and the unit of samples without one.
 UNNAMED = 0
 UNSTATED = "unstated"
 
@@ -63,7 +62,7 @@ _START, _STEP = (re.compile(rf"\b{word}\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(
 
 @dataclass(frozen=True)
 class WaveformColumn:
-    """A column from 0 and the unit that the file gives it ("" for none); ``envelope`` if it holds extremes."""
+    """A column (from 0) and its unit ("" for none). ``envelope`` is whether it has extremes."""
 
     place: int
     unit: str
@@ -74,8 +73,9 @@ class WaveformColumn:
 class WaveformTable:
     """The place of the samples in a file, by its head.
 
-    ``maker`` in words; ``channels`` by number; ``time`` the column of time, or None if only ``start`` and ``step`` (s)
-    are given; ``first`` the index of the line after the head; ``settings`` the lines above the headings.
+    ``maker`` is in words; ``channels`` are by number; ``time`` is the column of time, or None if only ``start`` and
+    ``step`` (s) are given; ``first`` is the index of the line after the head; ``settings`` are the lines above the
+    headings.
     """
 
     maker: str
@@ -89,7 +89,7 @@ class WaveformTable:
 
 
 def decoded(data: bytes) -> tuple[str, ...]:
-    """The lines of a text file in any encoding that instruments write."""
+    """The lines of a text file in the encodings of instruments."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return tuple(data.decode("utf-16", "replace").lstrip("\ufeff").splitlines())
     try:
@@ -99,8 +99,7 @@ def decoded(data: bytes) -> tuple[str, ...]:
 
 
 def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
-    """The place of the samples in a file of these `lines`, or None if its head is not that of an oscilloscope's table.
-    """
+    """The place of the samples in these `lines`. None if the head is not that of an oscilloscope's table."""
     for index, line in enumerate(lines[:HEAD_LINES]):
         for delimiter in (",", ";", "\t"):
             if len(_cells(line, delimiter)) < 2:
@@ -113,7 +112,7 @@ def waveform_table(lines: Sequence[str]) -> WaveformTable | None:
 
 
 def recognised(lines: Sequence[str]) -> str:
-    """A description of the file if it is a table of an oscilloscope; otherwise ""."""
+    """A description of an oscilloscope's table; "" for other files."""
     found = waveform_table(lines)
     if found is None:
         return ""
@@ -122,7 +121,13 @@ def recognised(lines: Sequence[str]) -> str:
 
 
 def signal_unit(path: str, field: str, unit: str) -> tuple[str, float]:
-    """The unit of samples, "V", "A" or "" if not stated, and the factor to it. Raises InputError for any other."""
+    """The unit of samples, and the factor to it.
+
+    The unit is "V", "A", or "" if not stated.
+
+    Raises:
+        InputError: another unit.
+    """
     if unit == UNSTATED:
         return "", 1.0
     name = "A" if unit.lower() in _AMPERES else "V"
@@ -132,9 +137,11 @@ def signal_unit(path: str, field: str, unit: str) -> tuple[str, float]:
 def read_table(
     path: str, lines: Sequence[str], table: WaveformTable, *, wanted: Collection[int] | None = None
 ) -> dict[int, Waveform]:
-    """The waveforms by channel; of the `wanted` channels alone if given, and of no others anything is demanded.
+    """The waveforms by channel, optionally only the `wanted` ones.
 
-    Raises InputError: cut short, an envelope, in another unit, without a unit of time, or not on even time steps.
+    Raises:
+        InputError: a wanted channel that is truncated, an envelope, in another unit, without a unit of time, or not on
+            equal time steps.
     """
     if wanted is not None:
         table = replace(table, channels={number: each for number, each in table.channels.items()
@@ -151,7 +158,7 @@ def read_table(
         signal = factor * values
         if np.any(np.abs(signal) > OFF_SCREEN):
             raise InputError(path, f"CH{number}", float(signal[np.argmax(np.abs(signal))]),
-                             "voltages; this is how the instrument writes what left the screen")
+                             "voltages; this is how the instrument writes samples outside the screen")
         quantum = _quantum(signal)
         raw = np.round((signal - 0.5 * (signal.max() + signal.min())) / quantum)
         found[number] = Waveform(number, signal, raw.astype(np.int16), start, step, quantum, clipped=False,
@@ -167,7 +174,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _channel(heading: str) -> tuple[int, str, bool] | None:
-    """Number and unit of the channel that a heading names, and whether it is an envelope."""
+    """Number, unit and envelope flag of the channel in a heading."""
     inner = re.fullmatch(r"[XY]\((.*)\)", heading)
     if inner:
         heading = inner[1]
@@ -185,7 +192,7 @@ def _channel(heading: str) -> tuple[int, str, bool] | None:
 
 
 def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Columns of channels alone, and start and step of the time in the heading line: CH1(V),CH2(V),t0 = ..., tInc."""
+    """Columns of channels, with start and step in the heading line. Example: CH1(V),CH2(V),t0 = ..., tInc."""
     start, step = _START.search(lines[index]), _STEP.search(lines[index])
     if start is None or step is None or start[2].lower() not in _TIMES or step[2].lower() not in _TIMES:
         return None
@@ -199,7 +206,8 @@ def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
 def _channels(
     headings: Iterable[tuple[int, str]], units: Sequence[str], *, bare: bool = False
 ) -> dict[int, tuple[WaveformColumn, ...]]:
-    """The columns by channel, from places and headings and a line of units below; a `bare` number names a channel."""
+    """The columns by channel, from places and headings. `units` are those of a line below; with `bare`, a number names
+    a channel."""
     channels: dict[int, tuple[WaveformColumn, ...]] = {}
     for place, cell in headings:
         named = (int(cell), "", False) if bare and re.fullmatch("[1-8]", cell) else _channel(cell)
@@ -210,7 +218,7 @@ def _channels(
 
 
 def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Headings of a time and channels, in one line with their units or above a line of units."""
+    """Headings of a time and channels, with units or above units."""
     cells = _cells(lines[index], delimiter)
     parts = _UNIT.match(cells[0])
     assert parts is not None
@@ -218,7 +226,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
         return None
     keysight = cells[0].lower() == "x-axis"
     units, first = _units_below(lines, index, delimiter)
-    # A second time begins a second table beside the first, of digital lines.
+    # A second time begins a second table beside the first, with digital lines.
     end = next((place for place, cell in enumerate(cells) if place and _TIME.fullmatch(cell)), len(cells))
     headings = list(enumerate(cells))[1:end]
     channels = _channels(headings, units, bare=keysight)
@@ -237,7 +245,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
     unit = unit or settings.get("horizontal units", ("",))[0]
     vertical = settings.get("vertical units", ())
     if vertical:
-        # One for every column of samples, in their order.
+        # One unit for every column of samples, in their order.
         channels = {number: tuple(replace(each, unit=each.unit or vertical[min(each.place, len(vertical)) - 1])
                                   for each in columns) for number, columns in channels.items()}
     maker = next((f" ({name})" for name, recognised in (
@@ -248,7 +256,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
 
 
 def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """Headings that are units, with the channels named above: Source,CH1,CH2 over Second,Volt,Volt (Siglent)."""
+    """Headings that are units, with the channels above (Siglent). Example: Source,CH1,CH2 over Second,Volt,Volt."""
     cells = _cells(lines[index], delimiter)
     if cells[0].lower() not in _TIMES or not all(cell.lower() in {*_VOLTS, "value"} for cell in cells[1:]):
         return None
@@ -269,7 +277,7 @@ def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTabl
 
 
 def _by_file(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
-    """The one channel that the name of its file states: LECROY..., then Time,Ampl (LeCroy)."""
+    """The only channel, whose file is named after it (LeCroy). The head is LECROY..., then Time,Ampl."""
     if [cell.lower() for cell in _cells(lines[index], delimiter)] != ["time", "ampl"] or not lines[0].lstrip(
             '"').upper().startswith("LECROY"):
         return None
@@ -278,7 +286,7 @@ def _by_file(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
 
 
 def _units_below(lines: Sequence[str], index: int, delimiter: str) -> tuple[list[str], int]:
-    """The cells of a line of units below the headings, and the index of the line after the head."""
+    """A line of units below the headings, and the head's end. The end is the index of the line after the head."""
     if index + 1 >= len(lines):
         return [], index + 1
     cells = [cell.strip("()[] ") for cell in _cells(lines[index + 1], delimiter)]
@@ -298,13 +306,13 @@ def _settings(lines: Sequence[str], delimiter: str) -> dict[str, tuple[str, ...]
 
 
 def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[list[str], dict[int, NDArray[np.float64]]]:
-    """The cells of the time column as printed ("" if there is none), and the samples of every channel."""
+    """The time column as printed, and the samples of every channel. Times are "" without a column."""
     places = {number: columns[0].place for number, columns in table.channels.items()}
     extremes = {number: columns[1].place for number, columns in table.channels.items() if len(columns) > 1}
     for number, columns in table.channels.items():
         if columns[0].envelope:
-            raise InputError(path, f"CH{number}", "a column of extremes alone", "samples, not an envelope of peak "
-                             "detection, from which no phase can be had")
+            raise InputError(path, f"CH{number}", "a column of extremes only", "samples, not an envelope of peak "
+                             "detection, which has no phase")
 
     def refused(index: int, expected: str) -> InputError:
         return InputError(path, f"line {index + 1}", lines[index][:60], expected)
@@ -322,15 +330,15 @@ def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[lis
             cells = [cell.replace(",", ".") for cell in cells]
         row = [cells[place] for place in places.values()]
         if not any(row):
-            ended = index if times else None  # rows of time alone, before and after the record
+            ended = index if times else None  # rows with time only, before and after the record
             continue
         if ended is not None or not all(_NUMBER.fullmatch(cell) for cell in row):
             raise refused(index if ended is None else ended,
                           "a number for every channel: " + ", ".join(f"CH{number}" for number in places))
         for number, place in extremes.items():
             if cells[place]:
-                raise refused(index, f"samples of CH{number}; an envelope of peak detection holds extremes, from which "
-                              "no phase can be had")
+                raise refused(index, f"samples of CH{number}; an envelope of peak detection has extremes only, so no "
+                              "phase")
         times.append("" if table.time is None else cells[table.time.place])
         if table.time is not None and not _NUMBER.fullmatch(times[-1]):
             raise refused(index, "a number for the time")
@@ -341,7 +349,7 @@ def _numbers(path: str, lines: Sequence[str], table: WaveformTable) -> tuple[lis
 
 
 def _check_length(path: str, table: WaveformTable, count: int) -> None:
-    """Check that the file has as many rows as it announces, unless a part of the record was saved."""
+    """Check the announced number of rows, unless a part was saved."""
     segments = dict(enumerate(table.settings.get("segments", ())))
     if segments.get(0, "1") != "1":
         raise InputError(path, "Segments", segments[0], "1: one record, not a sequence")
@@ -380,7 +388,7 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
         table.settings.get("sample interval", ())[:1]))
     if interval and abs(float(interval[1]) - step) <= digit / (len(time) - 1) + 1e-6 * step:
         return float(even[0]), float(interval[1])
-    # For a line through times that are each rounded to a digit, two standard deviations or more.
+    # At least two standard deviations of the slope of a line through times that are rounded to a digit.
     uncertain = digit / len(time) ** 1.5
     if uncertain > COARSE_STEP * step:
         raise InputError(path, "time", f"{printed[0]} to {printed[-1]}", f"a time of more digits: of {len(time)} "
@@ -389,7 +397,7 @@ def _time_axis(path: str, table: WaveformTable, printed: Sequence[str]) -> tuple
 
 
 def _last_digit(cell: str) -> float:
-    """The weight of the last digit of a number as it is printed."""
+    """The value of the last digit of a printed number."""
     found = _NUMBER.fullmatch(cell)
     assert found is not None
     decimals = found["decimals"] if found["decimals"] is not None else found["after"]
@@ -403,7 +411,7 @@ def _factor(path: str, field: str, unit: str, known: Mapping[str, float], expect
 
 
 def _quantum(signal: NDArray[np.float64]) -> float:
-    """The step of the converter (V): the least difference of two values in the record."""
+    """The converter's step (V): the least difference of two values."""
     differences = np.diff(np.unique(signal))
     differences = differences[differences > SAME_VALUE * float(np.ptp(signal))] if differences.size else differences
     return float(differences.min()) if differences.size else 1.0

@@ -1,5 +1,4 @@
-"""Particles of a cavity as dots: from above as a microscope sees them, from the side on their potential, as an
-animation; and the shares that a camera counts over time."""
+"""Particles of a cavity as dots and animations, and their shares."""
 
 from __future__ import annotations
 
@@ -33,9 +32,9 @@ _DOT, _DOT_ON_POTENTIAL, _OUTLINE = "#d55e00", "#ffffff", "#303030"
 LEAST_DOT = 0.006
 #: Largest length of a scale bar, as a share of the width.
 SCALE_BAR = 0.25
-#: Width of the pictures in inches; that from above is square, so that it lies on a micrograph of the cavity.
+#: Width of the pictures in inches. The view from above has the size of the cavity, to be laid over a micrograph.
 _ABOVE, _SIDE = 6.0, 9.0
-#: Height of a panel over its width from which panels stand in two columns. Doubled, those of a half channel fill pages.
+#: Ratio of height to width above which panels are in two columns. Doubled, panels of a half channel fill pages.
 _BESIDE = 0.5
 #: Points of the raster of the potential along r and z.
 _RASTER = (400, 120)
@@ -44,11 +43,11 @@ FRAMES, FRAMES_PER_SECOND, _DOTS_PER_INCH = 60, 12, 80
 
 
 def draw_from_above(found: Trajectories, path: Path, *, at: float, transparent: bool = False) -> Path:
-    """Draw the particles as seen along z at the time `at` (s), with a scale bar and the time. Writes `path`.
+    """Draw the particles as seen along z at the time `at` (s).
 
-    The picture is as wide as the cavity, with no margin: a micrograph cut to the cavity lies below it if it is
-    `transparent`. That of a channel shows a piece of it, the channel upright and particles anywhere along it. Dots are
-    as large as the particles, or as :data:`LEAST_DOT` if that is more.
+    The picture has a scale bar and the time. It is as wide as the cavity, without a margin, so that it fits over a
+    micrograph of the cavity if it is `transparent`. A channel is drawn upright, as a piece of its length with random
+    positions along it. Dots are as large as the particles, but at least :data:`LEAST_DOT`.
     """
     figure = new_figure(_ABOVE, _ABOVE * _View.of(found).tallness)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -60,12 +59,9 @@ def draw_from_above(found: Trajectories, path: Path, *, at: float, transparent: 
 
 
 def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> Path:
-    """Draw the particles in the section on the Gor'kov potential, a panel for each of the times `at` (s).
-
-    Writes `path`.
-    """
+    """Draw the particles on the Gor'kov potential of the section. There is a panel for each of the times `at` (s)."""
     tall = _heights_enlarged(found)
-    # Panels that are about as high as wide stand side by side.
+    # Panels that are about as high as wide are side by side.
     columns = min(len(at), 1 if _flatness(found) * tall < _BESIDE else 2)
     rows = math.ceil(len(at) / columns)
     height = 0.35 + (_SIDE - 1.2) / columns * _flatness(found) * tall
@@ -90,8 +86,8 @@ def draw_from_side(found: Trajectories, path: Path, *, at: Sequence[float]) -> P
 
 
 def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]], path: Path) -> Path:
-    """Draw over time the share of the particles in each of the named `windows`, and the shares that have come to
-    levitate, are in a trap and lie on a wall. Writes `path`."""
+    """Draw shares of the particles over time. There is a curve for each of the named `windows`, and for focused,
+    levitating, trapped and stopped particles."""
     figure = new_figure(7.5, 4.5)
     axes = figure.add_subplot()
     curves = [(f"in the window, {name}", light_curve(found, window), "-") for name, window in windows]
@@ -115,7 +111,9 @@ def draw_light_curves(found: Trajectories, windows: Sequence[tuple[str, Window]]
 
 
 def animate_beads(found: Trajectories, path: Path, *, frames: int = FRAMES) -> Path:
-    """Write the particles from above and from the side as an animated GIF, `frames` of the times of the record.
+    """Write the particles from above and from the side as a GIF.
+
+    It has `frames` of the recorded times.
 
     Raises:
         ValueError: the suffix of `path` is not .gif.
@@ -143,13 +141,12 @@ def animate_beads(found: Trajectories, path: Path, *, frames: int = FRAMES) -> P
 
 
 def scale_bar_length(width: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is at most :data:`SCALE_BAR` of a `width` (m)."""
+    """A round length, at most :data:`SCALE_BAR` of a `width` (m). It is 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(SCALE_BAR * width))
     return power * max(each for each in (1.0, 2.0, 5.0) if each * power <= SCALE_BAR * width * (1.0 + 1e-9))
 
 
 def _field_words(found: Trajectories) -> str:
-    """The line that describes the field at the voltage of the trajectories."""
     return typeset(found.forces.excitation)
 
 
@@ -159,7 +156,7 @@ def _index(found: Trajectories, at: float) -> int:
 
 @dataclass(frozen=True)
 class _View:
-    """A cavity seen from above: the half width and half length (mm) of the picture, and whether it is round."""
+    """A cavity from above: half width and half length (mm), and shape."""
 
     half_width: float
     half_length: float
@@ -177,7 +174,6 @@ class _View:
         return self.half_length / self.half_width
 
     def outline(self, axes: Axes) -> None:
-        """Draw the walls: a circle, or the two sides of the channel."""
         from matplotlib.patches import Circle
 
         if self.is_round:
@@ -193,12 +189,12 @@ def _flatness(found: Trajectories) -> float:
 
 
 def _heights_enlarged(found: Trajectories) -> float:
-    """Factor by which heights are drawn larger than radii: a panel is about a sixth as high as wide, or higher."""
+    """Factor of heights, for panels at least 0.15 as high as wide."""
     return float(max(1, math.ceil(0.15 / _flatness(found))))
 
 
 def _above(axes: Axes, found: Trajectories) -> tuple[EllipseCollection, Text]:
-    """Axes with the cavity's walls, a scale bar, a time stamp and dots without places."""
+    """Axes with walls, a scale bar, a time stamp and empty dots."""
     from matplotlib.collections import EllipseCollection
 
     view = _View.of(found)
@@ -228,14 +224,14 @@ def _move_above(dots: EllipseCollection, stamp: Text, found: Trajectories, index
 
 
 def _potential(found: Trajectories) -> tuple[FloatArray, str]:
-    """The potential (N,) at the voltage of the trajectories in a unit that suits it, and the unit."""
+    """The potential (N,) in a suitable unit, and the unit."""
     potential = found.forces.potential
     factor, unit = prefixed(float(np.abs(potential).max()), "J")
     return np.asarray(factor * potential), unit
 
 
 def _side(axes: Axes, found: Trajectories, tall: float) -> tuple[Line2D, Text, AxesImage]:
-    """Dots without places, a time stamp and the potential, on axes with the walls."""
+    """Empty dots, a time stamp and the potential, on axes with walls."""
     from matplotlib.collections import LineCollection
 
     forces = found.report.forces

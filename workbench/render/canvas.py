@@ -1,4 +1,4 @@
-"""Common parts of all pictures: VTK without a display, the frame around a picture, units for an axis, atomic saving."""
+"""Common parts of all pictures: VTK off screen, figures, units, atomic saving."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
     from workbench.acoustics.forces import Excitation
 
-#: Colour map for quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
+#: Colour map for quantities with a sign, zero in the middle; and a perceptually uniform one for the others.
 SIGNED_COLOURS = "RdBu_r"
 PLAIN_COLOURS = "viridis"
 
-#: The colour of a region by its role, the same in every picture; a repeated role (bond_2) keeps its colour.
+#: The colour of a region by its role, the same in every picture and for a repeated role (bond_2).
 ROLE_COLOURS = {
     "transducer": "#8fa9c9", "backing": "#b3b3b3", "couplant": "#f28e2b", "matching": "#e9c46a", "substrate": "#9ccb86",
     "sidewall": "#c9b2d6", "cavity": "#bfe3f2", "bond": "#b5651d", "superstrate": "#e8b4bc", "sample": "#9ccb86",
@@ -43,7 +43,7 @@ MARGIN = 0.03
 #: Largest number of panels side by side in one picture: more would be too many to read.
 PANELS_ACROSS = 3
 
-#: Points of the raster along each side of a dot, which is their mean: edges and thin layers are smooth. Doubled, four
+#: Points of the raster along each side of a dot, which is their mean, for smooth edges and thin layers. Doubled, four
 #: times as many are computed.
 POINTS_PER_DOT = 2
 
@@ -51,8 +51,8 @@ _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3:
 
 
 def coloured_dots(values: NDArray[np.float64], shades: Colormap, limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """The dots (m, n, 3) of a picture of `values`, POINTS_PER_DOT each way to a dot, downwards and to the right; NaN is
-    white."""
+    """The dots (m, n, 3) of a picture of `values`, NaN white. `values` have POINTS_PER_DOT points each way to a dot,
+    downwards and to the right."""
     from matplotlib.colors import Normalize
 
     down, across = (size // POINTS_PER_DOT for size in values.shape)
@@ -65,7 +65,7 @@ def coloured_dots(values: NDArray[np.float64], shades: Colormap, limits: tuple[f
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG file and what it shows."""
+    """A PNG file and its caption."""
 
     path: Path
     caption: str
@@ -73,10 +73,11 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class DrawnShape:
-    """A shape to photograph: ``points`` (N, 3) m; ``cells`` (M, k) point numbers of polygons, of lines if k is 2.
+    """A shape to draw.
 
-    ``colour``: a name of matplotlib's or ``#rrggbb``, or one for every point, (N, 3) in 0 to 255. ``light``: shares of
-    ambient, diffuse and specular light; None shows the colour as it is. ``width`` of lines in dots.
+    ``points`` (N, 3) are in m; ``cells`` (M, k) are polygons, or lines if k is 2. ``colour`` is a name of matplotlib's
+    or ``#rrggbb``, or one for every point, (N, 3) in 0 to 255. ``light`` are shares of ambient, diffuse and specular
+    light; None draws the plain colour. ``width`` is of lines in dots.
     """
 
     points: NDArray[np.float64]
@@ -88,9 +89,9 @@ class DrawnShape:
 
 
 def vtk_modules(*names: str) -> tuple[Any, ...]:
-    """The parts of VTK of these names, ready to draw off screen: all of it takes a second to import.
+    """The modules of VTK with these names, ready to draw off screen.
 
-    VTK chooses its window type when one is first made, so the choice of EGL is made here, before that.
+    Importing all of VTK takes a second. VTK chooses its window type with the first window, so EGL is chosen here.
 
     Raises:
         RuntimeError: there is neither a display nor the EGL library to draw without one, or VTK is not installed.
@@ -110,10 +111,10 @@ def photograph(
 ) -> NDArray[np.uint8]:
     """The (height, width, 3) picture of `shapes` on white, in parallel projection.
 
-    It looks at their middle from `azimuth` (degrees from +x, about z) and `elevation`, as large as they fit with a
-    margin of :data:`MARGIN`, whatever their shape. Three lights move with the camera.
+    The camera looks at their middle from `azimuth` (degrees from +x, about z) and `elevation`; they fill the picture up
+    to a margin of :data:`MARGIN`. Three lights move with the camera.
     """
-    # The second one registers the drawing functions.
+    # Importing the second module registers the drawing functions.
     rendering, _, support = vtk_modules("vtkRenderingCore", "vtkRenderingOpenGL2", "util.numpy_support")
     renderer, window = rendering.vtkRenderer(), rendering.vtkRenderWindow()
     for shape in shapes:
@@ -158,7 +159,7 @@ def photograph(
 
 
 def surface(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Any:
-    """A vtkPolyData of `points` (N, 3) m and polygons or lines `cells` (M, k)."""
+    """A vtkPolyData of `points` (N, 3) m and `cells` (M, k). Cells are polygons, or lines if k is 2."""
     model, core, support = vtk_modules("vtkCommonDataModel", "vtkCommonCore", "util.numpy_support")
     data, holder, array = model.vtkPolyData(), core.vtkPoints(), model.vtkCellArray()
     holder.SetData(support.numpy_to_vtk(np.ascontiguousarray(points), deep=1))
@@ -196,13 +197,13 @@ def _actor(shape: DrawnShape) -> Any:
 
 
 def role_colour(region: str) -> str:
-    """The colour of a region or solid by its role, without its number and anything after a dot."""
+    """The colour of a region by its role, without number and suffix."""
     role = region.split(".")[0].rstrip("0123456789").rstrip("_")
     return ROLE_COLOURS.get(role, OTHER_COLOUR)
 
 
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and label that bring values up to `largest` into the range 1 to 1000: (1e9, "nm") for 5.4e-8 m."""
+    """Factor and label for values up to `largest`, from 1 to 1000. Example: (1e9, "nm") for 5.4e-8 m."""
     if not largest > 0.0 or not math.isfinite(largest):
         return 1.0, unit
     exponent = min(max(3 * math.floor(math.log10(largest) / 3 + 1e-9), min(_PREFIXES)), max(_PREFIXES))
@@ -210,12 +211,12 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def typeset(excitation: Excitation) -> str:
-    """The line that describes the field of a force, with its symbols as letters."""
+    """The line that describes the field of a force, with typeset symbols."""
     return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "p₀ =")
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty matplotlib figure of that size in inches, outside pyplot's global state; its texts are no formulas."""
+    """An empty matplotlib figure (inches), outside pyplot's global state. Its texts are not read as formulas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figure = text_figure(width, height)
@@ -226,10 +227,8 @@ def new_figure(width: float, height: float) -> Figure:
 def panel_grid(
     count: int, *, across: int, panel: tuple[float, float], margin: tuple[float, float], sharey: bool = False
 ) -> tuple[Figure, NDArray[Any]]:
-    """A figure of `count` panels, `across` a row at most, and its axes (rows, columns), those without a panel hidden.
-
-    Every panel takes `panel` inches (width, height), the figure a `margin` besides.
-    """
+    """A figure of `count` panels, at most `across` a row. Its axes (rows, columns) are hidden if they have no panel.
+    Every panel takes `panel` inches (width, height), the figure a `margin` besides."""
     columns = min(across, count)
     rows = -(-count // columns)
     figure = new_figure(margin[0] + panel[0] * columns, margin[1] + panel[1] * rows)
@@ -240,7 +239,7 @@ def panel_grid(
 
 
 def save_figure(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
-    """Write `figure` as PNG or SVG, by the suffix of `path`, all at once; returns `path`.
+    """Write `figure` as PNG or SVG, by the suffix of `path`, atomically.
 
     Raises:
         ValueError: another suffix.
@@ -250,7 +249,7 @@ def save_figure(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path
         raise ValueError(f"cannot write {path.name!r}: the suffix is {path.suffix!r}; expected .png or .svg")
     with replacing(path) as whole:
         if kind == "svg":
-            # Without a date, the same figure is the same file.
+            # Without a date, equal figures are equal files.
             figure.savefig(whole, format=kind, dpi=dots_per_inch, metadata={"Date": None})
         else:
             # A quarter larger than at the usual level of 6, in half of the time.

@@ -1,4 +1,4 @@
-"""Pictures of the course of a search, and of the front between two objectives. PNG or SVG."""
+"""Pictures of the descents of a search, and of a Pareto front."""
 
 from __future__ import annotations
 
@@ -15,17 +15,15 @@ from workbench.render.plots import LINE_COLOURS, tidy
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One descent: ``values`` (n,) of the figure at its evaluations, and the number of its ``optimum``, 0 the best.
-
-    A value is NaN if a constraint was broken or there was no figure.
-    """
+    """One descent of a search. ``values`` (n,) are those of the figure at its evaluations, NaN if a constraint was
+    broken or there was no figure. ``optimum`` is the number of its end, 0 for the best."""
 
     values: NDArray[np.float64]
     optimum: int
 
 
 def draw_descents(courses: Sequence[Course], path: Path, *, label: str, maximise: bool, title: str = "") -> Path:
-    """Draw the best figure so far over the evaluations of every descent, coloured by the optimum it ended at."""
+    """Draw the best figure so far of every descent. Colours are by the optimum at its end."""
     figure = new_figure(8.0, 4.2)
     axes = figure.subplots()
     best_of = np.fmax.accumulate if maximise else np.fmin.accumulate
@@ -57,8 +55,8 @@ def draw_front(
     members: NDArray[np.float64], confirmed: NDArray[np.float64], present: NDArray[np.float64], path: Path, *,
     labels: tuple[str, str], title: str = "",
 ) -> Path:
-    """Draw the front (n, 2) between two objectives, its `confirmed` chips (k, 2) by full solves, and the `present` one
-    (2,); NaN values are left out."""
+    """Draw the Pareto front (n, 2) of two objectives. Also its chips `confirmed` by full solves (k, 2), and the
+    `present` one (2,); NaN values are left out."""
     figure = new_figure(6.5, 5.0)
     axes = figure.subplots()
     axes.plot(members[:, 0], members[:, 1], "o-", color=LINE_COLOURS[0], markersize=4.0, linewidth=1.0,

@@ -1,4 +1,4 @@
-"""A diagnosis at a glance: every state before and after, and the share of the residual that each effect explains."""
+"""Pictures of a diagnosis: states before and after, and explained shares."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 _ACROSS, _WIDTH, _HEIGHT, _LEGEND = 3, 4.4, 4.3, 1.0
 _AFTER, _BEFORE = LINE_COLOURS[:2]
 
-#: Times that the difference before is larger than after from which on one linear scale cannot show both.
+#: Ratio of the residuals before and after above which the scale is logarithmic.
 _ORDERS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class StatePicture:
-    """A state as ``measured`` and as explained ``before`` and ``after``: impedances (n,) ohm at ``frequency`` (n,) Hz;
-    ``noise`` (n,) of a point, relative."""
+    """A state as ``measured``, and as modelled ``before`` and ``after``. Impedances (n,) are in ohm, ``frequency`` (n,)
+    in Hz; ``noise`` (n,) is that of a point, relative."""
 
     name: str
     frequency: NDArray[np.float64]
@@ -40,7 +40,9 @@ class StatePicture:
 
 
 def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, after: str) -> Path:
-    """Draw |Z| of every state above its residual, both with the lines `before` and `after`. Writes `path`.
+    """Draw |Z| of every state above its residual, before and after.
+
+    `before` and `after` are the labels of the lines.
 
     Raises:
         ValueError: no states.
@@ -71,13 +73,13 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
 
 
 def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
-    """One state into axes for |Z| and for the residual; the lines for a legend."""
+    """Draw |Z| and the residual of a state; returns the legend's lines."""
     megahertz = state.frequency / 1e6
     dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
                        alpha=0.5, markeredgewidth=0.0)
     differences = [100.0 * np.abs(np.log(each / state.measured)) for each in (state.before, state.after)]
     rms = [float(np.sqrt(np.mean(each**2))) for each in differences]
-    # A logarithmic scale ends far below the noise.
+    # A logarithmic scale starts far below the noise.
     lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise)) if rms[0] > _ORDERS * rms[1] else 0.0
     lines = []
     # A broad pale line and a narrow one, since they may coincide.
@@ -104,7 +106,7 @@ def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
 
 
 def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """Draw one bar for the residual as stated: the share of each name, and the unexplained rest. Writes `path`.
+    """Draw the explained shares of the residual as stated, and the rest.
 
     Raises:
         ValueError: a share below zero, or a sum above one.

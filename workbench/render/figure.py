@@ -1,4 +1,4 @@
-"""A figure whose texts are no formulas."""
+"""A figure that does not read texts as formulas."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def text_figure(width: float, height: float) -> Figure:
-    """A figure of that size (inches) that prints every name as it stands, not as a formula between two ``$``."""
+    """A figure (inches) that prints every name literally. A name between two ``$`` is not a formula."""
     from matplotlib.figure import Figure
 
     class LiteralFigure(Figure):
@@ -37,9 +37,9 @@ def _read_literally(figure: Figure) -> None:
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_parse_math(False)
-        # Half characters, of the name of a file in another encoding, cannot be drawn.
+        # Lone surrogates, of the name of a file in another encoding, cannot be drawn.
         text.set_text(visible(text.get_text(), keep="\n"))
-    # A logarithmic axis writes its powers of ten as formulas; no name is among the numbers of an axis.
+    # A logarithmic axis writes its powers of ten as formulas; the numbers of an axis contain no names.
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             numbers = [*axis.get_majorticklabels(), axis.offsetText] if _writes_numbers(axis.major) else []

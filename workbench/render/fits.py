@@ -1,4 +1,4 @@
-"""Pictures of a fit: spectra with residuals, intervals, correlations, sensitivities, gel thickness, batches."""
+"""Pictures of a fit: spectra, intervals, correlations, sensitivities, gel thickness, batches."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Interval:
-    """One parameter for a picture: fitted value with the ends of its interval, the start and its prior uncertainty.
-
-    All are in one unit; ``prior`` is None if nothing was known before; ``remark`` is set beside it.
-    """
+    """A fitted parameter: value, interval, start and prior uncertainty. All are in one unit; ``prior`` is None without
+    a prior; ``remark`` is printed beside the interval."""
 
     name: str
     value: float
@@ -34,10 +32,8 @@ class Interval:
 def draw_fit(
     measured: SpectrumLike, start: SpectrumLike, fitted: SpectrumLike, path: Path, *, title: str = ""
 ) -> Path:
-    """Draw magnitude and phase of the recording, of the start and of the fit, and below each the residual of the fit.
-
-    As in Fig. 5 of Acevedo-Espinosa et al. (RP-UEIS). All three on the same frequencies. Writes `path`.
-    """
+    """Draw magnitude and phase of recording, start and fit, with residuals. As in Fig. 5 of Acevedo-Espinosa et al.
+    (RP-UEIS). All three have the same frequencies."""
     figure = new_figure(9.0, 9.0)
     panels = figure.subplots(4, 1, sharex=True, height_ratios=(3.0, 1.3, 2.2, 1.3))
     magnitude, magnitude_residual, phase, phase_residual = panels
@@ -74,7 +70,7 @@ def draw_fit(
 
 
 def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: str = "") -> Path:
-    """Draw a correlation matrix (p, p) with its numbers. Writes `path`.
+    """Draw a correlation matrix (p, p) with its numbers.
 
     Raises:
         ValueError: the numbers of names and rows differ.
@@ -102,9 +98,10 @@ def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: s
 
 
 def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = "") -> Path:
-    """Draw fitted values with their 95 % intervals against prior knowledge, each in units of its start. Writes `path`.
+    """Draw fitted values with their 95 % intervals and priors.
 
-    Grey: the start with 95 % of its prior. A parameter that starts at zero is drawn in units of its prior.
+    Values are in units of the start, or of the prior for a parameter that starts at zero. The prior's 95 % interval is
+    grey.
 
     Raises:
         ValueError: nothing to draw.
@@ -124,7 +121,7 @@ def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = ""
         if found.prior is not None:
             reach = 196.0 * found.prior / unit
             axes.barh(row, 2.0 * reach, left=-reach, height=0.56, color="#dddddd",
-                      label="known before (95 %)" if row == 0 else None)
+                      label="prior (95 %)" if row == 0 else None)
         ends = sorted((scaled(found.low), scaled(found.high)))
         axes.plot(ends, [row, row], color=LINE_COLOURS[0], linewidth=3.0, solid_capstyle="butt",
                   label="fitted (95 %)" if row == 0 else None)
@@ -155,9 +152,10 @@ def draw_sensitivity(
     real: Sequence[tuple[str, float, float | None]], imaginary: Sequence[tuple[str, float, float | None]], path: Path,
     *, thresholds: tuple[float, float], title: str = ""
 ) -> Path:
-    """Draw the ranking of Algorithm 1: rows of (name, normalised slope, published slope or None), steepest first.
+    """Draw the ranking of Algorithm 1, steepest first.
 
-    As Table 2 of Acevedo-Espinosa et al. (RP-UEIS), with the thresholds that drop a parameter. Writes `path`.
+    Rows are (name, normalised slope, published slope or None), as in Table 2 of Acevedo-Espinosa et al. (RP-UEIS), with
+    the thresholds that drop a parameter.
 
     Raises:
         ValueError: nothing to draw.
@@ -189,7 +187,9 @@ def draw_sensitivity(
 
 
 def draw_costs(scalings: Real, costs: Mapping[str, Real], path: Path, *, title: str = "") -> Path:
-    """Draw the cost (s,) of every labelled part over its scaling (s,): Algorithm 1 takes their slopes. Writes `path`.
+    """Draw the cost (s,) of every labelled part over its scaling (s,).
+
+    Algorithm 1 uses their slopes.
 
     Raises:
         ValueError: nothing to draw.
@@ -214,9 +214,10 @@ def draw_gel_study(
     measured: SpectrumLike, predicted: Mapping[str, tuple[SpectrumLike, float]], path: Path, *,
     resonance: float | None = None, title: str = "",
 ) -> Path:
-    """Draw the recording beside predictions for several gel thicknesses, each with the mean error (%) of its |Z|.
+    """Draw the recording and predictions for several gel thicknesses.
 
-    As in Fig. 6 of Acevedo-Espinosa et al. (RP-UEIS), `resonance` (Hz) marked. Writes `path`.
+    Each prediction has the mean error (%) of its |Z|. As in Fig. 6 of Acevedo-Espinosa et al. (RP-UEIS); `resonance`
+    (Hz) is marked.
 
     Raises:
         ValueError: no predictions.
@@ -245,12 +246,14 @@ def draw_batch(
     devices: Sequence[str], values: Mapping[str, tuple[Real, Real, Real]], outliers: Mapping[str, Sequence[str]],
     path: Path, *, title: str = "",
 ) -> Path:
-    """Draw every parameter over the devices: value with interval, the median as a line, outliers as red crosses.
+    """Draw every parameter over the devices, with interval and median.
+
+    Outliers are red crosses.
 
     Args:
         values: by label (with its unit) the values and the ends of their intervals, each (len(devices),), NaN for a
             device without such a parameter.
-        outliers: by label the devices that lie outside.
+        outliers: by label the names of outlying devices.
 
     Raises:
         ValueError: no values.

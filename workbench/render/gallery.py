@@ -1,4 +1,4 @@
-"""All pictures of a state at one frequency, and of a chip as a solid, for the command line."""
+"""All pictures of a state at one frequency, and of a chip."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from workbench.simulation.run import DrawnState
 #: Fields that can be requested by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")
 
-#: Thickness of a fluid, as a share of the chip's height, below which it is no more than a line in a picture.
+#: Thickness of a fluid, relative to the chip's height, below which it is only a line in a picture.
 VISIBLE = 0.01
 
 _Pictures = list[Picture]
@@ -27,8 +27,9 @@ _Pictures = list[Picture]
 def draw_state(
     shot: DrawnState, folder: Path | str, *, only: Sequence[str] | None = None, of: Sequence[str] = FIELDS
 ) -> list[Picture]:
-    """Write the pictures named by `only` (:data:`FIELDS`) to `folder`; by default all those `of` these names that exist
-    for the state and are useful: the pressure in a gas is left out.
+    """Write the pictures of a state named by `only` to `folder`.
+
+    By default, the useful ones `of` these names (:data:`FIELDS`) that exist: the pressure in a gas is left out.
 
     Raises:
         InputError: a requested picture that does not exist for the state, with the reason.
@@ -43,7 +44,7 @@ def draw_state(
     for name in [name for name in of if not (empty and name == "pressure")] if only is None else only:
         made, missing = makers[name](shot, Path(folder))
         if missing and only is not None:
-            raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another one: {missing}")
+            raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another field, since {missing}")
         pictures += made
     return pictures
 
@@ -60,7 +61,7 @@ def _displacement(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
 
 def _pressure(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
-    """The pressure close up in the cavity or, without fluid there, in the thickest fluid."""
+    """The pressure in the cavity, or else in the thickest fluid."""
     from workbench.render import sections
 
     mesh = shot.fields.mesh
@@ -101,10 +102,10 @@ def _losses(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
     if not sum(shot.losses.values()) > 0.0:
         return [], "no material of the state has a loss"
-    # A region without a loss has its bar too: it is a statement of its material.
+    # A region without a loss has a bar too, since its material states this.
     losses = {**dict.fromkeys(shot.problem.materials, 0.0), **shot.losses}
     path = plots.draw_loss_budget(losses, folder / f"losses_{shot.state}.png",
-                                  title=f"where the power goes, {shot.state}")
+                                  title=f"dissipated power, {shot.state}")
     return [Picture(path, f"{shot.state}: power lost by region at {_place(shot)}; closes against the electrical input "
                     f"to {shot.closure:.0e}")], ""
 
@@ -117,12 +118,12 @@ def _mesh(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
 
 def load_libraries() -> None:
-    """Load the libraries that draw, which takes a second, while others compute."""
+    """Load the libraries for drawing, which takes a second."""
     from workbench.render import plots, profiles, sections, solids  # noqa: F401
 
 
 def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:
-    """Draw the CAD view from the STL files of a chip's parts, cut through the axis and pulled apart along z."""
+    """Draw the STL files of a chip's parts, cut open and exploded."""
     from workbench.render import solids
 
     shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if role_of(name) != CAVITY]

@@ -1,5 +1,7 @@
-"""Pictures of a section for a page that draws axes, marks and legends itself: colours alone, made in some hundredths of
-a second."""
+"""Pictures of a section for a page with its own axes.
+
+They are colours alone, made in some hundredths of a second.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +24,17 @@ if TYPE_CHECKING:
 
 #: Width of a picture in dots, as on the page.
 _DOTS = 880
-#: Steps of the strip of colours that stands for a map.
+#: Steps of the colour gradient of a legend.
 _STRIP = 9
 
 
 @dataclass(frozen=True)
 class LivePicture:
-    """A field in the section, mirrored about the axis or at a plane of symmetry: ``png`` fills ``window`` (left, right,
-    bottom, top; mm).
+    """A field in the section, mirrored about its axis or symmetry plane.
 
-    ``low`` and ``high`` in ``unit`` are the values at the ends of ``colours`` (CSS); ``outline`` are lines of regions
-    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with their names; ``tall`` is the factor by which heights are
-    enlarged.
+    ``png`` fills ``window`` (left, right, bottom, top; mm). ``low`` and ``high`` in ``unit`` are the values at the ends
+    of ``colours`` (CSS); ``outline`` are lines of regions (x, z, x, z; mm), ``marks`` are points (r, z; mm) with their
+    names; ``tall`` is the factor by which heights are enlarged.
     """
 
     name: str
@@ -50,8 +51,7 @@ class LivePicture:
 
 
 def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePicture]:
-    """The pictures of u_z in the solids and, with a fluid in the cavity, of its pressure and of the potential with its
-    traps; each is drawn on request."""
+    """The pictures of displacement, cavity pressure and potential, drawn on request. The potential has its traps."""
     mesh = fields.mesh
     yield _signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)
     if CAVITY in fields.fluid_regions:
@@ -73,7 +73,7 @@ def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePict
 def _signed(
     name: str, title: str, mesh: NodalMesh, amplitude: NDArray[np.complex128], unit: str, *, tall: float
 ) -> LivePicture:
-    """A field with a sign, at the phase at which it is largest."""
+    """A field with a sign, at the phase of its maximum."""
     values, _ = at_largest(amplitude)
     largest = float(np.nanmax(np.abs(values)))
     factor, shown = prefixed(largest, unit)
@@ -86,14 +86,14 @@ def _picture(
     name: str, title: str, mesh: NodalMesh, values: FloatArray, unit: str, colours: str, limits: tuple[float, float],
     marks: tuple[tuple[float, float, str], ...], *, tall: float, image: float = 1.0,
 ) -> LivePicture:
-    """The picture of `values` (N,), which the mirror image has `image` times, if there is one."""
+    """The picture of `values` (N,); the mirror image has them `image` times."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
     from PIL import Image
 
     regions = [each for each in mesh.regions if np.isfinite(values[mesh.nodes_of([each])]).all()]
     there = mesh.points[mesh.nodes_of(regions)]
-    # The solids are shown among their surroundings; a field of the cavity alone close up.
+    # The solids are shown with their surroundings; a field of the cavity alone fills the picture.
     shown = mesh.points if len(regions) > 1 else there
     radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
     mirrored = mesh.measure.mirror != 0
@@ -103,14 +103,14 @@ def _picture(
     z = bottom + (np.arange(POINTS_PER_DOT * up) + 0.5) * (top - bottom) / (POINTS_PER_DOT * up)
     seen, shades = raster(mesh, values, r, z, regions).T[::-1], colormaps[colours]
     right = coloured_dots(seen, shades, limits)
-    # Of a field that is even the image is the picture itself.
+    # The mirror image of an even field has the same colours.
     other = right if image == 1.0 else coloured_dots(image * seen, shades, limits)
     whole = np.concatenate([other[:, ::-1], right], axis=1) if mirrored else right
-    held = io.BytesIO()
-    Image.fromarray(whole).save(held, "png", compress_level=1)
+    file = io.BytesIO()
+    Image.fromarray(whole).save(file, "png", compress_level=1)
     strip = ", ".join(to_hex(shades(share)) for share in np.linspace(0.0, 1.0, _STRIP))
     outline = tuple((float(a[0]), float(a[1]), float(b[0]), float(b[1])) for a, b in region_edges(mesh)
                     if max(a[1], b[1]) <= 1e3 * top + 1e-6 and min(a[1], b[1]) >= 1e3 * bottom - 1e-6
                     and max(abs(a[0]), abs(b[0])) <= 1e3 * radius + 1e-6)
-    return LivePicture(name, title, held.getvalue(), (-1e3 * radius, 1e3 * radius, 1e3 * bottom, 1e3 * top), *limits,
+    return LivePicture(name, title, file.getvalue(), (-1e3 * radius, 1e3 * radius, 1e3 * bottom, 1e3 * top), *limits,
                        unit, f"linear-gradient(to right, {strip})", outline, marks, tall)

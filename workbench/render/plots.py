@@ -1,4 +1,4 @@
-"""Curves: impedance spectra and their residuals, loss budget, mesh convergence. PNG or SVG."""
+"""Curves: impedance spectra and residuals, loss budget, mesh convergence."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ if TYPE_CHECKING:
 #: Distinct in hue and in grey, and to colour-blind eyes (Okabe & Ito 2008).
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
-
-#: Points drawn per point of a computed spectrum, and the largest number of a line: two for every dot of a picture's
-#: width.
+#: Points drawn per point of a computed spectrum, and the largest number of a line.
 BETWEEN, MOST_POINTS = 8, 20_000
 
 
 class SpectrumLike(Protocol):
-    """Interface of a spectrum to draw: frequency (n,) Hz and impedance (n,) complex ohm, time factor e^{+j w t}."""
+    """A spectrum to draw. Frequency (n,) is in Hz, impedance (n,) in ohm, complex, e^{+j w t}."""
 
     @property
     def frequency(self) -> NDArray[np.float64]: ...
@@ -38,12 +36,10 @@ class SpectrumLike(Protocol):
 def draw_spectra(
     spectra: Mapping[str, SpectrumLike], path: Path | str, *, measured: Sequence[str] = (), title: str = ""
 ) -> Path:
-    """Draw magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
+    """Draw magnitude (logarithmic) over phase of labelled spectra.
 
-    Between the points of a line its interpolant is drawn, from which figures of merit are taken: a resonance with three
-    points is round.
-
-    As in Fig. 7 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
+    Spectra that are `measured` are dots, others are lines of their interpolant, which also defines the figures of
+    merit. As in Fig. 7 of Acevedo-Espinosa et al. (RP-UEIS).
 
     Raises:
         ValueError: no spectra, or a measured label that is none of them.
@@ -72,7 +68,7 @@ def draw_spectra(
 
 
 def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, title: str) -> Path:
-    """Label the axes of |Z| (logarithmic) and its phase over MHz, one above the other, and write `path`."""
+    """Label the axes of |Z| (logarithmic) and phase, and write `path`."""
     magnitude.set_yscale("log")
     magnitude.set_ylabel("|Z| (Ω)")
     magnitude.set_title(title)
@@ -91,10 +87,8 @@ def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, 
 def draw_energy(
     energy: Mapping[str, EnergySpectrum], peaks: Mapping[str, Sequence[float]], path: Path | str, *, title: str = ""
 ) -> Path:
-    """Draw |Z| over the mean energy density in the cavity per Vpp^2, both logarithmic, on one axis of frequency.
-
-    The `peaks` (Hz) of each label are marked, the first ones with their frequency. Writes `path`.
-    """
+    """Draw |Z| and the cavity's energy density per Vpp^2 over frequency. Both are logarithmic. The `peaks` (Hz) of each
+    label are marked with their frequency."""
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1, sharex=True)
     for index, (label, each) in enumerate(energy.items()):
@@ -124,11 +118,8 @@ def draw_residuals(
     frequency: NDArray[np.float64], residuals: Mapping[str, NDArray[np.float64]], path: Path, *, label: str,
     title: str = "", band: float | None = None,
 ) -> Path:
-    """Draw labelled residuals (n,) over `frequency` (n,) in Hz. Writes `path`.
-
-    `label` names the quantity with its unit; a shaded `band` of plus and minus that much shows the effect of noise
-    alone.
-    """
+    """Draw labelled residuals (n,) over `frequency` (n,) in Hz. `label` names the quantity with its unit; the shaded
+    `band` of plus and minus that value is the effect of noise alone."""
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     if band is not None:
@@ -147,8 +138,7 @@ def draw_residuals(
 
 
 def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """Draw dissipated power (W) by region, largest on top, each with its share of the whole; none is "lossless". Writes
-    `path`.
+    """Draw dissipated power (W) and its share by region, largest on top.
 
     Raises:
         ValueError: nothing is dissipated.
@@ -175,8 +165,9 @@ def draw_convergence(
     size: NDArray[np.float64], errors: Mapping[str, NDArray[np.float64]], path: Path, *, title: str,
     order: float | None = None,
 ) -> Path:
-    """Draw labelled relative errors (n,) over cell `size` (n,) in m, both logarithmic, with a dashed line of slope
-    `order` through the finest point of the first. Writes `path`.
+    """Draw relative errors (n,) over cell `size` (n,) in m, logarithmic.
+
+    A dashed line of slope `order` passes through the finest point of the first.
 
     Raises:
         ValueError: no errors.
@@ -205,7 +196,7 @@ def draw_convergence(
 
 
 def tidy(axes: Axes, *, both: bool = False) -> None:
-    """Set light grid lines behind the curves (`both`: minor ones too), and no frame above and to the right."""
+    """Set light grid lines behind curves, and hide two frame lines. With `both`, minor grid lines too."""
     axes.grid(visible=True, which="both" if both else "major", color="#e4e4e4", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""The Gor'kov potential along lines through a trap. PNG or SVG."""
+"""The Gor'kov potential along lines through a trap."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from workbench.render.plots import LINE_COLOURS, tidy
 
 
 def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None = None) -> Path:
-    """Draw the Gor'kov potential along the axis and, at the height of `trap` (the deepest unless given), along the
-    radius.
+    """Draw the Gor'kov potential along the axis and along the radius.
 
-    As in Fig. 9b of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
+    The lines pass through `trap`, by default the deepest. As in Fig. 9b of Acevedo-Espinosa et al. (RP-UEIS).
 
     Raises:
         ValueError: there is no trap.
@@ -39,19 +38,19 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     radial = along([radius, np.full_like(radius, trap.height)])
     factor, unit = prefixed(float(np.nanmax(np.abs(np.concatenate([axial, radial])))), "J")
     figure = new_figure(9.5, 4.4)
-    left, right = figure.subplots(1, 2)
-    left.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
-    left.set_xlabel("z (mm)")
-    left.set_title(f"along {symbol} = {round(trap.radius * 1e3, 6):.3g} mm", fontsize=10)
+    over_z, over_r = figure.subplots(1, 2)
+    over_z.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
+    over_z.set_xlabel("z (mm)")
+    over_z.set_title(f"along {symbol} = {round(trap.radius * 1e3, 6):.3g} mm", fontsize=10)
     if trap.measure.mirror:
         # The other half is the mirror image.
         radius, radial = np.concatenate([-radius[::-1], radius]), np.concatenate([radial[::-1], radial])
-    right.plot(radius * 1e3, radial * factor, color=LINE_COLOURS[1])
-    right.set_xlabel(f"{symbol} (mm)")
-    right.set_title(f"along z = {trap.height * 1e3:.3f} mm", fontsize=10)
-    left.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
-    right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
-    for axes in (left, right):
+    over_r.plot(radius * 1e3, radial * factor, color=LINE_COLOURS[1])
+    over_r.set_xlabel(f"{symbol} (mm)")
+    over_r.set_title(f"along z = {trap.height * 1e3:.3f} mm", fontsize=10)
+    over_z.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
+    over_r.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
+    for axes in (over_z, over_r):
         axes.set_ylabel(f"Gor'kov potential U ({unit})")
         tidy(axes)
     particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"

@@ -1,4 +1,4 @@
-"""Recorded focusing over the simulated energy of the sound in a cavity. PNG or SVG."""
+"""Recorded focusing over the simulated energy density in a cavity."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ if TYPE_CHECKING:
 
 
 def draw_recorded_energy(compared: EnergyComparison, path: Path | str, *, title: str = "") -> Path:
-    """Draw recorded points, with two standard deviations if stated, over the simulated mean energy density per Vpp^2.
-
-    The fitted peaks are dashed, and every peak has a line. Writes `path`.
-    """
+    """Draw recorded points over the simulated mean energy density per Vpp^2. They have bars of two standard deviations
+    if stated. The fitted peaks are dashed, and every peak has a line."""
     recording, spectrum, scale = compared.recording, compared.spectrum, 1.0 / compared.scaled_by
     figure = new_figure(8.0, 4.5)
     axes = figure.subplots()

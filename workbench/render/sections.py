@@ -1,9 +1,9 @@
-"""The chip's r-z section, mirrored about its axis: displacement, pressure, potential, streaming, regions and mesh.
+"""The chip's r-z section: displacement, pressure, potential, streaming, regions, mesh.
 
-Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
-Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, with a note), a
-colour bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is
-largest.
+It is mirrored about its axis. Every dot is the value of its cell's own polynomial there, so a picture is smooth for
+cells of any size. Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged,
+with a note), a colour bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at
+which it is largest.
 """
 
 from __future__ import annotations
@@ -48,20 +48,18 @@ _OUTLINE = "#303030"
 _MARKED, _UNMARKED = "#d55e00", "#eeeeee"
 #: Thickness of a region, as a share of the section's height, below which an arrow points at it too.
 _THIN = 0.02
-#: Share of the largest speed of a flow below which it has no arrow: there the error of the mesh may turn it.
+#: Speed relative to the largest one below which a flow has no arrow: the error of the mesh may change its direction.
 _STILL = 0.01
 #: Arrows of a flow along the radius.
 _ARROWS = 40
-#: Least height of a picture over its width: a flatter section has its heights enlarged. Doubled, a whole chip would be.
+#: Least ratio of height to width; heights of a flatter section are enlarged. Doubled, those of a whole chip would be.
 _FLATTEST = 0.08
 
 
 @dataclass(frozen=True)
 class _Window:
-    """The shown rectangle of the r-z plane in metres, and the factor by which heights are enlarged.
-
-    ``measure`` is that of the section: it says whether the left half is a mirror image, and with which sign.
-    """
+    """The drawn rectangle of the r-z plane (m). ``tall`` is the factor by which heights are enlarged. ``measure`` is
+    that of the section, with the sign of the mirror image in the left half, if any."""
 
     left: float
     right: float
@@ -72,12 +70,11 @@ class _Window:
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether the left half is a mirror image of the right one."""
         return self.measure.mirror != 0
 
 
 def draw_axial_displacement(fields: Fields, path: Path) -> Path:
-    """Draw u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    """Draw u_z in the solids, with white fluids. As in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS)."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
         fields.mesh, values, path, unit="m", label="axial displacement u_z",
@@ -96,7 +93,7 @@ def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
 
 
 def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> Path:
-    """Draw the pressure in the fluids of the whole section, or close up in the one `region`. Writes `path`."""
+    """Draw the pressure in all fluids, or close up in one `region`."""
     pressure, shown = fields.pressure, fields.mesh.points
     if region is not None:
         nodes = fields.mesh.nodes_of([region])
@@ -111,7 +108,7 @@ def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> P
 
 
 def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
-    """Draw the Gor'kov potential, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    """Draw the Gor'kov potential with its traps. As in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS)."""
     forces = report.forces
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
@@ -134,10 +131,8 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 
 
 def draw_streaming(flow: Streaming, path: Path) -> Path:
-    """Draw the speed at which the liquid carries particles, and arrows along it, all of one length. Writes `path`.
-
-    Where the flow is slower than :data:`_STILL` of its largest speed there is no arrow; the title gives that speed.
-    """
+    """Draw the speed at which the liquid carries particles, with arrows. Arrows have one length, and are omitted below
+    :data:`_STILL` of the largest speed; the title gives the limit."""
     speed = np.linalg.norm(flow.carrier_velocity, axis=1)
     factor, unit = prefixed(flow.largest_speed, "m/s")
     least = _STILL * flow.largest_speed
@@ -166,8 +161,7 @@ def draw_streaming(flow: Streaming, path: Path) -> Path:
 
 
 def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
-    """Draw the regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`.
-    """
+    """Draw the regions in colour with names, and the mesh's cells."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Patch
 
@@ -189,7 +183,7 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
 
 
 def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: str) -> Path:
-    """Draw the regions in pale grey, those that are `marked` in colour. Writes `path`.
+    """Draw the `marked` regions in colour, the others in pale grey.
 
     Raises:
         ValueError: a marked region that the mesh does not have.
@@ -219,8 +213,9 @@ def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: st
 
 
 def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
-    """Real part of complex `amplitude` (N,) at the phase at which its largest value is real and positive, and that
-    phase in degrees; NaN stays NaN.
+    """Real part of complex `amplitude` (N,) at the phase of its maximum.
+
+    At that phase, also returned in degrees, its largest value is real and positive. NaN stays NaN.
 
     Raises:
         ValueError: nothing is finite.
@@ -235,8 +230,8 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
 
 
 def phase_title(fields: Fields, phase: float) -> str:
-    """Two lines: frequency and drive, and the moment in the cycle at which a field of that `phase` (degrees, e^{-i w
-    t}) is shown."""
+    """Two lines: frequency and drive, and the instant of a `phase`. The instant in the cycle is after the maximum of
+    the voltage; `phase` is in degrees, e^{-i w t}."""
     # With e^{-i w t} a larger phase comes later; 360 degrees later is the same time.
     later = round(phase - np.degrees(np.angle(fields.voltage))) % 360
     return (f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}\n"
@@ -246,7 +241,7 @@ def phase_title(fields: Fields, phase: float) -> str:
 def _draw_signed(
     mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
 ) -> Path:
-    """Draw the regions all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
+    """Draw regions with a value at all nodes, the others white. Colours are symmetric about zero."""
     largest = float(np.nanmax(np.abs(values)))
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
@@ -259,7 +254,7 @@ def _draw_signed(
 
 
 def _window(points: FloatArray, measure: Measure = ABOUT_AXIS) -> _Window:
-    """The window of all (K, 2) `points` of a section and their mirror images, with a margin."""
+    """The window of `points` (K, 2) and their mirror images."""
     radius, low, high = np.abs(points[:, 0]).max(), points[:, 1].min(), points[:, 1].max()
     margin = 0.015 * max(2.0 * radius, high - low)
     below = min(margin, 0.1 * (high - low))
@@ -273,7 +268,7 @@ def _extent(window: _Window) -> tuple[float, float, float, float]:
 
 
 def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
-    """A figure with axes for the section, heights enlarged as the window demands; below, axes for a bar or legend."""
+    """A figure with axes for the section and for a legend."""
     left, right, below, above = 0.75, 0.25, 1.3, 0.6
     height = window.tall * (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
     if window.tall > 1.0:
@@ -289,7 +284,7 @@ def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
     axes.set_autoscale_on(False)
     axes.set_xlabel(f"{window.measure.symbol} (mm)", fontsize=11)
     axes.set_ylabel("z (mm)", fontsize=11)
-    # A place of its own spares the axes measuring everything above them.
+    # A fixed place is faster: the axes need not measure the artists above them.
     axes.set_title(title, fontsize=12, y=1.0)
     if isinstance(window.measure, Axisymmetric):
         # A radius has no sign: the left half is the right half again.
@@ -306,14 +301,14 @@ def _colour_bar(figure: Figure, bar: Axes, *, limits: tuple[float, float], colou
 
 
 def _dots(window: _Window) -> tuple[int, int]:
-    """Width and height in dots of a picture of `window`; the width is even."""
+    """Width (even) and height in dots of a picture of `window`."""
     width = 2 * round((_WIDTH - 1.0) * _DOTS_PER_INCH / 2.0)
     return width, round(window.tall * width * (window.top - window.bottom) / (window.right - window.left))
 
 
 def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
-    """Radii and heights (m) of the points of a picture of `window`, ascending: those at and right of the axis, or all
-    if the section has no mirror image."""
+    """Radii and heights (m) of the points of a picture, ascending. They are right of the axis, or everywhere if the
+    section has no mirror image."""
     width, height = _dots(window)
     across, up = POINTS_PER_DOT * width // (2 if window.is_mirrored else 1), POINTS_PER_DOT * height
     left = 0.0 if window.is_mirrored else window.left
@@ -322,7 +317,7 @@ def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
 
 
 def _nodal(mesh: NodalMesh, values: FloatArray, window: _Window) -> FloatArray:
-    """Nodal `values` (N,) at the points of a picture of `window`; NaN in the regions that lack any."""
+    """Nodal `values` (N,) at the points of a picture. NaN in regions without all values."""
     regions = [name for name in mesh.regions if np.isfinite(values[mesh.nodes_of([name])]).all()]
     return raster(mesh, values, *_raster_points(window), regions)
 
@@ -331,9 +326,8 @@ def _show(
     axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str],
     signed: bool = False,
 ) -> None:
-    """Draw `values` at the points of :func:`_raster_points` and their mirror images, NaN white; `colours` is the name
-    of a map or one colour for every step between `limits`. Beyond a plane of odd symmetry `signed` values have the
-    other sign."""
+    """Draw `values` at :func:`_raster_points` and mirrored, NaN white. `colours` is the name of a map, or one colour
+    for every step between `limits`. `signed` values change sign beyond a plane of odd symmetry."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
@@ -343,24 +337,23 @@ def _show(
     if window.is_mirrored:
         left = coloured_dots(-seen, shades, limits) if signed and window.measure.mirror < 0 else right
         picture = np.concatenate([left[:, ::-1], right], axis=1)
-    # Dot for dot: any other interpolation would blur them, and takes as long as all the rest of a picture.
+    # Dot for dot: another interpolation blurs them, and doubles the time of a picture.
     axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:
-    """Draw hair lines around every region."""
     from matplotlib.collections import LineCollection
 
     axes.add_collection(LineCollection(region_edges(mesh), colors=_OUTLINE, linewidths=0.25))
 
 
 def region_edges(mesh: NodalMesh) -> list[FloatArray]:
-    """The edges of cells (2, 2), r and z in mm, that bound regions, and their mirror images; each once."""
+    """The edges of cells (2, 2; mm) that bound regions, mirrored too."""
     return _segments(mesh, mesh.region)
 
 
 def _segments(mesh: NodalMesh, label: NDArray[np.int64]) -> list[FloatArray]:
-    """Edges (2, 2) in mm between cells of different `label` (M,), and their mirror images, if any; each once."""
+    """Edges (2, 2; mm) between cells of different `label` (M,), mirrored too."""
     ends = mesh.points[border_lines(mesh, label)] * 1e3
     whole = np.unique(ends.round(6).reshape(-1, 4), axis=0).reshape(-1, 2, 2)
     return list(np.concatenate([whole, whole * [-1.0, 1.0]]) if mesh.measure.mirror else whole)

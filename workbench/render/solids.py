@@ -1,4 +1,4 @@
-"""The chip in space: a revolved cutaway coloured by a field, and the solids of its CAD model."""
+"""The chip in space: a revolved section, and CAD solids."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
 
 _WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
-#: Order of the nodes between which colours are linear: a third of a cell apart, five dots of a picture.
+#: Order of the refined nodes between which colours are interpolated linearly.
 _FINER = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A named closed surface: ``vertices`` (N, 3) m, ``triangles`` (M, 3) vertex numbers."""
+    """A named closed surface. ``vertices`` (N, 3) are in m, ``triangles`` (M, 3) are vertex numbers."""
 
     name: str
     vertices: FloatArray
@@ -51,8 +51,9 @@ class Solid:
 
 
 def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
-    """Read the surface in an STL file, named by the file. STL has no unit: CAD programs mostly write millimetres
-    (1e-3).
+    """Read the surface in an STL file, named after the file.
+
+    STL has no unit: CAD programs mostly write millimetres (1e-3).
 
     Raises:
         FileNotFoundError: no such file.
@@ -68,10 +69,12 @@ def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
 
 
 def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path:
-    """Draw the section revolved by `degrees`, open to the inside: u_z in the solids, fluids in plain pale blue, and
-    vacuum empty.
+    """Draw the section revolved by `degrees`, cut open.
 
-    Drawn at the phase at which u_z is largest. Writes `path`.
+    It shows u_z in the solids at the phase of its maximum, pale blue fluids, and no vacuum.
+
+    Raises:
+        ValueError: the section is straight.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -128,11 +131,10 @@ def draw_solids(
     solids: Sequence[Solid], path: Path, *, title: str, opacity: float = 1.0, explode: float = 0.0,
     cut_open: bool = False,
 ) -> Path:
-    """Draw the solids of a CAD model with their names, in the colours of their roles, the first at the bottom of the
-    legend.
+    """Draw the solids of a CAD model with names and colours.
 
-    `explode` (m) is the extra gap drawn between consecutive solids along z, so that inner faces can be seen; `cut_open`
-    leaves out the half in front of the plane y = 0. Writes `path`.
+    The first is at the bottom of the legend. `explode` (m) is the extra gap between consecutive solids along z, which
+    shows inner faces; `cut_open` omits the half in front of the plane y = 0.
 
     Raises:
         ValueError: no solids.
@@ -148,7 +150,7 @@ def draw_solids(
         if cut_open:
             body = _halved(body)
         shapes.append(DrawnShape(*_arrays(body, 3), colour, light=(0.3, 0.7, 0.15), opacity=opacity))
-        # Edges where faces meet at an angle show the shape; the triangles would hide it.
+        # Edges between faces at an angle show the shape; those of all triangles would hide it.
         points, edges = _arrays(_sharp_edges(body), 2)
         if len(edges):
             shapes.append(DrawnShape(points, edges, "#303030", width=1.2))
@@ -168,7 +170,7 @@ def draw_solids(
 
 
 def _arrays(data: Any, corners: int) -> tuple[FloatArray, IntArray]:
-    """Points (N, 3) and triangles (M, 3) of a vtkPolyData, or its lines (M, 2)."""
+    """Points (N, 3) and cells (M, `corners`) of a vtkPolyData."""
     (support,) = vtk_modules("util.numpy_support")
     if not data.GetNumberOfPoints():
         return np.empty((0, 3)), np.empty((0, corners), dtype=np.int64)
@@ -178,7 +180,7 @@ def _arrays(data: Any, corners: int) -> tuple[FloatArray, IntArray]:
 
 
 def _clean(data: Any) -> Any:
-    """The `data` with every point once, which files of triangles do not guarantee."""
+    """The `data` with every point once; files of triangles repeat them."""
     (filters,) = vtk_modules("vtkFiltersCore")
     merge = filters.vtkCleanPolyData()
     merge.SetInputData(data)
@@ -187,7 +189,7 @@ def _clean(data: Any) -> Any:
 
 
 def _halved(data: Any) -> Any:
-    """The half of a closed surface behind the plane y = 0, closed there, in triangles."""
+    """The half of a closed surface behind y = 0, closed."""
     model, general = vtk_modules("vtkCommonDataModel", "vtkFiltersGeneral")
     plane, planes, clip = model.vtkPlane(), model.vtkPlaneCollection(), general.vtkClipClosedSurface()
     plane.SetOrigin(0.0, 0.0, 0.0)
@@ -200,7 +202,7 @@ def _halved(data: Any) -> Any:
 
 
 def _sharp_edges(data: Any) -> Any:
-    """Lines where faces meet at more than 25 degrees, or at none."""
+    """Edges between faces at more than 25 degrees, and open edges."""
     (filters,) = vtk_modules("vtkFiltersCore")
     edges = filters.vtkFeatureEdges()
     edges.SetInputData(_clean(data))
@@ -212,15 +214,12 @@ def _sharp_edges(data: Any) -> Any:
 
 
 def _turned(points: FloatArray, angle: float) -> FloatArray:
-    """Points (K, 2) r, z of the half plane at `angle` (radians) in space (K, 3)."""
+    """Points (K, 2) of the section, turned to `angle` (rad), (K, 3)."""
     return np.column_stack([points[:, 0] * np.cos(angle), points[:, 0] * np.sin(angle), points[:, 1]])
 
 
 def _cut_faces(mesh: NodalMesh, *, degrees: float) -> tuple[FloatArray, IntArray]:
-    """Points and quadrilaterals, one between four nodes, of the cells of `mesh` on the two faces of the cut.
-
-    The points are the nodes of the mesh, twice.
-    """
+    """Points and quadrilaterals of the cells on the two cut faces. The points are the nodes of the mesh, twice."""
     cells = mesh.cells
     quads = np.stack([cells[:, :-1, :-1], cells[:, 1:, :-1], cells[:, 1:, 1:], cells[:, :-1, 1:]], axis=-1)
     points = [_turned(mesh.points, angle) for angle in (0.0, np.radians(degrees))]
@@ -228,8 +227,8 @@ def _cut_faces(mesh: NodalMesh, *, degrees: float) -> tuple[FloatArray, IntArray
 
 
 def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatArray, IntArray, IntArray]:
-    """Points and quadrilaterals of the surface swept by `edges` (L, k), lines through k nodes, and the node of every
-    point."""
+    """Points and quadrilaterals of a surface swept by `edges` (L, k). Edges are lines through k nodes. The node of
+    every point is returned too."""
     nodes, numbers = np.unique(edges, return_inverse=True)
     numbers = numbers.reshape(edges.shape)
     turns = np.radians(np.linspace(0.0, degrees, round(degrees / 2.0) + 1))
@@ -241,7 +240,7 @@ def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatAr
 
 
 def _section_outlines(mesh: NodalMesh, degrees: float) -> tuple[FloatArray, IntArray]:
-    """Points and lines of the outlines of the regions on the two cut faces, slightly in front of them."""
+    """Points and lines of the outlines of regions on both cut faces. They are slightly in front of the faces."""
     edges = border_lines(mesh, mesh.region)
     pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()

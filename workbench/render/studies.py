@@ -1,4 +1,4 @@
-"""Pictures of a study: parallel coordinates, a figure over each parameter, and over each pair of them."""
+"""Pictures of a study: parallel coordinates, and figures over parameters."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: Dots per inch: a report holds many of these pictures.
+#: Dots per inch: a report has many of these pictures.
 DOTS = 100
 
-#: Quantiles at which the colours of parallel coordinates end, so that a few distant points do not take all of them.
+#: Quantiles at the ends of the colours of parallel coordinates, so that outliers do not stretch the range.
 COLOURED = (0.02, 0.98)
 
 #: Largest number of lines in a picture of parallel coordinates: more hide each other.
@@ -40,10 +40,8 @@ MOST_IN_PAIRS = 6
 
 @dataclass(frozen=True, eq=False)
 class StudyColumn:
-    """A varied number or a figure: its ``label`` with the unit, and ``values`` (n,) in that unit.
-
-    If there are ``words``, the values are their numbers in that list.
-    """
+    """A varied parameter or a figure: ``label`` with unit, ``values`` (n,). If there are ``words``, the values are
+    their indices."""
 
     label: str
     values: Real
@@ -51,12 +49,12 @@ class StudyColumn:
 
     @property
     def few(self) -> Real:
-        """Its different values if they are few; empty otherwise."""
+        """Its different values if they are few, else empty."""
         found = np.unique(self.values[np.isfinite(self.values)])
         return found if len(found) <= FEW_VALUES else np.zeros(0)
 
     def edges(self, points_in_bin: int, dimensions: int) -> Real:
-        """Ends of bins that hold about `points_in_bin` points on average in that many dimensions."""
+        """Ends of bins with about `points_in_bin` points on average. `dimensions` is that of the binning."""
         few = self.few
         if len(few) > 1:
             middles = 0.5 * (few[1:] + few[:-1])
@@ -64,16 +62,16 @@ class StudyColumn:
         count = round((len(self.values) / points_in_bin) ** (1.0 / dimensions))
         low, high = float(np.nanmin(self.values)), float(np.nanmax(self.values))
         if low == high:
-            # One value only: a bin about it.
+            # A bin about the only value.
             low, high = low - 0.5, high + 0.5
         return np.linspace(low, high, min(max(count, FEWEST_BINS), MOST_BINS) + 1)
 
 
 def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """Draw every point as a line across one axis for each column, coloured by `colour`. Writes `path`.
+    """Draw every point as a line across one axis for each column.
 
-    Of many points :data:`MOST_LINES` are taken evenly; points without a colour are left out, and lines end at a missing
-    figure.
+    Lines are coloured by `colour`. At most :data:`MOST_LINES` points are drawn, evenly chosen; points without a colour
+    are left out, and lines end at a missing figure.
 
     Raises:
         ValueError: no point has a colour.
@@ -117,11 +115,11 @@ def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Pat
 
 
 def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """Draw a figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of near points.
-    Writes `path`."""
+    """Draw a figure over each parameter, with all points as dots. Also the median and the range of 5 to 95 % of near
+    points."""
     figure, panels = panel_grid(len(parameters), across=PANELS_ACROSS, panel=(3.4, 2.8), margin=(0.6, 0.4), sharey=True)
     for axes, parameter in zip(panels.flat, parameters, strict=False):
-        # Few points are drawn large and dark; of many, each is faint so that dense places show.
+        # Few points are large and dark; many are faint, so that their density shows.
         count = max(1, parameter.values.size)
         axes.plot(parameter.values, found.values, linestyle="", marker="o", color="#404040", markeredgewidth=0.0,
                   markersize=min(5.0, max(2.0, 60.0 / math.sqrt(count))), alpha=min(0.7, max(0.2, 150.0 / count)),
@@ -143,7 +141,7 @@ def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Pat
 
 
 def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
-    """Draw a figure over every pair of parameters, as the mean over all near points. Writes `path`.
+    """Draw a figure over every pair of parameters, as a local mean.
 
     Raises:
         ValueError: fewer than two parameters, or more than :data:`MOST_IN_PAIRS`.
@@ -187,7 +185,7 @@ def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path,
 
 def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
                  count: int = MOST_IN_PAIRS) -> tuple[StudyColumn, ...]:
-    """The parameters, in their order, along which the local median of a figure varies most; all if they are few."""
+    """The `count` parameters along which a figure's local median varies most. They are in their original order."""
     def spread(parameter: StudyColumn) -> float:
         _, _, middle, _ = _quantiles(parameter, found)
         return float(np.ptp(middle)) if middle.size else 0.0
@@ -197,16 +195,16 @@ def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
 
 
 def _ends(values: Real) -> tuple[float, float]:
-    """The lowest and the highest known value, made different so that a scale can be made of them."""
+    """The lowest and the highest finite value, made different."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    # A flat scale has no middle: one per mille is added to both sides, or one if all is zero.
+    # A constant gets a margin of 0.1 % to both sides, or of one if it is zero.
     margin = 0.0 if low < high else (1e-3 * abs(low) or 1.0)
     return low - margin, high + margin
 
 
 def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real, Real]:
-    """Places (k,) along a parameter, and the quantiles of 5, 50 and 95 % of a figure of the points near each."""
+    """Places (k,) along a parameter, and local quantiles of a figure. The quantiles are 5, 50 and 95 %."""
     edges, few = parameter.edges(10 * POINTS_IN_BIN, 1), parameter.few
     bins = np.clip(np.digitize(parameter.values, edges) - 1, 0, len(edges) - 2)
     where, quantiles = [], []
@@ -220,7 +218,7 @@ def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, 
 
 
 def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real]:
-    """Edges along both parameters, and the mean (n, m) of a figure in every bin, NaN in an empty one."""
+    """Edges along both parameters, and the mean (n, m) in every bin. NaN in an empty bin."""
     edges = [each.edges(POINTS_IN_BIN, 2) for each in (first, second)]
     known = np.isfinite(found.values)
     at = first.values[known], second.values[known]
@@ -230,7 +228,6 @@ def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> t
 
 
 def _label(axes: Axes, column: StudyColumn, side: str) -> None:
-    """Set the label of one side, and the words in place of its numbers."""
     (axes.set_xlabel if side == "x" else axes.set_ylabel)(_broken(column.label), fontsize=8)
     axes.tick_params(labelsize=7)
     if column.words:
@@ -242,6 +239,6 @@ def _label(axes: Axes, column: StudyColumn, side: str) -> None:
 
 
 def _broken(text: str) -> str:
-    """A name on two lines or more, broken after slashes and before its last part and its unit."""
+    """A name on several lines. It is broken after slashes, and before its last part and its unit."""
     name, bracket, unit = text.partition(" (")
     return name.replace("/", "/\n").replace(".", "\n.") + (f"\n({unit}" if bracket else "")

@@ -1,4 +1,4 @@
-"""Pictures of tolerances: the influences on a figure, the distribution of its samples, and the yield."""
+"""Pictures of tolerances: influences on figures, samples, and yields."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
 
 @dataclass(frozen=True, eq=False)
 class Tornado:
-    """Influences on one figure: ``title`` with its unit, ``labels`` of numbers with their steps, and ``changes`` (k,)
-    of the figure, largest first."""
+    """Influences on one figure: ``changes`` (k,) of it, largest first. ``title`` has the unit, ``labels`` name the
+    parameters with their steps."""
 
     title: str
     labels: tuple[str, ...]
@@ -37,7 +37,7 @@ class Tornado:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Samples (n,) of one figure, in the unit of its ``title``, and its limits (-inf, inf: none)."""
+    """Samples (n,) of one figure, in the unit of its ``title``. Limits are infinite if there are none."""
 
     title: str
     values: Real
@@ -58,19 +58,16 @@ class YieldBar:
 
 
 def draw_tolerance(found: Tolerance, folder: Path | str) -> dict[str, Picture]:
-    """Draw the pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to
-    `folder`.
-
-    Figures without derivatives are left out of the tornado.
-    """
+    """Draw a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``. The pictures are in `folder`.
+    Figures without derivatives are left out of the tornado."""
     folder = Path(folder)
     pictures: dict[str, Picture] = {}
     panels = _tornados(found)
     if panels:
         pictures["tornado"] = Picture(
             draw_tornado(panels, folder / "tornado.png"),
-            "change of each figure as a number grows (dark) or shrinks (light) by its standard uncertainty, or by 1 % "
-            "of itself where none is stated; first order, exact derivatives")
+            "change of each figure as a parameter grows (dark) or shrinks (light) by its standard uncertainty, or by "
+            "1 % if none is stated; first order, exact derivatives")
     if found.yields is not None and found.outcomes is not None:
         bars = [YieldBar(each.name, each.sampled.value, each.sampled.low, each.sampled.high, each.linear)
                 for each in (*found.yields.each, found.yields.together)]
@@ -106,13 +103,15 @@ def _tornados(found: Tolerance) -> list[Tornado]:
 
 
 def _short(name: str) -> str:
-    """The name of a number for a picture: a material without its source."""
+    """The name of a parameter; a material without its source."""
     material, slash, rest = name.partition("/")
     return f"{material}.{rest.partition('.')[2]}" if slash else name
 
 
 def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> Path:
-    """Draw the change of each figure as each number grows, and (lighter) as it shrinks. Writes `path`.
+    """Draw the change of each figure by each parameter.
+
+    The change is lighter for a smaller parameter.
 
     Raises:
         ValueError: nothing to draw.
@@ -124,8 +123,8 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
     for axes, each in zip(grid.flat, panels, strict=False):
         changes = each.changes[:BARS]
         places = np.arange(len(changes))
-        axes.barh(places, changes, height=0.6, color=LINE_COLOURS[0], label="number grows")
-        axes.barh(places, -changes, height=0.6, color="#b8cfe0", label="number shrinks")
+        axes.barh(places, changes, height=0.6, color=LINE_COLOURS[0], label="parameter grows")
+        axes.barh(places, -changes, height=0.6, color="#b8cfe0", label="parameter shrinks")
         axes.axvline(0.0, color="black", linewidth=0.8)
         axes.set_yticks(places, each.labels[:BARS], fontsize=8)
         axes.set_ylim(bars - 0.4, -0.6)
@@ -138,9 +137,9 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
 
 
 def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "") -> Path:
-    """Draw samples of every figure, those that meet the requirement in colour, with the limits and the stated chip.
+    """Draw samples of every figure, limits, and the chip as stated.
 
-    Writes `path`.
+    Samples that meet the requirement are coloured.
 
     Raises:
         ValueError: nothing to draw.
@@ -171,7 +170,7 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
 
 
 def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Path:
-    """Draw the yield of every requirement with its interval, and the linear estimate beside it. Writes `path`.
+    """Draw the yield of every requirement: interval and linear estimate.
 
     Raises:
         ValueError: nothing to draw.

@@ -1,8 +1,8 @@
-"""A field as a VTU file for ParaView: all regions, Lagrange cells of the fields' order, complex amplitudes as two real
-arrays.
+"""A field as a VTU file for ParaView.
 
-VTK assumes that the nodes of a Lagrange cell are equally spaced, so the fields' polynomials are given by their values
-there, not at the Gauss-Lobatto nodes. Probes and plots along a line then show the solution itself.
+It has all regions, Lagrange cells of the fields' order, and complex amplitudes as two real arrays. VTK assumes that the
+nodes of a Lagrange cell are equally spaced, so values are written at such points, not at the Gauss-Lobatto nodes.
+Probes and plots along a line then show the solution itself.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 def write_vtu(fields: Fields, path: Path) -> Path:
-    """Write every array of `fields` to `path`, all at once; returns `path`.
+    """Write every array of `fields` to `path`, atomically.
 
     r is VTK's x and z its y, in metres; vectors get a third component of zero. Complex `name` becomes `name_real` and
     `name_imag` (time factor e^{-i w t}). A field is NaN in a region without it, and is left out if no region has it.
-    Cell array `region` is the index of its name in field array `region_names`; field arrays `frequency` (Hz) and
-    `voltage` (V, complex as two) are kept.
+    Cell array `region` is the index of its name in field array `region_names`; field arrays are `frequency` (Hz) and
+    `voltage` (V, complex as two).
 
     Raises:
         ValueError: a suffix other than .vtu.
@@ -45,7 +45,7 @@ def write_vtu(fields: Fields, path: Path) -> Path:
     along_r, along_z = np.array(Lagrange(mesh.order).indices).T
     grid = pyvista.UnstructuredGrid({pyvista.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
     for name, at_nodes in arrays.items():
-        # A field without any value has no range, which makes readers complain.
+        # A field without any value has no range, and readers would report an error.
         if np.isnan(at_nodes).all():
             continue
         values = _equally_spaced(mesh, at_nodes)
@@ -64,9 +64,9 @@ def write_vtu(fields: Fields, path: Path) -> Path:
 
 
 def _equally_spaced(mesh: NodalMesh, values: NDArray[Any]) -> NDArray[Any]:
-    """The interpolant of nodal `values` (N, ...) at as many points, equally spaced in every cell: (N, ...)."""
+    """Nodal `values` (N, ...) interpolated at equally spaced points, (N, ...)."""
     weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))
     result = np.empty_like(values)
-    # Cells agree on the nodes they share: the values on an edge depend on its own nodes alone.
+    # Neighbouring cells agree on an edge, since its values depend only on its own nodes.
     result[mesh.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, values[mesh.cells], optimize=True)
     return result

@@ -1,4 +1,4 @@
-"""A chip that its drive warms up: its energy over the drive, and the peak of the energy at several temperatures."""
+"""A chip that its drive warms: its energy over drive and temperature."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from workbench.render.plots import LINE_COLOURS, tidy
 if TYPE_CHECKING:
     from workbench.simulation.warm import WarmState
 
-#: Rises (K) that the peak is drawn at, and the widest share of the frequency to either side of it that is shown.
+#: Rises (K) of the drawn peaks, and half width of the frequency axis relative to the peak's frequency.
 RISES, SHOWN = (0.0, 2.0, 5.0, 10.0), 0.01
 
-#: Points of a curve over frequency, and pieces between two points of a curve over the drive.
+#: Points of a curve over frequency, and intervals between two points of a curve over the drive.
 POINTS, BETWEEN = 240, 8
 
 
 def draw_warmth(state: WarmState, path: Path | str, *, title: str = "") -> Path:
-    """Draw the mean energy density of a chip that is kept cold and of one that warms up, both over the drive, above the
-    peak of the energy over frequency at several temperatures of the liquid. Writes `path`."""
+    """Draw the energy density of a cold and a warming chip. It is over the drive; below it is the peak of the energy
+    over frequency, at several temperatures of the liquid."""
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1)
     match state.drive:
@@ -41,7 +41,7 @@ def draw_warmth(state: WarmState, path: Path | str, *, title: str = "") -> Path:
     even = np.linspace(0.0, factor.max(initial=1.0), POINTS)
     above.plot(size * even**power, state.cold.energy_density * even**2, "--", color=LINE_COLOURS[0],
                label=f"kept at {state.stated - 273.15:.3g} °C")
-    # Between the points of the curve the energy goes with the square of the drive, times a factor that moves slowly.
+    # The ratio of the energy to the square of the drive varies slowly, so it is interpolated.
     ratio = np.where(factor > 0.0, curve.energy_density[known] / np.maximum(factor, 1e-9) ** 2,
                      state.cold.energy_density)
     place, between = np.arange(factor.size), np.linspace(0, factor.size - 1, (factor.size - 1) * BETWEEN + 1)

@@ -179,7 +179,7 @@ def _shown_by(found: Diagnosis) -> str:
 
 def stated_table(campaign: Campaign) -> TextTable:
     return table("parameter | standard uncertainty:.3g | unit | source", (
-        (e.name, e.deviation * shown_factor(e.unit), shown_unit(e.unit), e.origin) for e in campaign.taken))
+        (e.name, e.deviation * shown_factor(e.unit), shown_unit(e.unit), e.origin) for e in campaign.uncertain))
 
 
 def odds_table(found: Diagnosis) -> TextTable:
@@ -242,7 +242,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         **record(found, "campaign=campaign.name verdict headline explained=decision.is_explained next_measurement "
                         "findings seconds undone=found.undone "
                         "moved_parameters=known { name from=stated to=value unit sigmas } "
-                        f"taken=campaign.taken {{ {_KNOWN} }}"),
+                        f"taken=campaign.uncertain {{ {_KNOWN} }}"),
         "effects": _effects(found), "alike": [list(e.effects) for e in decision.alike],
         "left": asdict(found.remainder),
         "rivals": [record(e, "effects name") | {
@@ -292,7 +292,7 @@ def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
         "effects": [], "rivals": [], "provisional": None, "undone": ["everything"], "not_tried": [], "findings": [],
         "read": {state.name: record(state, "recording=measured.origin.source points=measured.frequency.size held_out")
                  for state in campaign.states},
-        "taken": record(campaign.taken, _KNOWN), "seconds": seconds}
+        "taken": record(campaign.uncertain, _KNOWN), "seconds": seconds}
 
 
 def _effects(found: Diagnosis) -> list[dict[str, Any]]:

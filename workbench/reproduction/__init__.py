@@ -1,1 +1,1 @@
-"""Algorithms of the source paper (Acevedo-Espinosa et al., RP-UEIS) as printed, to be compared with."""
+"""Algorithms of the source paper (Acevedo-Espinosa et al., RP-UEIS), for comparison."""

@@ -1,27 +1,27 @@
-"""Algorithm 2 and the polymer fit of Acevedo-Espinosa et al. (RP-UEIS), sections 3.4 and 3.5, as printed.
+"""Algorithm 2 and the polymer fit of Acevedo-Espinosa et al. (RP-UEIS).
 
-They are here to be compared with; `workbench.fitting.joint` is the fit to use. Nelder and Mead's simplex works with the
-defaults of ``fminsearch``: a first simplex of 5 %, both tolerances 1e-4, 200 steps and spectra per variable. A point
-that is not admissible costs infinity, which is how ``fminsearchcon`` rejects it. Variables are multiples of what they
-were at the start of their block, since the paper does not give the unit that the tolerance on them refers to.
+Sections 3.4 and 3.5, as printed, for comparison; `workbench.fitting.joint` is the fit to use. Nelder and Mead's simplex
+has the defaults of ``fminsearch``: a first simplex of 5 %, both tolerances 1e-4, 200 steps and spectra per variable. A
+point that is not admissible has an infinite cost, as in ``fminsearchcon``. Variables are relative to their values at
+the start of their block, since the paper does not give the unit of the tolerance on them.
 
-Where the printed text leaves a choice or errs:
+Choices and corrections where the printed text is ambiguous or wrong:
 
 - C_ref is set before any window is chosen. It is the cost in the window of the later iterations, to which section 3.4
   restricts all data. The cost of the first iteration, in its narrow window, is compared with it as printed, so the 5 %
-  rule can only mean what it says from the third iteration on.
+  rule is meaningful only from the third iteration on.
 - The metric of block B is not named: that of block A. ln|Y| = -ln|Z|, so that the impedance metric of blocks A and B
   and the admittance metric of block C and of polymers are the same cost anyway (eq. 26).
-- Eq. 13 is imposed in block C only. Blocks A and B have no constraint at all: nothing holds a parameter that the window
-  says little of, and it may run off while the cost still falls (:attr:`PaperFit.strayed`).
+- Eq. 13 is imposed in block C only. Blocks A and B have no constraint: a parameter with little effect in the window may
+  run off while the cost still falls (:attr:`PaperFit.strayed`).
 - The loss of c13 has no sign of its own. It starts positive, as Table 3 prints it; the other two start negative.
 - No limit of iterations is printed; there is one here.
-- The window of a polymer is +-10 % (section 3.5 and Table 4; section 4.3 says 12 %) about f0. Table 4 has it "centered
-  at 1.033 MHz", the resonance of the disc alone; here it is the resonance of the recording that is fitted, as in
-  Algorithm 2, to which section 3.5 refers.
+- The window of a polymer is +-10 % (section 3.5 and Table 4; section 4.3 has 12 %) about f0. Table 4 has it "centered
+  at 1.033 MHz", the resonance of the disc alone; here it is the resonance of the fitted recording, as in Algorithm 2,
+  to which section 3.5 refers.
 - The text wants all moduli of a polymer "strictly positive"; with e^{-i w t}, and in Table 4, a loss is negative.
 - Poisson's ratio, the real part of the complex one, is to be "within a realistic range", which is not given:
-  `admissible.POISSON_RATIO` is used. Neither are the moduli given that the fit starts from: those of the problem are.
+  `admissible.POISSON_RATIO` is used. The starting moduli are not given either: those of the problem are used.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: The first constraint that values by full name break, in words; empty if they keep all.
+#: The first constraint that values by full name violate, in words; empty if none.
 Broken = Callable[[Mapping[str, float]], str]
 
 #: Blocks of Algorithm 2.
@@ -66,14 +66,14 @@ FIRST_WINDOW, WINDOW, POLYMER_WINDOW = 0.03, 0.12, 0.10
 #: Algorithm 2 ends when the cost changes by less than this (relative) from one iteration to the next.
 STOP = 0.05
 
-#: fminsearch: first simplex, relative; tolerances on variables and on the cost, absolute; steps and spectra for each
+#: fminsearch: first simplex, relative; tolerances on variables and on the cost, absolute; steps and spectra per
 #: variable.
 SIMPLEX, SIMPLEX_AT_ZERO, TOLERANCE, STEPS = 0.05, 0.00025, 1e-4, 200
 
-#: Real parts that end farther than this (relative) from where they started have run off: no data sheet is so wrong.
+#: Relative change from the start above which a real part has run off: no data sheet has such an error.
 STRAYED = 0.5
 
-#: Distance below zero (relative) at which rounding may put the eigenvalue of a matrix that is zero.
+#: Relative rounding error of an eigenvalue that is zero.
 ROUNDING = 1e-12
 
 CONVERGED = "the simplex met both tolerances"
@@ -81,7 +81,8 @@ CONVERGED = "the simplex met both tolerances"
 
 @dataclass(frozen=True)
 class SimplexRun:
-    """One run of the simplex: ``window`` (Hz) and the ``points`` in it, cost at its start and end, and why it ended."""
+    """One run of the simplex. ``window`` is in Hz with ``points`` in it; ``start`` and ``cost`` are the costs at its
+    start and end; ``reason`` is that of its end."""
 
     name: str
     iteration: int
@@ -97,11 +98,12 @@ class SimplexRun:
 class PaperFit(Brief):
     """The result of an algorithm of the paper.
 
-    ``values`` and ``start`` by full parameter name, SI, losses e^{-i w t}; ``resonance`` (Hz) the measured minimum of
-    |Z|; ``frequency`` (n,) Hz and ``impedance`` (n,) ohm, e^{+j w t}, the spectrum of ``values`` in the last window;
-    ``mape_percent`` how far its |Z| is from the measured one; ``costs`` C_ref and the cost after every iteration,
-    ``changes`` the err of every iteration; ``spectra`` computed and full ``solves`` spent on them; ``inadmissible``
-    points rejected by a constraint and ``unpredicted`` ones the model gave no spectrum for, both at infinite cost.
+    ``values`` and ``start`` are by full parameter name, SI, losses e^{-i w t}; ``resonance`` (Hz) is the measured
+    minimum of |Z|; ``frequency`` (n,) Hz and ``impedance`` (n,) ohm, e^{+j w t}, are the spectrum of ``values`` in the
+    last window; ``mape_percent`` is the error of its |Z|; ``costs`` are C_ref and the cost after every iteration,
+    ``changes`` the err of every iteration; ``spectra`` is the number of spectra and ``solves`` that of full solves for
+    them; ``inadmissible`` and ``unpredicted`` count points of infinite cost, due to a constraint or without a spectrum
+    of the model.
     """
 
     values: Mapping[str, float]
@@ -138,15 +140,15 @@ def fit_transducer(
 ) -> PaperFit:
     """Algorithm 2: ten parameters of the transducer, block by block.
 
+    All losses except the three of block C are set to zero, all other real parts stay as they are in the problem. Ctrl-C
+    ends the fit with the best point so far, once there is one; ``reason`` reports it.
+
     Args:
-        start: real numbers by name (``c33``, ``c33.loss``) in place of those of the problem's material. A loss that is
-            not known, that is zero, starts at a thousandth of the real part (section 4.2).
+        start: real numbers by name (``c33``, ``c33.loss``) in place of those of the problem's material. A loss of zero
+            is unknown and starts at a thousandth of the real part (section 4.2).
         relative_error: of the reduced model's impedance.
         limit: iterations; the paper sets none.
         progress: may raise KeyboardInterrupt.
-
-    All losses but the three of block C are set to zero, all other real parts stay as they are in the problem. Ctrl-C
-    ends the fit with the best point so far, once there is one; ``reason`` says so.
 
     Raises:
         InputError: the problem has no transducer, the recording shows no resonance or too few points about it, or the
@@ -164,7 +166,7 @@ def fit_transducer(
     begin = _started(free, material, start or {})
     coupling = f"{material}.c13"
     if begin[coupling + LOSS] == 0.0:
-        # `parameter` knows no sign for it.
+        # `parameters` does not know its sign.
         begin[coupling + LOSS] = CERAMIC_LOSS * begin[coupling]
     losses = [p for p in free if p.is_loss]
     search = _Search(recording, lossless, begin, _passive(lossless, losses), relative_error, progress)
@@ -203,7 +205,9 @@ def fit_polymer(
     relative_error: float = 1e-3,
     progress: Progress | None = None,
 ) -> PaperFit:
-    """Section 3.5: bulk and shear modulus of a sample and their losses, all at once, with a transducer that is known.
+    """Section 3.5: bulk and shear modulus of a sample, with losses.
+
+    All are fitted together, with a known transducer.
 
     Args:
         material: full name of the sample's material.
@@ -243,7 +247,6 @@ def fit_polymer(
 
 
 def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float]) -> dict[str, float]:
-    """The start of every parameter, by full name."""
     known = {p.parsed.within(material): p for p in free}
     for name, value in start.items():
         if name not in known:
@@ -254,7 +257,7 @@ def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float
 
 
 def _passive(problem: Problem, losses: Sequence[Parameter]) -> Broken:
-    """Eq. 13, as the condition that the loss matrices have no negative eigenvalue."""
+    """Eq. 13: the loss matrices have no negative eigenvalue."""
     conditions = inequalities([problem], losses)
 
     def broken(values: Mapping[str, float]) -> str:
@@ -265,7 +268,7 @@ def _passive(problem: Problem, losses: Sequence[Parameter]) -> Broken:
 
 
 def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
-    """The constraints of section 3.5: moduli above zero, their losses below it, and Poisson's ratio within bounds."""
+    """The constraints of section 3.5 on moduli, losses and Poisson's ratio."""
     names = [f"{material}.{name}" for name in POLYMER_FOUR]
 
     def broken(values: Mapping[str, float]) -> str:
@@ -284,7 +287,7 @@ def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
 
 
 class _Search:
-    """The present point of the algorithm, its window, and the spectra spent."""
+    """The present point of the algorithm, its window and its spectra."""
 
     def __init__(
         self, recording: FitRecording, problem: Problem, start: Mapping[str, float], broken: Broken,
@@ -311,11 +314,7 @@ class _Search:
         self._seen: tuple[Real, Complex] | None = None
 
     def look_at(self, window: float) -> None:
-        """Look at the measured points within `window` (relative) of the resonance from now on.
-
-        Raises:
-            InputError: there are fewer of them than parameters.
-        """
+        """Use the measured points within `window` (relative) of the resonance."""
         self._window = window
         if window not in self._models:
             frequency = self.measured.frequency[self._points]
@@ -330,7 +329,6 @@ class _Search:
         return np.abs(self.measured.frequency / self.resonance - 1.0) <= self._window
 
     def spectrum(self, values: Mapping[str, float]) -> Complex:
-        """The impedance (n,) at the points of the window."""
         prediction = self._models[self._window](placed(self.problem.values, values))
         self._models[self._window] = self._models[self._window].holding(prediction.model)
         return prediction.impedance
@@ -347,7 +345,7 @@ class _Search:
         return float(difference @ difference)
 
     def descend(self, name: str, iteration: int, names: Sequence[str]) -> SimplexRun:
-        """Run the simplex over `names` from the present values, and move there."""
+        """Run the simplex over `names` from the present values."""
         self.place = f"in block {name} of iteration {iteration}"
         unit = np.array([abs(self.values[n]) or 1.0 for n in names])
         first = np.array([self.values[n] for n in names]) / unit
@@ -368,7 +366,7 @@ class _Search:
                 return np.inf
             cost = self._cost_of(impedance)
             if cost < best:
-                # Kept at once, so that a stop loses nothing.
+                # Stored at once, so that a stop does not lose it.
                 self.values, best = values, cost
                 self._seen = (self.measured.frequency[self._points], impedance)
             if self.progress is not None:
@@ -385,7 +383,6 @@ class _Search:
         return block
 
     def result(self, costs: Sequence[float], changes: Sequence[float], converged: bool, reason: str) -> PaperFit:
-        """The point reached, judged in the window it was last seen in."""
         frequency, impedance = self._seen or (np.zeros(0), np.zeros(0, dtype=complex))
         measured = self.measured.impedance[np.isin(self.measured.frequency, frequency)]
         ratio = np.abs(impedance) / np.abs(measured)
@@ -397,7 +394,7 @@ class _Search:
 
 
 def simplex(start: Real) -> Real:
-    """The first simplex (n + 1, n) of ``fminsearch``: the start, then each variable in turn 5 % larger."""
+    """The first simplex (n + 1, n) of ``fminsearch``. It has the start, and then each variable 5 % larger."""
     corners = np.tile(start, (start.size + 1, 1))
     for i, value in enumerate(start):
         corners[i + 1, i] = (1.0 + SIMPLEX) * value if value != 0.0 else SIMPLEX_AT_ZERO

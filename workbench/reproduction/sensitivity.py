@@ -1,24 +1,24 @@
-"""Which parameters a spectrum depends on: Algorithm 1 of Acevedo-Espinosa et al. (RP-UEIS), section 3.3, as printed.
+"""Algorithm 1 of Acevedo-Espinosa et al. (RP-UEIS), section 3.3: sensitivities.
 
 Every real and every imaginary part is scaled from 0.7 to 1.3 of itself, one at a time; the cost is the sum of squares
 of ln|Z| against the spectrum of the baseline (eq. 28), the index of a part the steepest slope of its cost (eq. 30).
 
-Where the printed text leaves a choice or errs:
+Choices and corrections where the printed text is ambiguous or wrong:
 
 - The two metrics, ln|Z| for real and ln|Y| for imaginary parts (eq. 26), are one: ln|Y| = -ln|Z|, so the costs are
   identical.
 - The loops run over both parts of "N_p = 16 parameters", 1600 spectra. Table 1 counts real and imaginary parts among
-  the sixteen, so that 800 are distinct; these are computed.
+  the sixteen, so 800 are distinct; these are computed.
 - Eq. 30 takes the steepest slope of all scalings, the caption of Table 2 "the slope of the cost function near zero
-  variation": see :meth:`Sensitivity.slopes`. Table 2 is normalised, which the algorithm does not say, for real and
-  imaginary parts apart.
-- Imaginary parts are "not available" in Table 1, the baseline; those of Table 3 (section 4.2) are what there is. A part
-  that is zero in the baseline stays zero however it is scaled, so its index is zero by construction and says nothing:
-  the losses of c12, c44 and eps33 in the paper's own baseline. Give a baseline with losses to rank them.
+  variation": see :meth:`Sensitivity.slopes`. Table 2 is normalised, separately for real and imaginary parts; the
+  algorithm does not mention this.
+- Imaginary parts are "not available" in Table 1, the baseline; only those of Table 3 (section 4.2) exist. A part that
+  is zero in the baseline is zero at every scaling, so its index is zero and has no meaning: the losses of c12, c44 and
+  eps33 in the paper's own baseline. Use a baseline with losses to rank them.
 
-A change of 30 % carries many radial overtones through the band. The model of the baseline grows for every part by what
-the spectra at both ends of its range need (`predict.Predictor`), which mostly serves what lies between. Every spectrum
-comes with its error estimate, and the model grows again where that is too large.
+A change of 30 % moves many radial overtones through the band. The model of the baseline is extended for every part by
+the spectra at both ends of its range (`predict.Predictor`), which mostly suffices in between. Every spectrum has an
+error estimate, and the model is extended again where that is too large.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Values = Mapping[str, complex]
 
-#: The sixteen of Table 1: five stiffnesses and their losses, three piezoelectric constants, two permittivities, and the
-#: loss of the axial one.
+#: The parameters of Table 1: five stiffnesses and their losses, three piezoelectric constants, two permittivities, and
+#: the loss of the axial one.
 TABLE_ONE = ("c11", "c12", "c13", "c33", "c44", "c11.loss", "c12.loss", "c13.loss", "c33.loss", "c44.loss",
              "e31", "e33", "e15", "eps11", "eps33", "eps33.loss")
 
@@ -55,12 +55,14 @@ TABLE_TWO: Mapping[str, float] = {
     "c33.loss": 1.000, "c11.loss": 0.539, "c13.loss": 0.442,
 }
 
-#: Parts whose normalised slope is below are dropped: section 3.3.
+#: Least normalised slope of a part that is fitted: section 3.3.
 REAL_THRESHOLD, LOSS_THRESHOLD = 0.1, 0.3
+
 
 @dataclass(frozen=True)
 class Rank:
-    """One row of the ranking: a part's full name, its slope over the largest of its kind, and whether it is kept."""
+    """One row of the ranking. ``slope`` is relative to the largest of its kind; ``kept`` is whether the part is
+    fitted."""
 
     name: str
     slope: float
@@ -71,10 +73,10 @@ class Rank:
 class Sensitivity(Brief):
     """The result of Algorithm 1.
 
-    ``names`` (p) full names of the parts, ``.loss`` for imaginary ones; ``baseline`` (p,) SI; ``scalings`` (s,);
-    ``costs`` (p, s), eq. 28; ``local`` (p,) the norm over the band of d ln|Z| / d ln(part) at the baseline, from the
-    exact gradient; ``spectra`` computed beside the reference and full ``solves`` spent; ``seconds``; ``error`` the
-    largest estimated relative error of any of the spectra's impedances.
+    ``names`` (p) are full names of the parts, ``.loss`` for imaginary ones; ``baseline`` (p,) is in SI; ``scalings``
+    (s,); ``costs`` (p, s) are eq. 28; ``local`` (p,) is the norm over the band of d ln|Z| / d ln(part) at the baseline,
+    from the exact gradient; ``spectra`` is their number beside the reference and ``solves`` that of full solves;
+    ``error`` is the largest estimated relative error of the impedances.
     """
 
     names: tuple[str, ...]
@@ -93,14 +95,14 @@ class Sensitivity(Brief):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Parts that are zero in the baseline: no scaling moves them, so their index of zero says nothing."""
+        """Parts that are zero in the baseline, whose index has no meaning."""
         return tuple(name for name, value in zip(self.names, self.baseline, strict=True) if value == 0.0)
 
     def slopes(self, *, reach: float = np.inf) -> Real:
-        """s_i of eq. 30 (p,): the steepest slope of the cost between neighbouring scalings.
+        """s_i of eq. 30 (p,): the steepest slope between neighbouring scalings.
 
-        The equation takes all scalings; the caption of Table 2 says "near zero variation". With `reach`, only those
-        intervals count whose middle is within it of 1.
+        The equation takes all scalings; the caption of Table 2 has "near zero variation". With `reach`, only intervals
+        whose middle is within it of 1 are used.
         """
         steep = np.abs(np.diff(self.costs, axis=1) / np.diff(self.scalings))
         middle = 0.5 * (self.scalings[1:] + self.scalings[:-1])
@@ -111,7 +113,7 @@ class Sensitivity(Brief):
         return np.asarray(steep[:, near].max(axis=1))
 
     def normalised(self, index: Real) -> Real:
-        """An index (p,) over the largest of the real and of the imaginary parts; zero where all of a kind are zero."""
+        """An index (p,) over the largest of its kind, real or imaginary. It is zero if all of a kind are zero."""
         result = np.zeros(index.size)
         for kind in (self.is_loss, ~self.is_loss):
             if kind.any() and index[kind].max() > 0.0:
@@ -121,14 +123,14 @@ class Sensitivity(Brief):
     def ranking(
         self, *, reach: float = np.inf, real_threshold: float = REAL_THRESHOLD, loss_threshold: float = LOSS_THRESHOLD
     ) -> tuple[Rank, ...]:
-        """Table 2: real parts in order of their slope, then imaginary parts in order of theirs."""
+        """Table 2: real parts, then imaginary parts, each ordered by slope."""
         slopes = self.normalised(self.slopes(reach=reach))
         rows = [Rank(name, float(slope), bool(slope >= (loss_threshold if loss else real_threshold)))
                 for name, slope, loss in zip(self.names, slopes, self.is_loss, strict=True)]
         return tuple(sorted(rows, key=lambda row: (ParameterName.parse(row.name).is_loss, -row.slope)))
 
     def kept(self, *, reach: float = np.inf) -> tuple[str, ...]:
-        """The parts above the printed thresholds, in the order of the ranking."""
+        """The parts above the printed thresholds, in the ranking's order."""
         return tuple(row.name for row in self.ranking(reach=reach) if row.kept)
 
 
@@ -152,11 +154,11 @@ def sensitivity(
         baseline: complex values by full name, e^{-i w t}, in place of the problem's own.
         scalings: N_s, equally spaced from `low` to `high`.
         relative_error: bound on the estimated relative error of every impedance.
-        progress: called with the part's name and the share done.
+        progress: called with the part's name and the finished share.
 
     Raises:
         InputError: a name that is no coefficient of the transducer, or one given twice; fewer than two scalings; a
-            range that does not hold 1.
+            range without 1.
         NotEnriched: the reduced model did not reach its error.
     """
     started = time.perf_counter()
@@ -171,7 +173,7 @@ def sensitivity(
     frequencies = np.asarray(frequencies, dtype=float)
     scaling = np.linspace(low, high, scalings)
     nominal = Predictor(problem, frequencies, tolerance=relative_error)
-    # Well within that error, so that what hardly moves the spectrum needs no solve of its own.
+    # Well within that error, so that parts with a small effect need no further solve.
     reference = nominal.at(frequencies, 0.2 * relative_error)
     baseline_spectrum = reference(values)
     reference = reference.holding(baseline_spectrum.model)
@@ -187,10 +189,10 @@ def sensitivity(
             progress(name, i / len(full_names))
         parsed = ParameterName.parse(name)
         slope = gradient[:, coefficients.index(parsed.key)]
-        # By the imaginary part d ln Z is i times that by the coefficient, and ln|Z| is the real part of ln Z.
+        # The derivative of ln Z by the imaginary part is i times that by the coefficient; ln|Z| is its real part.
         local[i] = float(np.linalg.norm(parts[i] * (1j * slope if parsed.is_loss else slope).real))
         spectra = reference.at(frequencies, relative_error)
-        # From the ends inwards: what a model holds at both it mostly holds in between.
+        # From the ends inwards: a model that is accurate at both is mostly accurate in between.
         for j in sorted(range(scalings), key=lambda j: -abs(scaling[j] - 1.0)):
             spectrum = spectra(_scaled(values, name, float(scaling[j])))
             spectra = spectra.holding(spectrum.model)
@@ -221,5 +223,5 @@ def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _scaled(values: Values, name: str, factor: float) -> Values:
-    """`values` with one part at `factor` times itself: eq. 29."""
+    """`values` with one part multiplied by `factor`: eq. 29."""
     return placed(values, {name: factor * real_part(values, name)})

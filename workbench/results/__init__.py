@@ -1,1 +1,1 @@
-"""Results a person reads: spectra, figures of merit, comparisons, and their short texts."""
+"""Spectra, figures of merit, circuits and comparisons, with short texts."""

@@ -1,5 +1,4 @@
-"""The points of a spectrum that a fit is given, and the frequency that it starts near: checked, texts with units read.
-"""
+"""Checks of the band of a fit and of its starting frequency."""
 
 from __future__ import annotations
 
@@ -11,15 +10,17 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
-#: Least and largest |Z| (ohm) that circuits are fitted to. No device comes near; far beyond, squares overflow.
+#: Range of |Z| (ohm) for a fit of a circuit. Every device is well within it; far beyond it, squares overflow.
 FITTABLE = (1e-15, 1e15)
 
 
 def fitted_points(given: Spectrum | WithSpectrum, band: Sequence[float | str] | None, *, source: str) -> Spectrum:
-    """The points of a spectrum in `band`, two frequencies in Hz or with their units; all if None.
+    """The points of a spectrum in `band`, by default all.
+
+    `band` is two frequencies in Hz or with their units. Errors name the function `source`.
 
     Raises:
-        InputError: no band, or an impedance that no device has; under the name of `source`, a function.
+        InputError: an invalid band, or |Z| outside of :data:`FITTABLE`.
         ValueError: fewer than two points lie in the band.
     """
     seen = spectrum_of(given)
@@ -39,14 +40,14 @@ def fitted_points(given: Spectrum | WithSpectrum, band: Sequence[float | str] | 
 
 
 def frequency_within(near: float | str, spectrum: Spectrum, *, source: str) -> float:
-    """The frequency (Hz) that `near` states as a number in Hz or with its unit.
+    """The frequency `near` (Hz, or with its unit) as a number.
 
     Raises:
-        InputError: no frequency, or one beyond the points of the spectrum by more than a step.
+        InputError: an invalid frequency, or one beyond the points of the spectrum by more than a step.
     """
     found, low, high = _hertz(near, source, "near"), spectrum.frequency[0], spectrum.frequency[-1]
     first, last = np.diff(spectrum.frequency)[[0, -1]]
-    # The end of a band seldom is a point.
+    # The end of a band is seldom a point.
     if not low - first <= found <= high + last:
         raise InputError(source, "near", near, f"a frequency within the band, {low:.9g} to {high:.9g} Hz")
     return found

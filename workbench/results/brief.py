@@ -1,4 +1,4 @@
-"""Short texts of results for a prompt: a few lines instead of all numbers."""
+"""Short texts of results for a prompt."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 
 #: Lines and columns of the text of a result. Doubled, a few results in a row fill a terminal.
 TEXT_LINES, TEXT_COLUMNS = 10, 100
-#: Number of names of a mapping, or elements of a sequence, that are shown.
+#: Number of names of a mapping, or elements of a sequence, in the text.
 _FEW = 4
 
 
 class Brief:
-    """Base of a dataclass (with ``repr=False``) whose text names its fields, and gives the shapes of arrays, not
-    numbers."""
+    """Base of a dataclass (with ``repr=False``) with a short text. The text has the names of the fields, and the shapes
+    of arrays instead of their numbers."""
 
     def __repr__(self) -> str:
         assert dataclasses.is_dataclass(self)

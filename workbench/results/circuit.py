@@ -1,11 +1,13 @@
-"""Equivalent circuit of a piezoelectric device: resonant branches beside a static capacitance, fitted to a spectrum.
+"""Equivalent circuit of a piezoelectric device, fitted to a spectrum.
+
+It has resonant branches beside a static capacitance:
 
     Y = j w C0 (1 - j t) + sum_k j w C_k e^{j p_k} / (1 - u^2 + j u / Q_k),  u = f / f_k,      Z = Rs + 1 / Y
 
-With p_k = 0 and t = 0 branch k is a resistor, an inductor and a capacitor in series (Butterworth and Van Dyke):
-C_k, L_k = 1 / (w_k^2 C_k), R_k = 1 / (w_k C_k Q_k). The phase p_k is that of a mode whose coupling has a loss, and t
-the loss tangent of the static capacitance. One branch is fitted by :func:`fit_circuit`, several together by
-:func:`workbench.results.resonances.fit_resonances`.
+With p_k = 0 and t = 0 branch k is a resistor, an inductor and a capacitor in series (Butterworth and Van Dyke): C_k,
+L_k = 1 / (w_k^2 C_k), R_k = 1 / (w_k C_k Q_k). The phase p_k is that of a mode whose coupling has a loss, and t is the
+loss tangent of the static capacitance. :func:`fit_circuit` fits one branch,
+:func:`workbench.results.resonances.fit_resonances` several.
 """
 
 from __future__ import annotations
@@ -30,24 +32,24 @@ from workbench.results.spectrum import Spectrum, WithSpectrum, turns_anticlockwi
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Numbers of a branch in a vector: ln f, ln Q, ln C, phase.
+#: Parameters of a branch in a vector: ln f, ln Q, ln C, phase.
 OF_BRANCH = 4
 
-#: Part of |Z| by which Re Z may be below zero: what an instrument's zero is off. Doubled, a device that gives 4 % of
-#: its apparent power back is called passive.
+#: Largest negative Re Z relative to |Z|, for the zero offset of an instrument. Doubled, a device that returns 4 % of
+#: its apparent power counts as passive.
 NEGATIVE = 0.02
 
-#: Rms of the relative residual of Z above which a model has not explained a spectrum of unstated noise. Real discs
-#: leave 1.2 to 1.5 %; other optima, other devices or a second resonance several per cent and more.
+#: Rms of the relative residual of Z above which a model does not explain a spectrum without a stated noise. It is 1.2
+#: to 1.5 % for real discs, and several per cent for local optima, other devices or a second resonance.
 LARGE_RESIDUAL = 0.03
 
-#: Reduced chi-square above which a circuit has not explained a spectrum of stated noise: that of twice the noise.
+#: Reduced chi-square above which a circuit does not explain a spectrum with a stated noise: residuals of twice it.
 LARGE_CHI_SQUARE = 4.0
 
-#: Logarithm of a frequency (Hz) or a Q beyond which nothing changes in numbers of sixteen digits.
+#: Logarithm of a frequency (Hz) or a Q beyond which the impedance is constant in double precision.
 LARGEST = 80.0
 
-#: Steps of a fit that need not end at rounding. Doubled, a band with ten resonances takes seconds.
+#: Steps of a fit that need not converge to rounding. Doubled, a band with ten resonances takes seconds.
 STEPS = 100
 
 
@@ -67,10 +69,10 @@ class FittedNumber:
 class FittedResonance:
     """One branch of a fitted circuit.
 
-    ``frequency`` (Hz) and ``q`` of its series resonance; ``k_eff`` its effective coupling factor without the other
-    resonances, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (Cb + C1), with the capacitance Cb of the background at its frequency
-    (:meth:`SolvedCircuit.background`), NaN if that is not above zero; ``resistance`` (ohm), ``inductance`` (H) and
-    ``capacitance`` (F) in series; ``phase`` (rad) that losses of the coupling give the branch, 0 in a plain circuit.
+    ``frequency`` (Hz) and ``q`` are of its series resonance. ``k_eff`` is its effective coupling factor without the
+    other resonances, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (Cb + C1), with the capacitance Cb of the background at its
+    frequency (:meth:`SolvedCircuit.background`); NaN if Cb is not above zero. ``resistance`` (ohm), ``inductance`` (H)
+    and ``capacitance`` (F) are in series. ``phase`` (rad) is due to losses of the coupling, 0 in a plain circuit.
     """
 
     frequency: FittedNumber
@@ -88,7 +90,7 @@ class FittedResonance:
 
     @property
     def merit(self) -> float:
-        """Figure of merit Q k^2 / (1 - k^2); below 10 the dip of |Z| shows neither the frequency nor the Q."""
+        """Figure of merit Q k^2 / (1 - k^2). Below 10 the dip of |Z| shows neither the frequency nor the Q."""
         return self.q.value * self.k_eff.value**2 / (1.0 - self.k_eff.value**2)
 
 
@@ -96,13 +98,14 @@ class FittedResonance:
 class CircuitFit(Brief):
     """A circuit fitted to a spectrum.
 
-    ``resonances`` by frequency; ``static_capacitance`` (F) and ``loss_tangent`` of the background in the middle of the
-    band: C0, modes beyond the band and losses in parallel; ``series_resistance`` (ohm), 0 where it was not fitted;
-    ``model`` the fitted spectrum on the points used; ``rms_residual`` the root mean square of
-    |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known; ``findings`` what cannot be
-    resolved. Standard errors hold for independent noise of the stated uncertainty or, without one, for noise of the
-    same relative size in Z at every point, judged from the residual: a model that does not fit gives errors that mean
-    little. Those of k_eff and of the static capacitance hold how far the background varies over the band as well.
+    ``resonances`` are by frequency. ``static_capacitance`` (F) and ``loss_tangent`` are of the background in the middle
+    of the band: C0, modes beyond the band and losses in parallel. ``series_resistance`` (ohm) is 0 if not fitted.
+    ``model`` is the fitted spectrum at the points of the fit, ``rms_residual`` the root mean square of |Z_model / Z -
+    1|, ``reduced_chi_square`` None without an uncertainty of the spectrum. ``findings`` name unresolved resonances.
+
+    Standard errors assume independent noise: of the stated uncertainty or, without one, of the same relative size in Z
+    at every point, estimated from the residual. They mean little if the model does not fit. Those of k_eff and of the
+    static capacitance include the variation of the background over the band.
     """
 
     resonances: tuple[FittedResonance, ...]
@@ -129,16 +132,16 @@ def fit_circuit(
     band: tuple[float | str, float | str] | None = None,
     series_resistance: bool = False,
 ) -> CircuitFit:
-    """Fit the circuit of one resonance: R1, L1 and C1 in series, C0 across them.
+    """Fit the circuit of one resonance: R1, L1, C1, and parallel C0.
 
-    Everything in `band` is fitted, which another resonance spoils: :func:`fit_resonances` takes several. `near`
-    says which resonance the fit starts from, the deepest unless stated (both in Hz, or texts with their units);
-    `series_resistance` puts Rs, that of leads, before the circuit. A finding says that one resonance does not explain
-    the spectrum (:data:`LARGE_RESIDUAL`).
+    All points in `band` are fitted, so another resonance in it spoils the fit; :func:`fit_resonances` fits several.
+    `near` is the frequency of the resonance from which the fit starts, by default the deepest (both in Hz, or texts
+    with their units). `series_resistance` adds Rs, of leads, in series. A finding reports that one resonance does not
+    explain the spectrum (:data:`LARGE_RESIDUAL`).
 
     Raises:
         NoResonance: there is none to start from.
-        InputError: `near` or `band` is not of the spectrum, or it is not that of a passive device.
+        InputError: `near` or `band` does not fit the spectrum, or the device is not passive.
         ValueError: too few points, or a fit that does not converge.
     """
     seen = fitted_points(spectrum, band, source="fit_circuit")
@@ -146,7 +149,7 @@ def fit_circuit(
     check_passive_spectrum(seen, source="fit_circuit")
     start = figures(seen, near=at)
     capacitance = _static_capacitance(seen, start)
-    # R1 is the smallest |Z|: C1 = 1 / (w R1 Q).
+    # R1 is the smallest |Z|, so C1 = 1 / (w R1 Q).
     motional = 1.0 / (2.0 * math.pi * start.f0 * start.z_min * start.q)
     circuit = BranchCircuit(np.array([[math.log(start.f0), math.log(start.q), math.log(motional), 0.0]]),
                       np.array([math.log(capacitance), 0.0, 0.0]))
@@ -155,21 +158,20 @@ def fit_circuit(
 
 
 def _unexplained(found: CircuitFit) -> tuple[str, ...]:
-    """The finding that a circuit of one resonance leaves more of a spectrum than noise."""
     stated = found.reduced_chi_square
     if found.rms_residual <= LARGE_RESIDUAL or (stated is not None and stated <= LARGE_CHI_SQUARE):
         return ()
-    left, limit = 100.0 * found.rms_residual, 100.0 * LARGE_RESIDUAL
-    return (f"the circuit leaves {left:.3g} % of Z (rms), more than {limit:g} %, and its numbers mean little: several "
-            "resonances in the band (fit_resonances fits them together; or a narrower band), a reactance of reversed "
-            'sign (read it with correction="conjugate"), or noise',)
+    residual, limit = 100.0 * found.rms_residual, 100.0 * LARGE_RESIDUAL
+    return (f"the circuit has a residual of {residual:.3g} % of Z (rms), more than {limit:g} %, so its values mean "
+            "little: several resonances in the band (fit_resonances fits them together; or a narrower band), a "
+            'reactance of reversed sign (read it with correction="conjugate"), or noise',)
 
 
 def _static_capacitance(spectrum: Spectrum, start: Figures) -> float:
     found = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
     if found > 0.0:
         return found
-    # No antiresonance in the band, or overtones spoil the estimate: take the far end's.
+    # No antiresonance in the band, or overtones spoil the estimate: use the susceptance at the upper end.
     susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
     return susceptance / (2.0 * math.pi * float(spectrum.frequency[-1]))
 
@@ -183,18 +185,21 @@ def bvd_impedance(
     static_capacitance: float,
     series_resistance: float = 0.0,
 ) -> Complex:
-    """Z (n,) ohm, e^{+j w t}, of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz; values in SI."""
+    """Z (n,) ohm of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz. The sign convention is e^{+j w t}; values
+    are in SI."""
     omega = 2.0 * np.pi * frequency
     motional = motional_resistance + 1j * (omega * motional_inductance - 1.0 / (omega * motional_capacitance))
     return np.asarray(series_resistance + 1.0 / (1j * omega * static_capacitance + 1.0 / motional))
 
 
 def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
-    """Refuse a spectrum of an active device or of a reactance of reversed sign, under the name of `source`.
+    """Raise for an active device or a reactance of reversed sign.
+
+    `source` is the source in the message.
 
     Raises:
         InputError: a tenth of the points has a resistance below zero by more than an offset, or the reflection
-            coefficient turns the wrong way and most points are inductive.
+            coefficient turns anticlockwise and most points are inductive.
     """
     margin = NEGATIVE if spectrum.uncertainty is None else NEGATIVE + 3.0 * spectrum.uncertainty / spectrum.magnitude
     share = spectrum.impedance.real / spectrum.magnitude + margin
@@ -204,7 +209,7 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
             source, "spectrum",
             f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {spectrum.frequency[worst]:.9g} Hz",
             "that of a passive device, Re Z > 0; if its sign was recorded wrongly, read it with correction=\"negate\"")
-    # A narrow band of a lossy device may turn so too, but where it is mostly capacitive the sign is right.
+    # A lossy device may turn anticlockwise in a narrow band too; if it is mostly capacitive, its sign is right.
     if turns_anticlockwise(spectrum) and np.median(spectrum.impedance.imag) > 0.0:
         raise InputError(
             source, "spectrum", "a reflection coefficient that turns anticlockwise with rising frequency",
@@ -217,20 +222,18 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
 
 @dataclass(frozen=True)
 class Freedom:
-    """The numbers of a circuit that a fit moves, besides f, Q and C of every branch and C0.
-
-    ``losses``: phases and the loss tangent; ``series_resistance``; ``held`` branches are confined to frequencies
-    (Hz) from the first to the second, by index.
-    """
+    """The free parameters besides f, Q and C of branches and C0. ``losses`` are phases and the loss tangent.
+    ``confined`` has ranges of frequency (low, high) in Hz for some branches, by index."""
 
     losses: bool = False
     series_resistance: bool = False
-    held: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    confined: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class BranchCircuit:
-    """The numbers of a circuit: ``branches`` (k, 4) of ln f, ln Q, ln C and phase; ``rest`` (3,) of ln C0, t, Rs."""
+    """The parameters of a circuit. ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and
+    Rs."""
 
     branches: Real
     rest: Real
@@ -246,14 +249,15 @@ class BranchCircuit:
         return np.exp(np.clip(self.branches[:, 0] - self.branches[:, 1], -LARGEST, LARGEST))
 
     def with_branch(self, frequency: float, bandwidth: float) -> BranchCircuit:
-        """The circuit with one more branch, the last one (Hz), of hardly any capacitance."""
+        """The circuit with one more branch (Hz), whose capacitance is tiny."""
         new = [math.log(frequency), math.log(frequency / bandwidth), float(self.rest[0]) - 20.0, 0.0]
         return replace(self, branches=np.vstack([self.branches, new]))
 
     def with_amplitudes(self, spectrum: Spectrum, *, losses: bool) -> BranchCircuit:
-        """The circuit with the capacitances, and the phases of `losses`, that leave the least relative error of Y.
+        """The circuit whose capacitances minimise the relative error of Y.
 
-        They enter Y linearly. Without losses none is below zero, and one of zero stays as it was.
+        With `losses`, the phases are found too. Both enter Y linearly. Without losses no capacitance is below zero, and
+        one whose best value is zero does not change.
         """
         frequency = spectrum.frequency
         columns = [np.ones(len(frequency), dtype=complex)]
@@ -283,7 +287,7 @@ class BranchCircuit:
         return np.concatenate([self.branches.ravel(), self.rest])
 
     def moved(self, vector: Real) -> BranchCircuit:
-        """A circuit of as many branches with the numbers of a vector."""
+        """A circuit of as many branches with the parameters of a vector."""
         return BranchCircuit(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
 
     def impedance(self, frequency: Real) -> Complex:
@@ -291,7 +295,7 @@ class BranchCircuit:
         return self.with_slopes(frequency)[0]
 
     def with_slopes(self, frequency: Real) -> tuple[Complex, Complex]:
-        """Z (n,) ohm and its derivatives (n, numbers) by those of :meth:`vector`."""
+        """Z (n,) ohm and its derivatives (n, p) by :meth:`vector`."""
         omega = 2.0 * np.pi * frequency
         capacitance, slopes = self.capacitance(frequency)
         admittance = 1j * omega * capacitance
@@ -299,8 +303,8 @@ class BranchCircuit:
             -1j * omega[:, None] * slopes / admittance[:, None] ** 2, np.ones_like(omega)])
 
     def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
-        """Y / (j w) (n,) F of all but Rs and the branches `without`, and its derivatives (n, numbers - 1) by the rest.
-        """
+        """Y / (j w) (n,) in F, without Rs and some branches. `without` are the indices of those. Also its derivatives
+        (n, p - 1) by the parameters other than Rs."""
         columns: list[NDArray[Any]] = []
         static = math.exp(_within(self.rest[0])) * np.ones(len(frequency), dtype=complex)
         total = static * (1.0 - 1j * self.rest[1])
@@ -317,13 +321,14 @@ class BranchCircuit:
 
 
 def _within(logarithm: float) -> float:
-    """The logarithm of a branch that is on its way out, as a number."""
+    """The logarithm, limited so that its exponential is finite."""
     return float(min(max(logarithm, -LARGEST), LARGEST))
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedCircuit:
-    """A circuit that fits a spectrum best: ``squares`` its sum of weighted squares, ``covariance`` of its vector."""
+    """A circuit that was fitted to a spectrum. ``squares`` is its sum of weighted squares, ``covariance`` that of its
+    vector, ``free`` the indices of its free parameters."""
 
     spectrum: Spectrum
     circuit: BranchCircuit
@@ -333,37 +338,37 @@ class SolvedCircuit:
     covariance: Real
 
     @property
-    def left(self) -> float:
-        """Weighted squares by degrees of freedom: reduced chi-square, or the variance of ln Z."""
+    def variance(self) -> float:
+        """Reduced chi-square, or the variance of ln Z without a stated noise."""
         return self.squares / max(2 * len(self.spectrum.frequency) - len(self.free), 1)
 
     def errors(self) -> Real:
-        """Standard errors of the numbers of the vector, 0 of what was not fitted."""
+        """Standard errors of the vector, 0 for fixed parameters."""
         return np.sqrt(np.diag(self.covariance))
 
     def fit(self, listed: Sequence[int] | None = None, findings: tuple[str, ...] = ()) -> CircuitFit:
-        """The result, of the branches `listed` by index, of all unless given."""
+        """The result for the branches `listed` by index, by default all."""
         branches = self.circuit.branches
         chosen = sorted(range(len(branches)) if listed is None else listed, key=lambda k: float(branches[k, 0]))
         impedance = self.circuit.impedance(self.spectrum.frequency)
         return CircuitFit(
             tuple(self._resonance(k, chosen) for k in chosen), *self._static(chosen), self._number(-1),
-            Spectrum(self.spectrum.frequency, impedance), *left_over(self.spectrum, impedance, len(self.free)),
+            Spectrum(self.spectrum.frequency, impedance), *residual_size(self.spectrum, impedance, len(self.free)),
             findings)
 
     def background(self, frequency: float, listed: Sequence[int]) -> tuple[complex, Complex, float]:
-        """Capacitance (F) at a frequency (Hz) of all but the branches `listed`, its derivatives (numbers - 1,), half of
-        its range (F) over the band.
+        """The capacitance (F) without the branches `listed`, at a frequency (Hz).
 
-        A band does not tell the static capacitance from that of modes beyond its ends, or a loss of coupling from one
-        in parallel, so these are taken together. Another band, with other modes, moves it by about that half range.
+        Also its derivatives (p - 1,), and half of its range (F) over the band. A band cannot separate the static
+        capacitance from modes beyond its ends, or a loss of coupling from a loss in parallel, so the background
+        includes all of these. In another band, with other modes, it differs by about that half range.
         """
         (value,), (slopes,) = self.circuit.capacitance(np.array([frequency]), listed)
         over_band, _ = self.circuit.capacitance(self.spectrum.frequency, listed)
         return complex(value), slopes, 0.5 * float(np.ptp(over_band.real))
 
     def _static(self, listed: Sequence[int]) -> tuple[FittedNumber, FittedNumber]:
-        """Capacitance (F) and loss tangent of the background in the middle of the band."""
+        """Capacitance (F) and loss tangent of the background at mid-band."""
         middle = 0.5 * float(self.spectrum.frequency[0] + self.spectrum.frequency[-1])
         value, slopes, changed = self.background(middle, listed)
         tangent = -value.imag / value.real
@@ -371,7 +376,7 @@ class SolvedCircuit:
                 FittedNumber(tangent, self._error((slopes.imag + tangent * slopes.real) / value.real)))
 
     def _error(self, slopes: Real) -> float:
-        """Standard error of a value with these derivatives by the numbers but Rs."""
+        """Standard error of a value with these derivatives (p - 1,)."""
         return math.sqrt(max(float(slopes @ self.covariance[:-1, :-1] @ slopes), 0.0))
 
     def _resonance(self, k: int, listed: Sequence[int]) -> FittedResonance:
@@ -384,7 +389,7 @@ class SolvedCircuit:
             self._number(phase))
 
     def _coupling(self, k: int, listed: Sequence[int]) -> FittedNumber:
-        """k_eff of a branch: k^2 = C / (Cb + C) with the background's capacitance Cb at its frequency."""
+        """k_eff of a branch from the background's capacitance at its frequency."""
         own = self._exponential({OF_BRANCH * k + 2: 1.0}).value
         value, slopes, changed = self.background(float(self.circuit.frequencies[k]), listed)
         if not value.real > 0.0:
@@ -400,19 +405,20 @@ class SolvedCircuit:
         return FittedNumber(float(self.circuit.vector()[index]), math.sqrt(self.covariance[index, index]))
 
     def _exponential(self, powers: Mapping[int, float], constant: float = 0.0) -> FittedNumber:
-        """e to a constant and a weighted sum of logarithms of the vector, with its standard error."""
+        """e to a constant plus a weighted sum of logarithms, with error."""
         places, weights = list(powers), np.array(list(powers.values()))
         logarithm = constant + float(weights @ self.circuit.vector()[places])
-        # Of a branch that hardly matters, a number may be beyond all floating-point numbers.
+        # A parameter of a negligible branch may overflow.
         value = math.exp(logarithm) if logarithm < math.log(sys.float_info.max) else math.inf
         variance = float(weights @ self.covariance[np.ix_(places, places)] @ weights)
         return FittedNumber(value, value * math.sqrt(max(variance, 0.0)))
 
 
 def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> SolvedCircuit:
-    """The circuit nearest to `start` that fits ln Z best; everything positive is so by construction.
+    """The circuit nearest to `start` that minimises the residual of ln Z.
 
-    With losses, whose numbers may hardly matter, a fit that has come close is taken for the end.
+    Positive parameters are fitted as logarithms. With losses, some parameters may hardly matter, so a fit near the
+    minimum is accepted.
 
     Raises:
         ValueError: too few points, or no convergence.
@@ -422,7 +428,7 @@ def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> Solved
     if len(spectrum.frequency) < len(free):
         raise ValueError(f"{len(spectrum.frequency)} points do not determine {len(free)} parameters of a circuit")
     low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
-    for index, (lowest, highest) in freedom.held.items():
+    for index, (lowest, highest) in freedom.confined.items():
         low[OF_BRANCH * index], high[OF_BRANCH * index] = math.log(lowest), math.log(highest)
     weight = np.ones(len(spectrum.frequency))
     if spectrum.uncertainty is not None:
@@ -434,7 +440,7 @@ def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> Solved
         return start.moved(vector)
 
     def residual(part: Real) -> Real:
-        # A step too far is no number, and is taken back by the search.
+        # A step that overflows is NaN, and the search rejects it.
         with np.errstate(all="ignore"):
             logarithm = weight * np.log(whole(part).impedance(spectrum.frequency) / spectrum.impedance)
         return np.concatenate([logarithm.real, logarithm.imag])
@@ -452,7 +458,7 @@ def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> Solved
 
 
 def _free(count: int, freedom: Freedom) -> NDArray[np.int64]:
-    """The places of what is fitted in the vector of a circuit of so many branches."""
+    """The indices of the free parameters of a circuit of `count` branches."""
     last = OF_BRANCH * count
     found = [k for k in range(last) if k % OF_BRANCH != OF_BRANCH - 1 or freedom.losses]
     found += [last, *([last + 1] if freedom.losses else []), *([last + 2] if freedom.series_resistance else [])]
@@ -463,9 +469,12 @@ def least_squares_of(
     residual: Callable[[Real], Real], jacobian: Callable[[Real], Real], start: Real,
     bounds: tuple[Real, Real] | None = None, *, near: bool = False,
 ) -> tuple[Real, Real, float]:
-    """The vector (p,) at which the residuals (n,) are smallest, their Jacobian (n, p) there, the sum of squares.
+    """Minimise the sum of squares of residuals (n,) over a vector (p,).
 
-    To rounding, or `near` it: until a step gains 1e-8 of the sum, or after :data:`STEPS`.
+    It converges to rounding. With `near`, it ends when a step gains less than 1e-8 of the sum, or after :data:`STEPS`.
+
+    Returns:
+        The vector (p,), the Jacobian (n, p) at it, and the sum of squares.
 
     Raises:
         ValueError: not converged.
@@ -478,8 +487,9 @@ def least_squares_of(
     return found.x, found.jac, 2.0 * float(found.cost)
 
 
-def left_over(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[float, float | None]:
-    """The rms of |Z_model / Z - 1|, and the reduced chi-square of a fit of so many parameters, None without noise."""
+def residual_size(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[float, float | None]:
+    """The rms of |Z_model / Z - 1|, and the reduced chi-square. The latter is None without an uncertainty of the
+    spectrum."""
     off = np.abs(impedance - spectrum.impedance)
     rms = float(np.sqrt(np.mean((off / spectrum.magnitude) ** 2)))
     if spectrum.uncertainty is None:
@@ -488,7 +498,8 @@ def left_over(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[
 
 
 def covariance_of(jacobian: Real, squares: float, *, known: bool) -> Real:
-    """Covariance (p, p) of the fitted vector; scaled by the residual where the uncertainty is not `known`."""
+    """Covariance (p, p) of a vector, from its Jacobian (n, p). It is scaled by the residual unless the uncertainty is
+    `known`."""
     # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
     norm = np.linalg.norm(jacobian, axis=0)
     norm = np.where(norm > 0.0, norm, 1.0)

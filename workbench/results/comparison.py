@@ -1,4 +1,4 @@
-"""A simulated spectrum against a measured one, on the measured frequencies."""
+"""Comparison of a simulated spectrum with a measured one."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ class MetricRow:
 
     @property
     def difference_percent(self) -> float:
-        """Difference 100 (simulated - measured) / measured in per cent: positive if the simulation is too high."""
+        """100 (simulated - measured) / measured, in per cent."""
         return 100.0 * (self.simulated - self.measured) / self.measured
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):
-    """Differences between `simulated` and `measured` over their common band, (n,) points of the measured grid.
+    """Differences between `simulated` and `measured` over their common band.
 
-    ``measured`` and ``simulated`` are both on that grid; ``fraction_used`` is n over the measured points.
-    ``log_residual`` (n,) is ln(Z_sim / Z_meas): its real part the relative error of magnitude, its imaginary part the
-    error of phase in radian, principal value. (Passive impedances differ by at most 180 degrees of phase, so nothing
-    has to be unwrapped.) ``mape_percent`` is the mean of | |Z_sim| - |Z_meas| | / |Z_meas|; ``rms_log_residual`` the
-    root mean square of |ln(Z_sim / Z_meas)|; ``worst_percent``, at ``worst_frequency``, the largest relative error of
-    |Z|, which a mean over the band hides: it is usually on a peak.
-    ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in
-    squares) is None if neither is known. ``rows`` compare f0, Z_min and Q, before them fs and Q by the conductance if a
-    resonance is weak; if a resonance is missing they are empty and ``rows_missing`` gives the reason.
+    Both are on the n points of the measured grid in that band; ``fraction_used`` is n over the measured points.
+    ``log_residual`` (n,) is ln(Z_sim / Z_meas): its real part is the relative error of magnitude, its imaginary part
+    the error of phase in radian, principal value. (Passive impedances differ by at most 180 degrees of phase, so no
+    unwrapping is needed.) ``mape_percent`` is the mean of | |Z_sim| - |Z_meas| | / |Z_meas|, ``rms_log_residual`` the
+    root mean square of |ln(Z_sim / Z_meas)|, ``worst_percent`` the largest relative error of |Z|, at
+    ``worst_frequency``, usually on a peak. ``reduced_chi_square`` (2 n real data, no parameter discounted; the
+    uncertainties of both spectra added in squares) is None if neither is known. ``rows`` compare f0, Z_min and Q, and
+    before them fs and Q by the conductance if a resonance is weak. Without a resonance they are empty and
+    ``rows_missing`` gives the reason.
     """
 
     measured: Spectrum
@@ -71,7 +71,7 @@ class Comparison(Shown):
                        ("measured",))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Both impedances (ohm, real and imaginary parts) and ln(Z_sim / Z_meas) over ``frequency`` (Hz)."""
+        """Both impedances (ohm) and ln(Z_sim / Z_meas) over ``frequency`` (Hz)."""
         both = {f"{name}_{part}": values for name, spectrum in (("measured", self.measured),
                                                                 ("simulated", self.simulated))
                 for part, values in spectrum.to_xarray().data_vars.items()}
@@ -85,10 +85,10 @@ class Comparison(Shown):
 def compare(
     measured: Spectrum | WithSpectrum, simulated: Spectrum | WithSpectrum, *, near: float | None = None
 ) -> Comparison:
-    """Compare over the measured points that `simulated` covers; `near` (hertz) chooses among resonances.
+    """Compare two spectra at the measured points that `simulated` covers.
 
-    Both are spectra, or results that have one: a reading, a simulation. The figures of merit are taken from each
-    spectrum on its own grid, within the common band.
+    Both are spectra, or results with one: a reading, a simulation. Figures of merit are of the resonance nearest to
+    `near` (Hz), by default the deepest, in each spectrum on its own grid within the common band.
 
     Raises:
         ValueError: the bands share fewer than two measured points, or two simulated ones.

@@ -1,4 +1,4 @@
-"""Coupling factors of a mode from its two resonances, and the plates whose modes have a coupling factor of a name.
+"""Coupling factors of a mode from its two resonances.
 
 Any mode has an effective coupling factor k_eff. The thickness coupling factor kt belongs to the thickness mode of a
 wide plate, the planar one kp to the first radial mode of a thin disc (IEEE Std 176-1987); a stack has neither.
@@ -17,29 +17,29 @@ from geometry.chip import Chip
 from geometry.measure import Axisymmetric
 from materials.kinds import Material, Piezoelectric
 
-#: Least width over thickness of a plate whose thickness mode, or planar mode, is that of its formula (EN 50324-2).
-#: Halved, radial overtones share the thickness mode.
+#: Least ratio of width to thickness for the formulas of the thickness mode and the planar mode (EN 50324-2). Halved,
+#: radial overtones couple with the thickness mode.
 WIDE = 10.0
 
-#: Relative distance up to which a resonance is taken for a mode whose frequency follows from dimensions and material.
-#: Doubled, a radial overtone beside the thickness mode is called by its name.
+#: Largest relative difference between the frequency of a resonance and that computed for a mode. Doubled, a radial
+#: overtone near the thickness mode counts as the thickness mode.
 NEAR = 0.1
 
-#: Most that the largest |Z| of the planar mode lies above its smallest |Z|: kp of 0.8. Further up, it is of another
-#: mode.
+#: Largest ratio of the frequencies of the largest and the smallest |Z| of the planar mode, for kp = 0.8. Beyond it, the
+#: largest |Z| is of another mode.
 PLANAR_PAIR = 1.5
 
-#: Part of a face's half width that an electrode covers at least. Lowered, the rim without field lowers the coupling.
+#: Least radius of an electrode relative to its face. Below it, the uncovered edge reduces the coupling.
 COVERED = 0.95
 
 
 @dataclass(frozen=True)
 class Plate:
-    """A bare piezoelectric plate with electrodes all over its faces, wide beside its thickness.
+    """A bare, wide piezoelectric plate whose electrodes cover its faces.
 
-    ``thickness_mode`` is the pair of its series and its parallel resonance (Hz) through the thickness; ``planar_mode``
-    the series resonance (Hz) of the first radial mode of a disc, None for a straight plate; ``poisson_ratio`` that of
-    the disc in its plane.
+    ``thickness_mode`` is its series and parallel resonance (Hz) through the thickness, ``planar_mode`` the series
+    resonance (Hz) of the first radial mode of a disc, None for a straight plate, ``poisson_ratio`` the disc's in-plane
+    ratio.
     """
 
     thickness_mode: tuple[float, float]
@@ -47,14 +47,14 @@ class Plate:
     poisson_ratio: float
 
     def thickness_coupling(self, series: float, parallel: float) -> float:
-        """kt of the mode with these two resonances (Hz), NaN if it is not the thickness mode of the plate."""
+        """kt from two resonances (Hz), NaN if they are of another mode."""
         low, high = self.thickness_mode
         if abs(series / low - 1.0) > NEAR or abs(parallel / high - 1.0) > NEAR:
             return math.nan
         return thickness_coupling(series, parallel)
 
     def planar_coupling(self, series: float, parallel: float) -> float:
-        """kp of the mode with these two resonances (Hz), NaN if it is not the planar mode of the plate."""
+        """kp from two resonances (Hz), NaN if they are of another mode."""
         expected = self.planar_mode
         if expected is None or abs(series / expected - 1.0) > NEAR or parallel > PLANAR_PAIR * series:
             return math.nan
@@ -62,24 +62,23 @@ class Plate:
 
 
 def effective_coupling(series: float, parallel: float) -> float:
-    """The effective coupling factor of any mode, k^2 = (fp^2 - fs^2) / fp^2 (IEEE Std 176-1987)."""
+    """Effective coupling factor of any mode from its two resonances (Hz). k^2 = (fp^2 - fs^2) / fp^2 (IEEE Std
+    176-1987)."""
     return math.sqrt(1.0 - _ratio(series, parallel) ** 2)
 
 
 def thickness_coupling(series: float, parallel: float) -> float:
-    """Coupling factor kt of the thickness mode of a wide plate from its two resonances (Hz).
-
-    kt^2 = (pi / 2) (fs / fp) tan((pi / 2) (fp - fs) / fp), IEEE Std 176-1987.
-    """
+    """Coupling factor kt of a thickness mode from its two resonances (Hz). kt^2 = (pi / 2) (fs / fp) tan((pi / 2) (fp -
+    fs) / fp), IEEE Std 176-1987."""
     ratio = _ratio(series, parallel)
     return math.sqrt(0.5 * math.pi * ratio * math.tan(0.5 * math.pi * (1.0 - ratio)))
 
 
 def planar_coupling(series: float, parallel: float, poisson_ratio: float) -> float:
-    """Coupling factor kp of the first radial mode of a thin disc from its two resonances (Hz).
+    """Coupling factor kp of a planar mode from its two resonances (Hz).
 
-    kp^2 / (1 - kp^2) = (1 - nu - x J0(x) / J1(x)) / (1 + nu) at x = x1 fp / fs, where x1 is the first root of
-    x J0(x) = (1 - nu) J1(x): the planar resonance equation (Onoe, Tiersten and Meitzler 1963; IEEE Std 176-1987).
+    kp^2 / (1 - kp^2) = (1 - nu - x J0(x) / J1(x)) / (1 + nu) at x = x1 fp / fs, where x1 is the first root of x J0(x) =
+    (1 - nu) J1(x): the planar resonance equation (Onoe, Tiersten and Meitzler 1963; IEEE Std 176-1987).
     """
     x = planar_root(poisson_ratio) / _ratio(series, parallel)
     squared = (1.0 - poisson_ratio - x * float(j0(x)) / float(j1(x))) / (1.0 + poisson_ratio)
@@ -87,12 +86,13 @@ def planar_coupling(series: float, parallel: float, poisson_ratio: float) -> flo
 
 
 def planar_root(poisson_ratio: float) -> float:
-    """The first root of x J0(x) = (1 - nu) J1(x), 2 pi fs a over the speed of sound of a thin disc of radius a."""
+    """The first root of x J0(x) = (1 - nu) J1(x). It is 2 pi fs a / c of a thin disc of radius a and speed of sound
+    c."""
     return float(brentq(lambda x: x * float(j0(x)) - (1.0 - poisson_ratio) * float(j1(x)), 1.0, 3.0))
 
 
 def plate_of(chip: Chip, materials: Mapping[str, Material]) -> Plate | None:
-    """The plate that a chip of one layer is; None for a stack, and for a shape or electrodes without the formulas."""
+    """The bare plate of a chip. None for a stack, and for a shape or electrodes without the formulas."""
     layer = chip.transducer
     material = materials[layer.region]
     thickness, across = layer.thickness.value, 2.0 * layer.outer_radius

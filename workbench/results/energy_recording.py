@@ -1,7 +1,8 @@
-"""Recorded focusing of particles over frequency: focusing times, or energy densities, and their peaks.
+"""Recorded focusing times or energy densities over frequency, and their peaks.
 
-A focusing time is inversely proportional to the energy density, with a factor of the particle, the liquid and the start
-(Barnkob et al. 2010, Lab Chip 10, 563). Peaks are fitted to the rate, 1/t* or E_ac, over the square of the voltage.
+A focusing time is inversely proportional to the energy density, with a factor that depends on the particle, the liquid
+and the start (Barnkob et al. 2010, Lab Chip 10, 563). Peaks are fitted to the rate, 1/t* or E_ac, over the square of
+the voltage.
 """
 
 from __future__ import annotations
@@ -19,17 +20,18 @@ Real = NDArray[np.float64]
 
 FOCUSING_TIME, ENERGY_DENSITY = "focusing time", "energy density"
 
-#: Fewest recorded frequencies: a peak has three parameters. With fewer, its intervals are next to infinite.
+#: Fewest recorded frequencies: a peak has three parameters. With fewer, its intervals are nearly infinite.
 FEWEST = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyRecording(Brief):
-    """Focusing times (s) or energy densities (J/m^3) at `frequency` (n,) Hz, sorted by it.
+    """Focusing times (s) or energy densities (J/m^3) at `frequency` (n,) Hz.
 
-    ``kind`` is "focusing time" or "energy density", ``values`` (n,) are of that kind and positive, ``uncertainty`` (n,)
-    their standard deviations, ``voltage`` (n,) Vpp at the electrodes (1 for energy densities per Vpp^2); None if not
-    stated. ``read_as`` is the meaning of the columns of the file ``source``, ``findings`` are sentences about its rows.
+    They are sorted by frequency. ``kind`` is "focusing time" or "energy density", ``values`` (n,) are of that kind and
+    positive, ``uncertainty`` (n,) their standard deviations, ``voltage`` (n,) Vpp at the electrodes (1 for energy
+    densities per Vpp^2); None if not stated. ``read_as`` describes the columns of the file ``source``, ``findings`` are
+    sentences about its rows.
 
     Raises:
         InputError: another kind, arrays of different lengths, a value that is not positive, or too few frequencies.
@@ -66,13 +68,13 @@ class EnergyRecording(Brief):
 
     @property
     def rate(self) -> Real:
-        """1/t* (1/s) or E_ac (J/m^3) at every frequency (n,), per Vpp^2 where the voltage is stated."""
+        """1/t* (1/s) or E_ac (J/m^3) at every frequency (n,). It is per Vpp^2 if the voltage is stated."""
         rate = self.values if self.kind == ENERGY_DENSITY else 1.0 / self.values
         return rate if self.voltage is None else rate / self.voltage**2
 
     @property
     def is_absolute(self) -> bool:
-        """Whether the rate is an energy density per Vpp^2, rather than known but for one factor."""
+        """Whether the rate is an energy density per Vpp^2. Otherwise it has an unknown factor."""
         return self.kind == ENERGY_DENSITY and self.voltage is not None
 
     @property

@@ -2,9 +2,9 @@
 
     rate = sum_k A_k / (1 + y_k^2),      y_k = 2 Q_k (f / f_k - 1)
 
-The fit is one of ln(rate): the scatter of a focusing time or of an energy density is a share of it, not an amount. The
-scale of the noise is that of the residual (Student t), or the stated uncertainty where the residual does not contradict
-it. Two peaks are taken if an information criterion strongly prefers them.
+The fit is of ln(rate), since the scatter of a focusing time or of an energy density is relative. The noise is estimated
+from the residual (Student t), or is the stated uncertainty if the residual does not contradict it. Two peaks are chosen
+if an information criterion strongly prefers them.
 """
 
 from __future__ import annotations
@@ -29,44 +29,44 @@ PROBABILITY = 0.95
 #: 1995, J. Am. Stat. Assoc. 90, 773). Halved, noise splits a single peak twice as often.
 STRONG = 6.0
 
-#: Fewest points of two peaks: the corrected criterion needs three more than parameters. With fewer, it is not defined.
+#: Fewest points for two peaks: the corrected criterion is defined for at least three points more than parameters.
 LEAST_FOR_TWO = 2 * OF_PEAK + 3
 
-#: Recorded points that each of two peaks has within its half-power width. With one, a single wrong point is a peak.
+#: Fewest recorded points of each of two peaks within its half-power width. With one, a single wrong point is a peak.
 LEAST_POINTS = 2
 
-#: Shares of the recorded band by which a fitted peak may lie beside it, times the band that a peak may be wide, and
-#: share of the least step that it is wide at least.
+#: Largest distance of a fitted peak from the recorded band, and largest width of a peak, relative to the band; and
+#: least width of a peak relative to the least step.
 BESIDE, WIDEST, NARROWEST = 0.5, 4.0, 0.25
 
-#: Probability of the residual under the stated uncertainty below which that uncertainty is contradicted.
+#: Probability of the residual, given the stated uncertainty, below which it contradicts this uncertainty.
 CONTRADICTED = 1e-3
 
-#: Least noise of ln(rate): a table has six digits at most. Smaller residuals prefer nothing.
+#: Least noise of ln(rate): a table has six digits at most. Smaller residuals have no weight.
 ROUNDING = 1e-6
 
-#: Factor of Q, to either side, beyond which a recording does not determine it.
+#: Factor of the interval of Q, to either side, above which a recording does not determine Q.
 UNDETERMINED = 10.0
 
-#: Distance from a bound, in the band or in ln Q, within which a parameter is at it.
+#: Distance from a bound, relative to the band or in ln Q, below which the bound is active.
 AT_BOUND = 1e-3
 
 #: Ratio of singular values below which a combination of parameters is not determined.
 SINGULAR = 1e-8
 
-#: Starts that are refined. Doubled, a fit takes twice the time and finds nothing else in the tests.
+#: Starts that are refined. Doubled, a fit takes twice the time, with the same results in the tests.
 STARTS = 3
 
-#: Steps of a fit. A second peak where there is none wanders; doubled, it does so for longer.
+#: Steps of a fit. A superfluous second peak does not converge; doubled, it costs more time.
 STEPS = 50
 
 
 @dataclass(frozen=True)
 class FittedPeak:
-    """A peak of a recorded rate: ``frequency`` (Hz), ``q`` and ``height``, in the unit of the rate.
+    """A peak of a recorded rate.
 
-    The intervals hold 95 %; None where the recording does not determine the value. ``points`` is the number of recorded
-    points within the half-power width.
+    ``frequency`` is in Hz, ``height`` in the unit of the rate. Intervals are of 95 %, and None if the recording does
+    not determine the value. ``points`` is the number of recorded points within the half-power width.
     """
 
     frequency: float
@@ -86,7 +86,7 @@ class FittedPeak:
 class PeakFit:
     """The peaks of a recorded rate, the highest first.
 
-    ``noise`` is the standard deviation of ln(rate), rms over the points; ``is_noise_stated`` tells whether it is the
+    ``noise`` is the standard deviation of ln(rate), rms over the points; ``is_noise_stated`` is whether it is the
     stated one. ``preference`` is the information criterion of one peak less that of two, None for too few points for
     two. ``findings`` name parameters at their bounds, peaks beside the recorded band, and a contradicted uncertainty.
     """
@@ -105,7 +105,7 @@ class PeakFit:
 
 @dataclass(frozen=True)
 class _Data:
-    """Points of ln(rate) with their relative weights, and the bounds of a peak's parameters."""
+    """Points of ln(rate) with relative weights."""
 
     frequency: Real
     log_rate: Real
@@ -121,7 +121,6 @@ class _Data:
 
     @property
     def step(self) -> float:
-        """The least distance (Hz) of two recorded frequencies."""
         return float(np.diff(np.unique(self.frequency)).min())
 
     def bounds(self, peaks: int) -> tuple[Real, Real]:
@@ -130,7 +129,7 @@ class _Data:
                 np.tile([np.inf, 1.0 + BESIDE, np.log(end / (NARROWEST * self.step))], peaks))
 
     def parts(self, x: Real) -> tuple[Real, Real, Real]:
-        """ln of every peak (..., peaks, n), y and Q f/f0^2 of the parameters x (..., peaks, 3)."""
+        """ln of every peak (..., peaks, n), y, and Q f/f0^2. The parameters x have the shape (..., peaks, 3)."""
         place, q = self.low + self.span * x[..., 1, None], np.exp(x[..., 2, None])
         y = 2.0 * q * (self.frequency / place - 1.0)
         return x[..., 0, None] - np.log1p(y**2), y, q * self.frequency / place**2
@@ -150,10 +149,11 @@ class _Data:
 def fit_peaks(
     frequency: Real, rate: Real, relative_uncertainty: Real | None = None, *, peaks: int | None = None
 ) -> PeakFit:
-    """Fit one peak or two, two where the information criterion prefers them unless `peaks` states the number.
+    """Fit one peak or two.
 
-    Parameters: `frequency` (n,) Hz, rising, n at least 5, for two peaks at least 9; `rate` (n,) positive, in any unit;
-    `relative_uncertainty` (n,) its standard deviations over itself, None if not stated.
+    The information criterion decides unless `peaks` states the number. Parameters: `frequency` (n,) Hz, rising, n at
+    least 5, for two peaks at least 9; `rate` (n,) positive, in any unit; `relative_uncertainty` (n,) its standard
+    deviations over itself, None if not stated.
     """
     count = frequency.size
     data = _Data(frequency, np.log(rate), np.ones(count) if relative_uncertainty is None else relative_uncertainty)
@@ -161,7 +161,7 @@ def fit_peaks(
     found = _best(data, _double_starts(data) if peaks == 2 else _single_starts(data))
     if peaks is None and count >= LEAST_FOR_TWO:
         two = _best(data, _double_starts(data))
-        # A stated noise that not even two peaks reach would prefer any second peak.
+        # If even two peaks contradict the stated noise, it would prefer any second peak.
         is_known = is_stated and not _is_contradicted(two, count)
         preference = _criterion(found, count, is_known) - _criterion(two, count, is_known)
         if preference > STRONG and min(_peak_points(data, two)) >= LEAST_POINTS:
@@ -171,7 +171,7 @@ def fit_peaks(
     if is_stated and _is_contradicted(found, count):
         is_stated = False
         findings.append(f"the recorded points scatter about the fitted peaks {scatter:.2g} times as widely as their "
-                        "stated uncertainty: the intervals are those of the scatter")
+                        "stated uncertainty: the intervals follow from the scatter")
     scale = 1.0 if is_stated else scatter
     tail = 0.5 + 0.5 * PROBABILITY
     quantile = norm.ppf(tail) if is_stated else student.ppf(tail, _freedom(found, count))
@@ -192,10 +192,8 @@ def _is_contradicted(found: OptimizeResult, count: int) -> bool:
 
 
 def _criterion(found: OptimizeResult, count: int, is_known: bool) -> float:
-    """The Bayesian information criterion of a fit, without what all fits of the same points share.
-
-    With a noise from the residual the penalty is that of small samples (McQuarrie 1999, Stat. Probab. Lett. 44, 79).
-    """
+    """The Bayesian information criterion of a fit, without its common constant. With a noise from the residual, the
+    penalty is that of small samples (McQuarrie 1999, Stat. Probab. Lett. 44, 79)."""
     size = found.x.size
     if is_known:
         return float(_chi_square(found) + size * np.log(count))
@@ -204,7 +202,7 @@ def _criterion(found: OptimizeResult, count: int, is_known: bool) -> float:
 
 
 def _single_starts(data: _Data) -> Real:
-    """Peaks (starts, 1, 3) on a grid of places and widths, the height by least squares; best first."""
+    """Single peaks (starts, 1, 3) on a grid, best first."""
     low, high = data.bounds(1)
     place, q = np.meshgrid(np.linspace(low[1], high[1], 49), np.linspace(low[2], high[2], 10), indexing="ij")
     x = np.stack([np.zeros(place.size), place.ravel(), q.ravel()], axis=1)[:, None, :]
@@ -212,7 +210,7 @@ def _single_starts(data: _Data) -> Real:
 
 
 def _double_starts(data: _Data) -> Real:
-    """Pairs of peaks (starts, 2, 3) on a grid of places, widths and ratios of height; best first."""
+    """Pairs of peaks (starts, 2, 3) on a grid, best first."""
     places, (low, high) = np.linspace(0.0, 1.0, 15), data.bounds(1)
     q = np.linspace(low[2], high[2], 6)[1:]
     one, two = np.triu_indices(places.size, 1)
@@ -224,7 +222,8 @@ def _double_starts(data: _Data) -> Real:
 
 
 def _ranked(data: _Data, x: Real, group: NDArray[np.generic]) -> Real:
-    """The best starts x (starts, peaks, 3), each of another `group`, with their common height."""
+    """The best start x (starts, peaks, 3) of each `group`, best first. The common height of the peaks is by least
+    squares."""
     away = np.logaddexp.reduce(data.parts(x)[0], axis=1) - data.log_rate
     weight = 1.0 / data.sigma**2
     height = -(away @ weight) / weight.sum()
@@ -237,21 +236,18 @@ def _ranked(data: _Data, x: Real, group: NDArray[np.generic]) -> Real:
 
 
 def _best(data: _Data, starts: Real) -> OptimizeResult:
-    """The best of the fits from all `starts` (starts, peaks, 3)."""
     bounds = data.bounds(starts.shape[1])
     return min((least_squares(data.residual, np.clip(start.ravel(), *bounds), data.jacobian, bounds=bounds,
                               max_nfev=STEPS) for start in starts), key=lambda each: each.cost)
 
 
 def _peak_points(data: _Data, found: OptimizeResult) -> list[int]:
-    """The number of recorded frequencies within the half-power width of every peak."""
     y = data.parts(found.x.reshape(-1, OF_PEAK))[1]
     return [int(each) for each in np.count_nonzero(np.abs(y) <= 1.0, axis=1)]
 
 
 def _peaks(data: _Data, found: OptimizeResult, reach: float, findings: list[str]) -> tuple[FittedPeak, ...]:
-    """The peaks, the highest first; `reach` is the half width of an interval in units of the weights. Adds `findings`.
-    """
+    """The peaks, the highest first; adds `findings`. `reach` is the half width of an interval at unit weight."""
     parameters, points = found.x.reshape(-1, OF_PEAK), _peak_points(data, found)
     low, high = (bound.reshape(-1, OF_PEAK) for bound in data.bounds(len(parameters)))
     at_bound = (parameters < low + AT_BOUND) | (parameters > high - AT_BOUND)
@@ -283,10 +279,8 @@ def _peaks(data: _Data, found: OptimizeResult, reach: float, findings: list[str]
 
 
 def _deviations(jacobian: Real, is_free: NDArray[np.bool_]) -> Real:
-    """Standard deviations of the parameters at unit weight, infinite where the points say nothing of one.
-
-    Parameters at a bound are fixed there; their own deviation is infinite.
-    """
+    """Standard deviations of the parameters at unit weight. They are infinite for parameters at a bound, and for all if
+    the points do not determine a combination."""
     found = np.full(is_free.size, np.inf)
     free = jacobian[:, is_free]
     size = np.linalg.norm(free, axis=0)

@@ -2,12 +2,12 @@
 
 Definitions (docs/conventions.md): f0 is the frequency of the smallest |Z|, Z_min = |Z(f0)|, and Q = f0 / (f2 - f1) with
 f1 and f2 the half-power frequencies about f0, where |Y| = |Y|max / sqrt(2). All are taken on
-:meth:`workbench.results.spectrum.Spectrum.interpolant`, not on the recorded points. The fits of a circuit
-(`workbench.results.circuit`) and of a pole (`workbench.results.pole`) estimate what is behind the curve.
+:meth:`workbench.results.spectrum.Spectrum.interpolant`, not on the recorded points. Fits of a circuit
+(`workbench.results.circuit`) and of a pole (`workbench.results.pole`) estimate the parameters of the device.
 
 The dip of |Z| shows the resonance only if its figure of merit M = Q k^2 / (1 - k^2) is large: at M = 15 its width gives
 Q within 1 %, at 3 within 16 %, at 1 half of Q. The conductance Re Y of a branch has its peak at fs and a half width of
-fs / Q whatever the static capacitance, so :class:`Conductance` has both, and the M that tells which to believe.
+fs / Q for any static capacitance, so :class:`Conductance` has both, and M.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ Interpolant = Callable[..., NDArray[np.complex128]]
 #: points find narrower resonances.
 _FINE = 32
 
-#: Least points of that grid within two bandwidths that show a peak of Re Y. Halved, the peak of a resonance without
-#: loss lies between them and its M is far off.
+#: Least points of that grid within two bandwidths that resolve a peak of Re Y. Halved, the peak of a resonance without
+#: loss lies between them and its M is wrong.
 _RESOLVED = 16
 
 #: Figure of merit below which the dip of |Z| shows neither the frequency nor the Q of a resonance: Q by the dip is 2 %
-#: low there. Doubled, dips that are right to 0.5 % are called weak.
+#: low there. Doubled, dips that are accurate to 0.5 % count as weak.
 WEAK = 10.0
 
-#: Meanings of the figures by the heading that reports give them; the glossary has them too.
+#: Meanings of the figures by their heading in reports; the glossary has them too.
 MEANINGS = {
     "f0": 'frequency of the smallest |Z|: the resonance. In a row "by the conductance", that of the largest Re Y.',
     "Z_min": "the smallest |Z|, at f0.",
     "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2. In a row "
-         '"by the conductance", over the width at which Re Y has fallen to half, whatever the static capacitance.',
+         '"by the conductance", over the width at which Re Y has fallen to half, for any static capacitance.',
     "k_eff": "effective coupling factor of this mode, k^2 = 1 - (f0 / fa)^2 (IEEE Std 176); fa is the frequency of the "
              'largest |Z| above f0, in a row "by the conductance" of the largest Re Z. Empty if the band lacks it.',
     "kt": "thickness coupling factor from f0 and fa (IEEE Std 176): only of the thickness mode of a bare plate that is "
@@ -56,8 +56,8 @@ MEANINGS = {
 class NoResonance(ValueError):
     """No resonance with both its half-power points inside the band.
 
-    ``frequency`` and ``impedance`` are those of the smallest |Z| found (hertz, ohm); ``candidates`` the frequencies
-    of the complete resonances that do lie in the band, for `near` or `band`.
+    ``frequency`` and ``impedance`` are of the smallest |Z| in the band (Hz, ohm); ``candidates`` are the frequencies of
+    complete resonances in the band, for `near` or `band`.
     """
 
     def __init__(self, reason: str, *, frequency: float, impedance: float, candidates: tuple[float, ...] = ()) -> None:
@@ -77,13 +77,13 @@ def _no_resonance(reason: str, frequency: float, impedance: float, candidates: t
 
 @dataclass(frozen=True)
 class Antiresonance:
-    """The maximum of |Z| above f0, and the coupling factors of the mode.
+    """The maximum of |Z| above f0, and the mode's coupling factors.
 
-    ``frequency`` Hz and ``z_max`` ohm; ``k_effective`` the effective coupling factor by :attr:`Figures.pair`. ``kt``,
-    the thickness coupling factor, and ``kp``, the planar one, are NaN but for the thickness mode of a bare plate and
-    the first radial mode of a bare thin disc, which only a chip shows (:func:`named`). ``circuit_capacitance`` (farad)
-    is the parallel one of a circuit of this mode alone: a start for a fit, not the static capacitance, which the modes
-    outside the window hide (`workbench.fem.capacitance` has that of a model).
+    ``frequency`` is in Hz, ``z_max`` in ohm; ``k_effective`` is by :attr:`Figures.pair`. The thickness coupling factor
+    ``kt`` and the planar one ``kp`` need the chip (:func:`named`); they are NaN except for the thickness mode of a bare
+    plate and the first radial mode of a bare thin disc. ``circuit_capacitance`` (farad) is the parallel one of a
+    circuit of this mode alone: a start for a fit, not the static capacitance, which the modes outside the window hide
+    (`workbench.fem.capacitance` has that of a model).
     """
 
     frequency: float
@@ -96,13 +96,13 @@ class Antiresonance:
 
 @dataclass(frozen=True)
 class Conductance:
-    """A resonance as the conductance Re Y shows it.
+    """A resonance by its conductance Re Y.
 
-    ``frequency`` (Hz) of its peak, the series resonance fs; ``q`` fs over the width at half of the peak, NaN if Re Y
-    does not fall to half of it on both sides; ``parallel`` (Hz) that of the peak of Re Z above, NaN without one;
-    ``merit`` |Re Y / Im Y| at fs, which is Q k^2 / (1 - k^2) of a resonance by itself. Im Y of overlapping resonances
-    is not that of a capacitance, so ``merit`` is Re Y over the mean of |Y| / f in the band, times fs, if that is 10 or
-    more.
+    ``frequency`` (Hz) is of the peak, the series resonance fs. ``q`` is fs over the width at half of the peak, NaN if
+    Re Y does not fall to half on both sides. ``parallel`` (Hz) is of the peak of Re Z above, NaN without one. ``merit``
+    is |Re Y / Im Y| at fs, which is Q k^2 / (1 - k^2) of an isolated resonance. Im Y of overlapping resonances is not
+    that of a capacitance; so ``merit`` is Re Y over the mean of |Y| / f in the band, times fs, if that is larger and at
+    least 10.
     """
 
     frequency: float
@@ -113,12 +113,12 @@ class Conductance:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of merit of one resonance: frequencies in hertz, impedance in ohm.
+    """Figures of merit of one resonance: frequencies in Hz, impedance in ohm.
 
     ``f0``, ``z_min`` and ``q`` are of the dip of |Z|. ``q_step_change`` is the relative change of Q if every second
-    point is left out: a small value means that the step does not affect Q, an infinite one that the resonance is lost
-    at twice the step. ``antiresonance`` is None if |Z| has no maximum above f0 inside the band, ``conductance`` if Re Y
-    has no peak there. Where :attr:`is_weak`, the conductance has the frequency and the Q of the resonance.
+    point is omitted: if small, the step does not affect Q; if infinite, twice the step loses the resonance.
+    ``antiresonance`` is None if |Z| has no maximum above f0 inside the band, ``conductance`` if Re Y has no peak there.
+    If :attr:`is_weak`, the conductance has the frequency and the Q of the resonance.
     """
 
     f0: float
@@ -132,13 +132,14 @@ class Figures:
 
     @property
     def is_weak(self) -> bool:
-        """Whether the dip of |Z| shows neither the frequency nor the Q of the resonance: M below :data:`WEAK`."""
+        """Whether the figure of merit M is below :data:`WEAK`. Then the dip of |Z| shows neither the frequency nor the
+        Q of the resonance."""
         return self.conductance is not None and self.conductance.merit < WEAK
 
     @property
     def pair(self) -> tuple[float, float] | None:
-        """Series and parallel resonance (Hz): the smallest and the largest |Z|, or the largest Re Y and Re Z of a weak
-        resonance. None if the band does not hold both."""
+        """Series and parallel resonance (Hz); None if one is outside the band. They are at the smallest and the largest
+        |Z|, or the largest Re Y and Re Z of a weak resonance."""
         if self.conductance is not None and self.is_weak:
             found = self.conductance.frequency, self.conductance.parallel
             return None if math.isnan(found[1]) else found
@@ -146,7 +147,7 @@ class Figures:
 
     @property
     def weakness(self) -> str:
-        """A sentence on what is right of a weak resonance; empty for others."""
+        """A sentence about a weak resonance and its right figures, else ""."""
         if self.conductance is None or not self.is_weak:
             return ""
         right = self.conductance
@@ -157,23 +158,23 @@ class Figures:
                 f"show its frequency and its Q; {believed}")
 
     def count_within(self, frequency: NDArray[np.float64]) -> int:
-        """The number of frequencies (n,) Hz that lie within the half-power width of the resonance."""
+        """The number of frequencies (n,) Hz within the half-power width."""
         return int(np.count_nonzero((frequency >= self.f1) & (frequency <= self.f2)))
 
 
 def figures(
     spectrum: Spectrum | WithSpectrum, *, near: float | None = None, band: tuple[float, float] | None = None
 ) -> Figures:
-    """Figures of merit of the deepest resonance of a spectrum, or of the one nearest to `near` (Hz).
+    """Figures of merit of the deepest resonance, or the nearest to `near`.
 
-    `spectrum` may be a result that has one. `band` (low, high) in hertz excludes all other points, those at half power
-    included. A minimum counts as a resonance if |Z| rises by sqrt(2) on both sides before it falls below that minimum
-    again.
+    `near` is in Hz. `spectrum` may be a result that has one. `band` (low, high) in hertz excludes all other points,
+    also for the half-power points. A minimum counts as a resonance if |Z| rises by sqrt(2) on both sides before it
+    falls below that minimum again.
 
     Raises:
-        NoResonance: the smallest |Z| lies at an edge of the band, or a half-power point lies outside it; it carries
-            the known part.
-        ValueError: the band holds fewer than two points.
+        NoResonance: the smallest |Z| lies at an edge of the band, or a half-power point lies outside it; it has the
+            frequency of the minimum.
+        ValueError: the band has fewer than two points.
     """
     whole = spectrum_of(spectrum)
     seen = whole if band is None else whole.restricted(*band)
@@ -182,7 +183,7 @@ def figures(
         coarse = Spectrum(seen.frequency[::2], seen.impedance[::2])
         _, _, low, high = _resonance(coarse, f0)
         change = abs((high - low) / (f2 - f1) - 1.0)
-    except ValueError:  # NoResonance, or fewer than two points left: either way the resonance is lost
+    except ValueError:  # NoResonance, or fewer than two points: in both cases the resonance is lost
         change = math.inf
     found = Figures(f0, z_min, f0 / (f2 - f1), f1, f2, change, _antiresonance(seen, f0, f2 - f1),
                     _conductance(seen, f0, f2 - f1))
@@ -192,7 +193,7 @@ def figures(
 
 
 def named(merit: Figures, plate: Plate | None) -> Figures:
-    """The figures with kt if they are of the thickness mode of a bare `plate`, with kp if of its planar mode."""
+    """The figures with kt or kp, if the mode has one."""
     if merit.antiresonance is None or merit.pair is None or plate is None:
         return merit
     return replace(merit, antiresonance=replace(
@@ -200,7 +201,7 @@ def named(merit: Figures, plate: Plate | None) -> Figures:
 
 
 def measured_figures(spectrum: Spectrum, plate: Plate | None = None) -> tuple[Figures | None, str]:
-    """Figures of a spectrum, those of a bare `plate` with its coupling factors, or why there are none."""
+    """Figures of a spectrum with the coupling factors of a bare `plate`. None, and the reason, without a resonance."""
     try:
         return named(figures(spectrum), plate), ""
     except NoResonance as missing:
@@ -208,14 +209,13 @@ def measured_figures(spectrum: Spectrum, plate: Plate | None = None) -> tuple[Fi
 
 
 def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
-    """The recorded frequencies with `_FINE` - 1 more between each two."""
     points = np.arange(len(spectrum.frequency))
     fine = np.linspace(0.0, points[-1], points[-1] * _FINE + 1)
     return np.asarray(np.interp(fine, points, spectrum.frequency))
 
 
 def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, float, float]:
-    """Numbers f0, Z_min, f1, f2 of the deepest resonance or of the one nearest to `near`."""
+    """f0, Z_min, f1, f2 of the deepest resonance, or the nearest."""
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     magnitude = np.abs(at(grid))
@@ -256,7 +256,7 @@ def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, fl
 
 
 def _extremum(at: Interpolant, grid: NDArray[np.float64], index: int, *, sign: float) -> float:
-    """The frequency of the minimum (`sign` 1) or maximum (-1) of |Z| about `grid[index]`."""
+    """The frequency of the minimum (`sign` 1) or maximum (-1) near `grid[index]`."""
     centre, half = float(grid[index]), float(grid[index + 1] - grid[index - 1])
     found = minimize_scalar(lambda x: sign * math.log(float(np.abs(at(centre + x * half)))),
                             bounds=((grid[index - 1] - centre) / half, (grid[index + 1] - centre) / half),
@@ -265,7 +265,7 @@ def _extremum(at: Interpolant, grid: NDArray[np.float64], index: int, *, sign: f
 
 
 def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antiresonance | None:
-    """The largest |Z| above `f0` and its coupling factors; None if it is at the edge of the band."""
+    """The largest |Z| above `f0`; None if at the band's edge."""
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     grid = grid[grid >= f0]
@@ -279,7 +279,7 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
 
 
 def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance | None:
-    """The largest Re Y within a bandwidth of `f0`; None if that is at the edge, or if the grid does not resolve it."""
+    """The largest Re Y within a bandwidth of `f0`. None if it is at the edge, or if the grid does not resolve it."""
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     impedance = at(grid)
@@ -292,7 +292,7 @@ def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance
         return None
 
     def parabola(values: NDArray[np.float64], peak: int) -> float:
-        """The top (Hz) of a parabola through a largest value and its neighbours: the grid is finer than the width."""
+        """The top (Hz) of a parabola through three points at a maximum."""
         curve = np.polyfit(grid[peak - 1:peak + 2] - grid[peak], values[peak - 1:peak + 2], 2)
         return float(grid[peak] - 0.5 * curve[1] / curve[0]) if curve[0] < 0.0 else float(grid[peak])
 
@@ -315,12 +315,10 @@ def _conductance(spectrum: Spectrum, f0: float, bandwidth: float) -> Conductance
 
 
 def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
-    """Capacitance C0 of a one-mode circuit from the points away from the resonance.
-
-    A lossless one-mode circuit has Im Y / w = C0 (1 + r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The
-    median over the points more than five half-power widths from f0 is insensitive to narrow overtones. Points near fa,
-    where the bracket vanishes and the loss dominates, are left out.
-    """
+    """C0 of a one-mode circuit, from points away from the resonance. A lossless one-mode circuit has Im Y / w = C0 (1 +
+    r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The median over the points more than five half-power
+    widths from f0 is insensitive to narrow overtones. Points near fa, where the bracket vanishes and the loss
+    dominates, are left out."""
     away = np.abs(spectrum.frequency - f0) > 5.0 * bandwidth
     with np.errstate(divide="ignore"):
         bracket = 1.0 + ((fa / f0) ** 2 - 1.0) / (1.0 - (spectrum.frequency / f0) ** 2)

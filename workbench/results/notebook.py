@@ -1,4 +1,4 @@
-"""Views of a result: a table and a figure of its spectra in a notebook, the table in words at a prompt."""
+"""Views of a result, for a notebook and for a prompt."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A result in short: a title, rows of a table, and spectra by label; those in ``measured`` are drawn as dots."""
+    """A result in short: title, rows of a table, spectra by label. Spectra in ``measured`` are drawn as dots."""
 
     title: str
     rows: tuple[tuple[str, ...], ...]
@@ -27,10 +27,7 @@ class Summary:
 
 
 class Shown(Brief):
-    """Base of a result that a notebook shows by its :meth:`summary`, and a prompt by the summary in words.
-
-    Its dataclass has ``repr=False``.
-    """
+    """Base of a result that notebook and prompt show by :meth:`summary`. Its dataclass has ``repr=False``."""
 
     def summary(self) -> Summary:
         """The result in short."""

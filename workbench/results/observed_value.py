@@ -1,4 +1,4 @@
-"""One positive value that was observed at one frequency, in the form of a recording."""
+"""One positive value, observed at one frequency, as a recording."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from workbench.results.spectrum import Spectrum
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ObservedValue(Spectrum):
-    """A recording of one point whose ``impedance`` (1,) is a positive value in the unit of its observable.
+    """A recording of one point with a positive value.
+
+    ``impedance`` (1,) is in the unit of its observable.
 
     Raises:
         ValueError: not one frequency, or a value that is not positive.
@@ -21,9 +23,9 @@ class ObservedValue(Spectrum):
         frequency, value = np.array(self.frequency, dtype=np.float64), np.array(self.impedance, dtype=np.complex128)
         if frequency.shape != (1,) or value.shape != (1,):
             raise ValueError(f"one frequency and one value expected, received {frequency.shape} and {value.shape}")
-        for what, number in (("frequency", frequency[0]), ("value", value[0].real)):
+        for name, number in (("frequency", frequency[0]), ("value", value[0].real)):
             if not (np.isfinite(number) and number > 0.0):
-                raise ValueError(f"a {what} above zero expected, received {number}")
+                raise ValueError(f"a {name} above zero expected, received {number}")
         if value[0].imag != 0.0:
             raise ValueError(f"a real value expected, received {value[0]}")
         object.__setattr__(self, "frequency", frequency)

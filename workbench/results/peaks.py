@@ -1,6 +1,7 @@
 """Peaks of a sampled curve, with prominences and widths.
 
-Definitions are those of `scipy.signal.find_peaks` and `peak_widths`, whose import takes a tenth of a simulation.
+Definitions are as in `scipy.signal.find_peaks` and `peak_widths`. Importing those takes a tenth of the time of a
+simulation.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ Indices = NDArray[np.int64]
 
 
 def find_peaks(values: Real, prominence: float) -> tuple[Indices, Real]:
-    """Indices (k,) of the local maxima of `values` (n,) with at least that `prominence`, and their prominences (k,).
+    """Indices (k,) of local maxima of `values` (n,), and their prominences (k,).
 
-    The prominence is the drop to the higher one of the two minima between the peak and the next higher values, or the
-    ends. A flat top counts once, in its middle. No end is a peak.
+    Peaks below `prominence` are left out. The prominence is the drop to the higher one of the two minima between the
+    peak and the next higher values, or the ends. A flat top counts once, in its middle. The ends are no peaks.
     """
     starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     level, stops = values[starts], np.append(starts[1:] - 1, values.size - 1)
@@ -28,7 +29,8 @@ def find_peaks(values: Real, prominence: float) -> tuple[Indices, Real]:
 
 
 def half_widths(values: Real, places: Indices) -> Real:
-    """Widths (k,), in samples, of the peaks of `values` (n,) at `places` (k,), at half of their prominences."""
+    """Widths (k,), in samples, of peaks of `values` (n,) at half prominence. `places` (k,) are the indices of the
+    peaks."""
     widths = []
     for place in map(int, places):
         height = values[place] - 0.5 * _prominence(values, place)
@@ -37,12 +39,12 @@ def half_widths(values: Real, places: Indices) -> Real:
             low -= 1
         while high < values.size - 1 and values[high] > height:
             high += 1
-        left, right = float(low), float(high)
+        lower, upper = float(low), float(high)
         if values[low] < height:
-            left += (height - values[low]) / (values[low + 1] - values[low])
+            lower += (height - values[low]) / (values[low + 1] - values[low])
         if values[high] < height:
-            right -= (height - values[high]) / (values[high - 1] - values[high])
-        widths.append(right - left)
+            upper -= (height - values[high]) / (values[high - 1] - values[high])
+        widths.append(upper - lower)
     return np.array(widths, dtype=float)
 
 

@@ -1,6 +1,7 @@
-"""Pole of one resonance, fitted to a spectrum: Y = A / (f - fp) + a straight complex background.
+"""Pole of one resonance, fitted to a spectrum.
 
-The pole asks nothing of the other modes but that they vary slowly. Q = Re fp / (2 Im fp).
+Y = A / (f - fp) + a background that is linear in f and complex; Q = Re fp / (2 Im fp). The other modes only have to
+vary slowly.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.results.brief import Brief
-from workbench.results.circuit import FittedNumber, covariance_of, least_squares_of, left_over
+from workbench.results.circuit import FittedNumber, covariance_of, least_squares_of, residual_size
 from workbench.results.merit import Figures, figures
 from workbench.results.spectrum import Spectrum
 
-#: Half-power widths to either side of the resonance that are fitted unless a band is stated. Doubled, the background
-#: of neighbouring modes is no longer straight.
+#: Half-power widths to either side of the resonance in a fit without a band. Doubled, the background of neighbouring
+#: modes is no longer linear.
 REACH = 5.0
 
 
@@ -25,10 +26,10 @@ REACH = 5.0
 class PoleFit(Brief):
     """A pole fitted to a spectrum.
 
-    ``frequency`` (Hz) and ``q`` of the pole; ``model`` the fitted spectrum on the points used; ``rms_residual`` the
-    root mean square of |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known.
-    Standard errors hold for independent noise of the stated uncertainty or, without one, for noise of the same size in
-    Y at every point, judged from the residual.
+    ``frequency`` (Hz) and ``q`` are of the pole, ``model`` is the fitted spectrum at the points of the fit,
+    ``rms_residual`` the root mean square of |Z_model / Z - 1|, ``reduced_chi_square`` None without an uncertainty of
+    the spectrum. Standard errors assume independent noise: of the stated uncertainty or, without one, of the same size
+    in Y at every point, estimated from the residual.
     """
 
     frequency: FittedNumber
@@ -43,7 +44,7 @@ def fit_pole(
 ) -> PoleFit:
     """Fit the pole of one resonance, started from :func:`~workbench.results.merit.figures`.
 
-    Over `band` (Hz) or, without one, :data:`REACH` half-power widths either side.
+    The fit is over `band` (Hz), by default :data:`REACH` half-power widths to either side.
 
     Raises:
         NoResonance: there is none to start from.
@@ -58,12 +59,12 @@ def fit_pole(
 
 
 def _fit(spectrum: Spectrum, start: Figures) -> PoleFit:
-    """Fit Y = A / (x - p) + b + c x, with x in half-power half widths from f0."""
+    """Fit the pole p of Y = A/(x-p) + b + cx. x is the frequency from f0 in half-power half widths."""
     half = 0.5 * (start.f2 - start.f1)
     x = (spectrum.frequency - start.f0) / half
     measured = spectrum.admittance
-    # Without an uncertainty every point of Y counts alike, so that the peak decides; a relative residual would be
-    # ruled by the points of least admittance, where the neighbouring modes are.
+    # Without an uncertainty all points of Y have equal weight, so that the peak dominates. In a relative residual the
+    # points of least admittance would dominate, and with them the neighbouring modes.
     if spectrum.uncertainty is None:
         scale = np.full(len(x), start.z_min)
     else:
@@ -104,4 +105,4 @@ def _fit(spectrum: Spectrum, start: Figures) -> PoleFit:
     impedance = 1.0 / admittance(vector)
     return PoleFit(FittedNumber(pole.real, math.sqrt(covariance[0, 0])),
                    FittedNumber(q, math.sqrt(slope @ covariance @ slope)), Spectrum(spectrum.frequency, impedance),
-                   *left_over(spectrum, impedance, len(vector)))
+                   *residual_size(spectrum, impedance, len(vector)))

@@ -1,8 +1,8 @@
-"""Several resonances of one spectrum, fitted together as the branches of a circuit (`workbench.results.circuit`).
+"""Several resonances of one spectrum, fitted together (`workbench.results.circuit`).
 
-The fit starts from the peaks of the conductance Re Y, a plain circuit first. Whatever is added to it afterwards has to
-earn its place by halving what is left: phases and a loss tangent, with a resonance beyond either end of the band; one
-more resonance within it. Two resonances closer than a bandwidth are not told apart: a second one is said, not listed.
+The fit starts as a plain circuit with the peaks of the conductance Re Y. An addition must halve the residual variance:
+phases, a loss tangent and a resonance beyond either end of the band; then one more resonance within it. Two resonances
+closer than a bandwidth are not resolved: a finding reports the second one.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from workbench.results.spectrum import Spectrum, WithSpectrum, scatter
 
 Real = NDArray[np.float64]
 
-#: Part of the weighted squares by degrees of freedom that an addition to the circuit may leave. Doubled, anything
-#: stays; halved, weak neighbours are not found.
-EARNED = 0.5
+#: Largest ratio of residual variances after and before an addition to the circuit. Doubled, every addition is accepted;
+#: halved, weak neighbours are not found.
+LARGEST_RATIO = 0.5
 
 #: Rise of ln Re Y on both sides of a peak, and of Re Y in standard deviations of noise. Doubled, shoulders are missed;
 #: halved, ripple and noise count as resonances.
 RISE, ABOVE_NOISE = 0.05, 12.0
 
-#: Relative standard error of Q and of C1 above which a resonance is not determined. Doubled, the interval of 95 % of Q
-#: holds zero.
+#: Relative standard error of Q and of C1 above which a resonance is not determined. Doubled, the 95 % interval of Q
+#: contains zero.
 DETERMINED = 0.5
 
-#: Phase (rad) of a branch beyond which it stands for something else than a resonance.
+#: Phase (rad) of a branch above which it is not a resonance.
 PHASE = 1.0
 
 #: Most resonances of a band.
 MOST = 20
 
-#: Where nothing more is added: rms of ln Z, where no noise is stated, and reduced chi-square by the noise.
-#: Doubled, a resonance that changes Z by 1 % is not looked for; halved, a fit takes twice the time.
+#: Residuals below which a circuit gets no further resonance: rms of ln Z, and reduced chi-square by the noise.
+#: Doubled, a resonance that changes Z by 1 % is not found; halved, a fit takes twice the time.
 ENOUGH, ENOUGH_NOISE = 5e-3, 1.5
 
-#: Part of the band that a resonance may be wide. Doubled, the background of other modes is called a resonance.
+#: Largest width of a resonance relative to the band. Doubled, the background of other modes counts as a resonance.
 WIDEST = 0.25
 
 
@@ -53,16 +53,15 @@ def fit_resonances(
     spectrum: Spectrum | WithSpectrum, count: int | None = None, *,
     band: tuple[float | str, float | str] | None = None,
 ) -> CircuitFit:
-    """Fit the resonances of a spectrum, all together, as the branches of one circuit.
+    """Fit the resonances of a spectrum together, as branches of one circuit.
 
-    The result has f, Q, k_eff, R, L and C of each with standard errors. Resonances are those that stand out of `band`
-    (Hz), or the `count` that stand out most. The ``findings`` name what lies closer than a bandwidth.
+    The result has f, Q, k_eff, R, L and C of each with standard errors. It has all prominent resonances in `band` (Hz),
+    or the `count` most prominent ones. The ``findings`` name resonances closer than a bandwidth.
 
     Raises:
-        NoResonance: none stands out.
-        InputError: `band` or `count` cannot be used, or the spectrum is not that of a passive device.
-        ValueError: too few points, a fit that does not converge, or `count` resonances that are not there or not
-            resolved.
+        NoResonance: no resonance is prominent.
+        InputError: invalid `band` or `count`, or the spectrum of an active device.
+        ValueError: too few points, a fit that does not converge, or fewer than `count` resolved resonances.
     """
     seen = fitted_points(spectrum, band, source="fit_resonances")
     if count is not None and (isinstance(count, bool) or not isinstance(count, int | np.integer)
@@ -73,12 +72,12 @@ def fit_resonances(
     try:
         found = solved(seen, start, Freedom())
     except ValueError:
-        beside = _with_surroundings(seen, start)  # a plain circuit may not converge where it lacks much
+        beside = _with_surroundings(seen, start)  # a plain circuit that lacks much may not converge
         if beside is None:
             raise
         found = beside
     else:
-        if _wanting(found):
+        if _is_incomplete(found):
             found = _better(found, _with_surroundings(seen, found.circuit))
     findings: list[str] = []
     while len(listed(found)) < (MOST if count is None else count):
@@ -93,7 +92,7 @@ def fit_resonances(
     if count is None:
         found = _determined(found)
     if count is not None and len(listed(found)) < count:
-        raise ValueError(f"{count} resonances were asked for, {len(listed(found))} can be told apart"
+        raise ValueError(f"{count} resonances requested, {len(listed(found))} resolved"
                          + "".join(f"; {text}" for text in findings))
     if not listed(found):
         raise _nothing(seen)
@@ -101,7 +100,7 @@ def fit_resonances(
 
 
 def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
-    """The resonances of a spectrum, None where none stands out or no circuit fits."""
+    """The resonances of a spectrum, or None if the fit fails."""
     try:
         return fit_resonances(spectrum)
     except ValueError:
@@ -109,31 +108,31 @@ def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
 
 
 def listed(found: SolvedCircuit) -> list[int]:
-    """The branches that are resonances of the band, by index.
+    """The branches that are resonances in the band, by index.
 
-    A branch beyond the band stands for modes there. One whose bandwidth exceeds its frequency is a resistor in
+    A branch beyond the band represents modes there. One whose bandwidth exceeds its frequency is a resistor in
     parallel: the loss of the capacitance and of modes beyond the band.
     """
     low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
     return [k for k, (at, width) in enumerate(zip(found.circuit.frequencies, found.circuit.bandwidths, strict=True))
-            if k not in found.freedom.held and low < at < high and width < at]
+            if k not in found.freedom.confined and low < at < high and width < at]
 
 
 def unresolved(found: SolvedCircuit) -> str | None:
-    """A sentence about two neighbours that are closer than the mean of their bandwidths; None if there are none."""
+    """The finding on neighbours closer than their mean bandwidth, or None."""
     frequencies, widths = found.circuit.frequencies, found.circuit.bandwidths
     ordered = sorted(listed(found), key=lambda k: float(frequencies[k]))
     for one, other in pairwise(ordered):
         apart, width = frequencies[other] - frequencies[one], 0.5 * (widths[one] + widths[other])
         if apart < width:
             return (f"about {0.5e-6 * (frequencies[one] + frequencies[other]):.4f} MHz there is more than one "
-                    f"resonance, and within a bandwidth of {1e-3 * width:.3g} kHz they are not resolved: f, Q and "
-                    "k_eff there are those of all of them together")
+                    f"resonance within a bandwidth of {1e-3 * width:.3g} kHz, and they are not resolved: f, Q and "
+                    "k_eff there are of all of them together")
     return None
 
 
 def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
-    """Frequency (Hz), Q and series capacitance (F) of the peaks of Re Y, that which stands out most first."""
+    """Frequency (Hz), Q and series capacitance (F) of peaks of Re Y. The most prominent one is first."""
     conductance = spectrum.admittance.real
     if not np.max(conductance) > 0.0:
         return []
@@ -155,14 +154,13 @@ def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
 
 
 def _noise(spectrum: Spectrum) -> Real:
-    """Relative standard deviation (n,) of a point: the stated one, or that of what a smooth curve leaves."""
+    """Relative standard deviation (n,) of a point: stated, or from the scatter."""
     if spectrum.uncertainty is not None:
         return np.asarray(spectrum.uncertainty / spectrum.magnitude)
     return np.full(len(spectrum.frequency), scatter(spectrum))
 
 
 def _nothing(spectrum: Spectrum) -> NoResonance:
-    """The error that no resonance stands out."""
     magnitude, lowest = spectrum.magnitude, int(np.argmin(spectrum.magnitude))
     return NoResonance(
         f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
@@ -171,7 +169,7 @@ def _nothing(spectrum: Spectrum) -> NoResonance:
 
 
 def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
-    """A plain circuit of the peaks; its capacitances by linear least squares of the relative error of Y."""
+    """A plain circuit of the peaks. Its capacitances minimise the relative error of Y."""
     peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
     if not peaks:
         raise _nothing(spectrum)
@@ -184,12 +182,12 @@ def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _wanting(found: SolvedCircuit) -> bool:
-    """Whether more is left than noise, or than matters."""
+def _is_incomplete(found: SolvedCircuit) -> bool:
+    """Whether the residual is above the noise and above the relevant size."""
     if found.spectrum.uncertainty is not None:
-        return found.left > ENOUGH_NOISE
+        return found.variance > ENOUGH_NOISE
     noise = scatter(found.spectrum)
-    return found.left > max(0.5 * ENOUGH**2, ENOUGH_NOISE * noise**2)
+    return found.variance > max(0.5 * ENOUGH**2, ENOUGH_NOISE * noise**2)
 
 
 def _attempt(spectrum: Spectrum, circuit: BranchCircuit, freedom: Freedom) -> SolvedCircuit | None:
@@ -200,27 +198,25 @@ def _attempt(spectrum: Spectrum, circuit: BranchCircuit, freedom: Freedom) -> So
 
 
 def _better(found: SolvedCircuit, other: SolvedCircuit | None) -> SolvedCircuit:
-    """The other one if it leaves less than :data:`EARNED` of what is left."""
-    return found if other is None or other.left > EARNED * found.left else other
+    """The `other` circuit if it reduces the residual variance enough (:data:`LARGEST_RATIO`)."""
+    return found if other is None or other.variance > LARGEST_RATIO * found.variance else other
 
 
 def _with_surroundings(spectrum: Spectrum, circuit: BranchCircuit) -> SolvedCircuit | None:
-    """The circuit with losses of coupling and capacitance, and with a resonance beyond either end of the band."""
+    """The circuit with losses and two resonances beyond the band's ends."""
     low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
     width = float(np.median(circuit.bandwidths))
     reach, first = min(width, 0.5 * (high - low), 0.25 * low), len(circuit.branches)
     for at in (low - reach, high + reach):
         circuit = circuit.with_branch(at, width)
-    held = {first: (max(low - (high - low), 0.5 * low), low), first + 1: (high, high + (high - low))}
-    return _attempt(spectrum, circuit, Freedom(losses=True, held=held))
+    confined = {first: (max(low - (high - low), 0.5 * low), low), first + 1: (high, high + (high - low))}
+    return _attempt(spectrum, circuit, Freedom(losses=True, confined=confined))
 
 
 def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
-    """The circuit with one more resonance where most is left, if it earns its place or is `needed`.
-
-    It starts from where most is left, and from the two halves of the resonance next to it.
-    """
-    if not needed and not _wanting(found):
+    """The circuit with one more resonance, if it is better or `needed`. The fit starts at the largest residual, and
+    from two halves of the nearest resonance."""
+    if not needed and not _is_incomplete(found):
         return None
     spectrum, circuit = found.spectrum, found.circuit
     off = np.abs(np.log(circuit.impedance(spectrum.frequency) / spectrum.impedance))
@@ -235,14 +231,14 @@ def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
     split = BranchCircuit(halves, circuit.rest).with_branch(centre + 0.3 * width, width)
     starts = [circuit.with_branch(at, width), split]
     tried = [each for each in (_attempt(spectrum, start, found.freedom) for start in starts) if each is not None]
-    # Not if one that was listed left the band, or became a loss in parallel.
+    # Reject a circuit in which a listed resonance moved out of the band, or became a loss in parallel.
     kept = [each for each in tried if _sound(each) and len(listed(each)) > len(places)
-            and (needed or each.left < EARNED * found.left)]
-    return min(kept, key=lambda each: each.left, default=None)
+            and (needed or each.variance < LARGEST_RATIO * found.variance)]
+    return min(kept, key=lambda each: each.variance, default=None)
 
 
 def _sound(found: SolvedCircuit) -> bool:
-    """Whether the last branch is a resonance of the band: not too wide, determined, and with the phase of one."""
+    """Whether the last branch is a resonance in the band. It must be narrow and determined, and have a small phase."""
     last = len(found.circuit.branches) - 1
     low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
     at, width = float(found.circuit.frequencies[last]), float(found.circuit.bandwidths[last])
@@ -256,11 +252,11 @@ def _exact(found: SolvedCircuit, k: int) -> bool:
 
 
 def _determined(found: SolvedCircuit) -> SolvedCircuit:
-    """The circuit without the resonances that are not determined, the worst one first."""
+    """The circuit without undetermined resonances; the worst is removed first."""
     while True:
         loose = [k for k in listed(found) if not _exact(found, k)]
         if not loose or len(listed(found)) == 1:
             return found
         worst = max(loose, key=lambda k: float(np.max(found.errors()[4 * k + 1:4 * k + 3])))
-        held = {k - (k > worst): ends for k, ends in found.freedom.held.items()}
-        found = solved(found.spectrum, found.circuit.without(worst), replace(found.freedom, held=held))
+        confined = {k - (k > worst): ends for k, ends in found.freedom.confined.items()}
+        found = solved(found.spectrum, found.circuit.without(worst), replace(found.freedom, confined=confined))

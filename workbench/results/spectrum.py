@@ -30,9 +30,9 @@ ORIGIN_KINDS = ("measured", "simulated", "unknown")
 CSV_COLUMNS = ("frequency_hz", "z_real_ohm", "z_imag_ohm")
 UNCERTAINTY_COLUMN = "uncertainty_ohm"
 
-#: The key of the line above the columns that holds the part of the uncertainty that all points share.
+#: The key of the line above the columns with the shared part of the uncertainty.
 SHARED_UNCERTAINTY = "shared uncertainty"
-#: The key of the line that states the number of rows, by which a file that was cut off is recognised.
+#: The key of the line with the number of rows, which reveals a truncated file.
 ROWS = "rows"
 
 
@@ -40,13 +40,13 @@ ROWS = "rows"
 class Origin:
     """The source of a spectrum.
 
-    ``kind`` is "measured", "simulated" or "unknown"; ``source`` the path of the recording as text and ``sha256`` the
-    digest of its bytes; ``settings`` further statements of the source (oscillator level, adapter, corrections applied).
-    Every text is one line: control characters, which foreign files bring along, become escapes. It has no surrounding
-    blanks, so that an origin survives being written to a file.
+    ``kind`` is "measured", "simulated" or "unknown"; ``source`` is the path of the recording as text, ``sha256`` the
+    digest of its bytes, ``settings`` are further statements of the source (oscillator level, adapter, applied
+    corrections). Every text is one line without surrounding blanks, so that a file can store it; control characters
+    become escapes.
 
     Raises:
-        ValueError: an unknown kind, or a text that would not survive.
+        ValueError: an unknown kind, or a text that a file cannot store.
     """
 
     kind: str = "unknown"
@@ -67,7 +67,7 @@ class Origin:
                 raise ValueError(f"origin text {text!r} must not begin or end with blanks")
         for name in self.settings:
             if not name or ":" in name:
-                raise ValueError(f"origin setting name {name!r} must not be empty or hold a colon")
+                raise ValueError(f"origin setting name {name!r} must not be empty or contain a colon")
 
 
 def _one_line(text: str) -> str:
@@ -78,10 +78,10 @@ def _one_line(text: str) -> str:
 class Spectrum(Shown):
     """Impedance against frequency, e^{+j w t}.
 
-    ``frequency`` (n,) Hz, strictly increasing and positive; ``impedance`` (n,) complex ohm, nowhere zero;
-    ``uncertainty`` (n,) ohm or None, the standard uncertainty of the real part and of the imaginary part, each.
-    ``shared_uncertainty`` is its part that all points share, relative to Z: one factor, of a standard's tolerance or of
-    a gain, makes them all too large or all too small. The arrays are copied and read-only. At least two points.
+    ``frequency`` (n,) Hz is strictly increasing and positive; ``impedance`` (n,) complex ohm is nowhere zero;
+    ``uncertainty`` (n,) ohm or None is the standard uncertainty of the real part and of the imaginary part, each.
+    ``shared_uncertainty`` is its common part relative to Z: one factor of all points, from a standard's tolerance or a
+    gain. The arrays are copied and read-only. At least two points.
 
     Raises:
         ValueError: a condition above is violated; the message gives the index and the value.
@@ -131,7 +131,7 @@ class Spectrum(Shown):
     def from_solver(
         cls, frequency: ArrayLike, impedance_minus: ArrayLike, *, origin: Origin | None = None
     ) -> Spectrum:
-        """The spectrum of a solution: `impedance_minus` is in the solver's e^{-i w t} and is conjugated here."""
+        """The spectrum of a solution in e^{-i w t}, conjugated here."""
         return cls(
             np.asarray(frequency, dtype=np.float64),
             np.conj(np.asarray(impedance_minus, dtype=np.complex128)),
@@ -145,10 +145,8 @@ class Spectrum(Shown):
 
     @property
     def noise(self) -> NDArray[np.float64] | None:
-        """Uncertainty of each point by itself, (n,) ohm, without the part that all points share.
-
-        It is at least a thousandth of the whole, since it is a difference of rounded numbers.
-        """
+        """Uncertainty of each point, (n,) ohm, without the shared part. It is at least a thousandth of the whole, since
+        it is a difference of rounded numbers."""
         if self.uncertainty is None or self.shared_uncertainty == 0.0:
             return self.uncertainty
         shared = self.shared_uncertainty * self.magnitude
@@ -172,10 +170,8 @@ class Spectrum(Shown):
                        ("measured",) if self.origin.kind == "measured" else ())
 
     def to_xarray(self) -> xarray.Dataset:
-        """``resistance``, ``reactance`` and, if known, ``uncertainty`` (ohm) over ``frequency`` (Hz).
-
-        Real numbers only, so that it can be written as NetCDF.
-        """
+        """``resistance``, ``reactance`` and, if known, ``uncertainty`` (ohm) over ``frequency`` (Hz). Real numbers
+        only, so that it can be written as NetCDF."""
         import xarray
 
         parts = {"resistance": self.impedance.real, "reactance": self.impedance.imag}
@@ -200,22 +196,21 @@ class Spectrum(Shown):
         return self.at(inside)
 
     def at(self, kept: NDArray[np.bool_]) -> Spectrum:
-        """The points that are `kept`, (n,), at least two."""
+        """The points that are `kept` (n,), at least two."""
         uncertainty = None if self.uncertainty is None else self.uncertainty[kept]
         return replace(self, frequency=self.frequency[kept], impedance=self.impedance[kept], uncertainty=uncertainty)
 
     def interpolant(self) -> Callable[[ArrayLike], NDArray[np.complex128]]:
-        """A smooth Z(f) through every point; its argument must lie within the band.
+        """A smooth Z(f) through every point, within the band.
 
-        A cubic spline through the reflection coefficient G = (Z - Z0) / (Z + Z0), with Z0 the geometric mean of |Z|. A
-        spline of Z is poor at an antiresonance and one of Y at a resonance, because each has a pole half a line width
-        away; G is bounded for anything passive and its poles lie where the loop is loaded by Z0, many line widths away.
-        For a resonator of Q = 600 at 1 MHz sampled every 500 Hz the error is 1e-8 in Z, while a spline of Y is several
-        per cent off.
+        It is a cubic spline through the reflection coefficient G = (Z - Z0) / (Z + Z0), with Z0 the geometric mean of
+        |Z|. A spline of Z is poor at an antiresonance and one of Y at a resonance, because each has a pole half a line
+        width away; G is bounded for passive devices and its poles are many line widths away, since Z0 loads the loop.
+        For a resonator of Q = 600 at 1 MHz sampled every 500 Hz the error is 1e-8 in Z, but several per cent with a
+        spline of Y.
         """
         z0 = float(np.exp(np.mean(np.log(np.abs(self.impedance)))))
-        # It never happens for a passive spectrum. One of reversed polarity may pass by -Z0, and its mirror image is
-        # bounded.
+        # A passive spectrum never does this. One of reversed polarity may pass near -Z0; its mirror image is bounded.
         if np.min(np.abs(self.impedance - z0)) > np.min(np.abs(self.impedance + z0)):
             z0 = -z0
         spline = CubicSpline(self.frequency, (self.impedance - z0) / (self.impedance + z0))
@@ -238,7 +233,7 @@ class Spectrum(Shown):
     def on(self, frequencies: ArrayLike) -> Spectrum:
         """The spectrum interpolated (see :meth:`interpolant`) on `frequencies`, (m,) Hz.
 
-        The uncertainty is interpolated linearly: it is that of the neighbouring points, not reduced by them.
+        The uncertainty is interpolated linearly, not reduced by averaging.
 
         Raises:
             ValueError: a frequency lies outside the band, or they do not increase.
@@ -249,36 +244,36 @@ class Spectrum(Shown):
 
 
 class WithSpectrum(Protocol):
-    """A result that has one spectrum: a reading of a recording, a simulation, a fit."""
+    """A result with one spectrum: a reading, a simulation, a fit."""
 
     @property
     def spectrum(self) -> Spectrum: ...
 
 
 def spectrum_of(given: Spectrum | WithSpectrum) -> Spectrum:
-    """The spectrum itself, or that of a result.
+    """The spectrum itself, or the spectrum of a result.
 
     Raises:
         TypeError: the argument is neither.
     """
     found = given if isinstance(given, Spectrum) else getattr(given, "spectrum", None)
     if not isinstance(found, Spectrum):
-        raise TypeError(f"received a {type(given).__name__}; expected a Spectrum, or what has one in .spectrum: a "
-                        "Reading, a Simulation, a MaterialFit")
+        raise TypeError(f"received a {type(given).__name__}; expected a Spectrum, or a result with one in .spectrum: "
+                        "a Reading, a Simulation, a MaterialFit")
     return found
 
 
 def _refuse(
     wrong: NDArray[np.bool_], values: NDArray[np.float64] | NDArray[np.complex128], name: str, expected: str
 ) -> None:
-    """Raise a ValueError naming the first index at which `wrong` holds."""
+    """Raise a ValueError for the first index at which `wrong` is true."""
     if np.any(wrong):
         index = int(np.argmax(wrong))
         raise ValueError(f"{name}[{index}] = {values[index]} must be {expected}")
 
 
 def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
-    """Correct a spectrum whose sign was recorded wrongly; the settings of its origin note the correction.
+    """Correct the sign of a spectrum; its origin's settings note this.
 
     `correction` is "negate" (phase off by 180 degrees), "conjugate" (phase of the wrong sign) or "signs" (phase or
     reactance without its sign, see :mod:`workbench.results.signs`).
@@ -301,12 +296,11 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
 
 
 def turns_anticlockwise(spectrum: Spectrum) -> bool:
-    """Whether a spectrum is that of a phase of the wrong sign: its reflection coefficient turns anticlockwise.
+    """Whether the reflection coefficient turns anticlockwise, so the phase's sign is wrong.
 
-    Twice the area it sweeps about the origin is then clearly positive, against Foster's reactance theorem.
-
-    A capacitor or inductor sweeps at least 2 |X| Z0 / (X^2 + Z0^2), about one, times ln(f2 / f1) in the other sense;
-    a quarter of that is demanded, so that a resistor (which sweeps nothing but noise) is left alone.
+    Twice the area that it sweeps about the origin is then clearly positive, against Foster's reactance theorem. A
+    capacitor or inductor sweeps at least 2 |X| Z0 / (X^2 + Z0^2), about one, times ln(f2 / f1) in the other sense; a
+    quarter of that is required, so that a resistor (which sweeps only noise) is excluded.
     """
     z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
     reflection = (spectrum.impedance - z0) / (spectrum.impedance + z0)
@@ -315,10 +309,10 @@ def turns_anticlockwise(spectrum: Spectrum) -> bool:
 
 
 def scatter(spectrum: Spectrum) -> float:
-    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
+    """Relative standard deviation of a point about a smooth curve.
 
-    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
-    median keeps out sharp resonances. At least 1e-6, and that of fewer than four points.
+    It follows from third differences of ln Z. For white noise in the real and in the imaginary part their variance is
+    20 times its square; the median excludes sharp resonances. It is at least 1e-6, also for fewer than four points.
     """
     third = np.diff(np.log(spectrum.impedance), 3)
     if not third.size:
@@ -329,12 +323,10 @@ def scatter(spectrum: Spectrum) -> float:
 
 
 def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
-    """Write a spectrum, or that of a result, as the workbench's own file, and return its path.
+    """Write a spectrum, or that of a result, and return its path.
 
-    The file has ``# key: value`` lines of the origin, the column names, the rows.
-
-    Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
-    by :func:`workbench.readers.read_recording`.
+    The workbench's own format has ``# key: value`` lines of the origin, the column names, and the rows. Numbers are
+    read back bit for bit, and the file is complete or absent. :func:`workbench.readers.read_recording` reads it.
 
     Raises:
         InputError: `path` is no path, or that of a folder.

@@ -1,1 +1,1 @@
-"""A chip in one of its states, from its files to spectrum, figures, fields and traps."""
+"""Simulation of a chip in one of its states."""

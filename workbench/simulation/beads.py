@@ -1,4 +1,4 @@
-"""Particles of a simulated state followed through its cavity, and where they are when the time is over.
+"""Trajectories of particles in the cavity of a simulated state.
 
     run = simulate(read_chip("chip.toml"), "filled")
     found = trajectories(run, 1800.0)
@@ -26,14 +26,14 @@ from workbench.model.problem import FilledChip, fill
 from workbench.simulation.liquid_motion import LiquidMotion
 from workbench.simulation.run import Snapshot
 
-#: Depth of a trap, as a share of the span of the potential, below which particles at rest count as levitated and not as
-#: trapped. Rings of traps in the plane of levitation have hundredths of it; at a hundredth, two thirds of the particles
-#: of the paper's chip rest in rings that are none of its traps.
+#: Depth of a trap, relative to the range of the potential, below which particles at rest count as levitated, not as
+#: trapped. Annular traps in the plane of levitation have some 1e-2; with a limit of 1e-2, two thirds of the particles
+#: of the paper's chip rest in annuli that do not count as its traps.
 LEAST_DEPTH = 1e-4
 
 
 class BeadStart(StrEnum):
-    """Where particles are when the sound is switched on."""
+    """The positions of particles when the sound is switched on."""
 
     SPREAD = "spread"
     FLOOR = "floor"
@@ -46,24 +46,24 @@ def trajectories(
 ) -> Trajectories:
     """Follow the particles of a simulated state for a `duration` (s).
 
+    Near walls, the drag is increased.
+
     Args:
         shot: a state at one frequency and drive, with a particle: of `snapshot` or `simulate`.
         particles: number of start points, drawn evenly over the cavity's volume by `seed`; or start points (P, 2) r, z
             in m.
         flow: velocity (N, 2) in m/s with which the liquid carries a particle (streaming and Stokes drift), at the nodes
             of the mesh of the fields or of that of the forces (``shot.traps.forces.mesh``), such as
-            ``liquid_motion(shot).velocity``; none unless given.
-        voltage_factor: of the voltage of `shot`; the radiation force grows with its square. The flow stays as given:
-            it is that of the voltage it was computed for.
-        times: times (n,) in s of the record, ascending from 0 to `duration`; closer at the beginning unless given.
+            ``liquid_motion(shot).velocity``; default: none.
+        voltage_factor: factor on the voltage of `shot`; the radiation force grows with its square. The flow is not
+            scaled.
+        times: times (n,) in s of the record, ascending from 0 to `duration`; by default denser at the beginning.
         tolerance: estimated error of a step in m.
         start: "spread" over the cavity, or on its "floor" below such places (under the lid, if they are light).
 
-    The drag is that next to walls where they are near.
-
     Raises:
-        InputError: a state without particle, an unknown start, a duration that is not positive, a negative seed, a
-            flow that is at no nodes of the cavity, a voltage that no amplifier gives, or see
+        InputError: a state without particle, an unknown start, a duration that is not positive, a negative seed, a flow
+            that is not at the nodes of the cavity, an impossible voltage, or see
             `workbench.acoustics.trajectories.follow`.
     """
     if shot.traps is None:
@@ -87,7 +87,7 @@ def trajectories(
 
 
 def with_particle(chip: Chip, state: str | None, *, particle: str | None, radius: float | None) -> Chip:
-    """The chip with another particle, or another radius (m), in one of its states; those of the file unless given.
+    """The chip with another particle or radius (m) in a state.
 
     Raises:
         InputError: no such state, one of the two is missing, or the particle does not fit the cavity.
@@ -99,7 +99,7 @@ def with_particle(chip: Chip, state: str | None, *, particle: str | None, radius
 
 
 def carrier_of(chip: Chip, state: str | None, registry: Registry | None = None) -> FilledChip:
-    """The chip in a state that has a particle in a liquid, its materials read and checked: nothing is solved.
+    """The chip in a state with a particle in a liquid.
 
     Raises:
         InputError: a state without particle, or see `workbench.model.problem.fill`.
@@ -118,7 +118,7 @@ def _on_forces(shot: Snapshot, flow: FloatArray | None) -> FloatArray | None:
     if flow is None:
         return None
     if not isinstance(flow, np.ndarray):
-        # A newcomer passes the result that holds the array.
+        # New users pass the result that contains the array.
         instead = {Streaming: "flow.carried_on(shot.traps.forces.mesh) of this streaming",
                    LiquidMotion: "flow.velocity of this motion"}.get(type(flow), "an array (N, 2) in m/s")
         raise InputError("trajectories", "flow", type(flow).__name__, f"velocities at the nodes: {instead}")

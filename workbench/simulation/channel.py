@@ -19,10 +19,10 @@ from workbench.simulation.run import Snapshot
 
 
 def channel_figures(shot: Snapshot) -> ChannelFigures:
-    """Energy density by voltage and by power, pressure across and up, and lines of focusing in a straight channel.
+    """Figures of merit of a straight channel: energy density, pressure, focusing.
 
     Args:
-        shot: a state of `snapshot` or `simulate`; lines and the critical diameter need a particle in it.
+        shot: a state of `snapshot` or `simulate`; focusing lines and the critical diameter need a particle in it.
 
     Raises:
         InputError: a round chip, or no liquid in the cavity.

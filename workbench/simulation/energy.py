@@ -1,8 +1,9 @@
-"""The energy of sound in the cavity over frequency, and its peaks: where a channel is to be driven.
+"""The energy of sound in the cavity over frequency, and its peaks.
 
-A circuit's f0, the smallest |Z|, is where the plate shakes. The liquid has resonances of its own. The mean energy
-density over the cavity is a form of the state (`workbench.acoustics.sound_energy`), so a reduced model gives it at any
-frequency for next to nothing. It peaks elsewhere at a constant voltage, behind a generator, and per watt.
+A device is best driven at such a peak. At f0, the smallest |Z|, the plate resonates; the liquid has its own resonances.
+The mean energy density over the cavity is a quadratic form of the state (`workbench.acoustics.sound_energy`), so a
+reduced model gives it at any frequency at low cost. Its peaks differ at a constant voltage, behind a generator, and per
+watt.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: The drive whose energy is that per watt.
+#: The drive for the energy per watt.
 PER_WATT = PowerDrive(1.0)
 
-#: Number of peaks of a band at most: nobody drives at the fifth.
+#: Largest number of peaks of a band.
 MOST = 4
 
-#: Relative tolerance of a peak's frequency. Energy is flat there: the frequency counts to a hundredth of a half width.
+#: Relative tolerance of a peak's frequency. The energy is flat at a peak, so a hundredth of a half width is enough.
 CONVERGED = 1e-8
 
 
 @dataclass(frozen=True)
 class EnergyPeak:
-    """A peak of the mean energy density under one drive, at ``frequency`` Hz.
+    """A peak of the mean energy density under one drive.
 
-    ``q`` is the frequency over the width at half of the height, None where a neighbour or the end of the band is in the
-    way. ``energy_density`` (J/m^3) is that under the drive; ``per_square_volt`` J/m^3 per Vpp^2 at the electrodes and
-    ``per_watt`` J/m^3 per W of electrical power at this frequency.
+    ``frequency`` is in Hz. ``q`` is it over the width at half of the height, None if a neighbour or the end of the band
+    hides a half-power point. ``energy_density`` (J/m^3) is that under the drive; ``per_square_volt`` is in J/m^3 per
+    Vpp^2 at the electrodes and ``per_watt`` in J/m^3 per W of electrical power at this frequency.
     """
 
     frequency: float
@@ -66,10 +67,11 @@ class EnergyPeak:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergySpectrum(Brief):
-    """The mean energy density of sound in the cavity at ``frequency`` (n,) Hz.
+    """The mean energy density of sound in the cavity over frequency.
 
-    ``at_one_volt`` (n,) J/m^3 under 1 V amplitude at the electrodes, ``impedance`` (n,) ohm, e^{+j w t}. ``evaluate``
-    gives both at any frequencies of the band, from the reduced model. Drives are wired as the ``chip`` states.
+    ``frequency`` (n,) is in Hz, ``at_one_volt`` (n,) in J/m^3 under 1 V amplitude at the electrodes, ``impedance`` (n,)
+    in ohm, e^{+j w t}. ``evaluate`` gives both at any frequencies of the band, from the reduced model. Drives are wired
+    as the ``chip`` states.
     """
 
     frequency: Real
@@ -93,16 +95,18 @@ class EnergySpectrum(Brief):
         return _under(wired(drive, self.chip), self.at_one_volt, self.impedance)
 
     def at(self, frequency: float, drive: Drive | None = None) -> EnergyPeak:
-        """The figures of :class:`EnergyPeak` at any `frequency` (Hz), without a quality factor."""
+        """An :class:`EnergyPeak` at any `frequency` (Hz), without a quality factor."""
         one_volt, impedance = self.evaluate(np.array([frequency]))
         return EnergyPeak(frequency, None, float(_under(wired(drive, self.chip), one_volt, impedance)[0]),
                           float(one_volt[0]) / 4.0, float(_under(PER_WATT, one_volt, impedance)[0]))
 
     def peaks(self, drive: Drive | None = None) -> tuple[EnergyPeak, ...]:
-        """The :data:`MOST` highest peaks under a drive (10 Vpp if not given), the highest first.
+        """The :data:`MOST` highest peaks under a drive, the highest first.
+
+        The default drive is 10 Vpp.
 
         Raises:
-            InputError: the drive is none.
+            InputError: an invalid drive.
         """
         check_drive(drive, source="peaks")
         drive = wired(drive, self.chip)
@@ -124,7 +128,8 @@ class EnergySpectrum(Brief):
     def _half(
         self, drive: Drive, best: float, top: int, step: int, level: Callable[[float], float]
     ) -> float | None:
-        """The frequency (Hz) beside a peak where half of its energy is left, before the energy rises again."""
+        """The frequency (Hz) of half of a peak's energy on one side. None if the energy rises again before, or the band
+        ends."""
         half, energy = level(best) - np.log(2.0), np.log(self.under(drive))
         inner, k = best, top
         while 0 <= k + step < energy.size:
@@ -145,10 +150,10 @@ def _under(drive: Drive, one_volt: Real, impedance: Complex) -> Real:
 
 
 def energy_spectrum_of(model: ReducedModel, solution: Solution, values: Values, chip: Chip) -> EnergySpectrum:
-    """The energy spectrum of a reduced `model` of a `chip` whose `solution` is known.
+    """The energy spectrum of a `chip` from its reduced `model` and `solution`.
 
     Raises:
-        NoSound: the cavity holds no fluid.
+        NoSound: the cavity contains no fluid.
     """
     sound = SoundEnergy.of(model.full).on(model.basis)
 

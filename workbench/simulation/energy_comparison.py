@@ -1,4 +1,4 @@
-"""Recorded focusing over frequency beside the simulated energy of the sound: the curve, and peak by peak."""
+"""Comparison of recorded focusing with the simulated energy of the sound."""
 
 from __future__ import annotations
 
@@ -25,22 +25,20 @@ from workbench.simulation.run import Simulation
 
 Real = NDArray[np.float64]
 
-#: Share of the largest simulated peak above which another one is compared. Halved, peaks that nobody sees are.
+#: Least height of a compared peak, relative to the largest simulated one. Halved, invisible peaks are compared.
 LEAST_SHARE = 0.1
 
-#: Relative difference of frequencies beyond which changes of first order say nothing: another mode may be the partner.
+#: Relative difference of frequencies above which a first-order change is no explanation: the modes may differ.
 FIRST_ORDER = 0.05
 
-#: Largest change of temperature (K) that a slope dc/dT is used for: that of water halves within 30 K.
+#: Largest change of temperature (K) computed with a slope dc/dT: that of water halves within 30 K.
 LARGEST_WARMING = 20.0
 
 
 @dataclass(frozen=True)
 class ComparedPeak:
-    """A recorded peak beside its simulated partner; one of them is None where it has none.
-
-    Differences are those of the simulated from the recorded one, as shares of the recorded one.
-    """
+    """A recorded peak and its simulated partner. One of them is None if it has no partner. Differences are (simulated -
+    recorded) / recorded."""
 
     recorded: FittedPeak | None
     simulated: EnergyPeak | None
@@ -68,11 +66,12 @@ class ComparedPeak:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyComparison(Brief):
-    """A recording of focusing beside a simulated energy spectrum, under a constant voltage at the electrodes.
+    """A recording of focusing and a simulated energy spectrum.
 
-    ``fit`` are the recorded peaks, ``peaks`` the pairs. ``factor`` is the geometric mean of recorded over simulated at
-    the recorded frequencies within the simulated band, ``inside`` (n,). ``rms_log_residual`` is the rms of ln(recorded
-    / simulated), of recordings that are known but for one factor after that factor. ``findings`` are sentences.
+    The spectrum is under a constant voltage at the electrodes. ``fit`` are the recorded peaks, ``peaks`` the pairs.
+    ``factor`` is the geometric mean of recorded over simulated at the recorded frequencies within the simulated band,
+    ``inside`` (n,). ``rms_log_residual`` is the rms of ln(recorded / simulated), after removing that factor if the
+    recording is not absolute. ``findings`` are sentences.
     """
 
     recording: EnergyRecording
@@ -86,17 +85,17 @@ class EnergyComparison(Brief):
 
     @property
     def scaled_by(self) -> float:
-        """The number that recorded rates are divided by, to lie over the simulated curve: 1 if they are absolute."""
+        """The divisor of recorded rates for a comparison: 1 if absolute."""
         return 1.0 if self.recording.is_absolute else self.factor
 
     @property
     def basis(self) -> str:
-        """The quantity that is compared, and the factor, in words."""
+        """The compared quantity and the factor, in words."""
         if self.recording.is_absolute:
-            return ("E_ac per Vpp^2 is compared as it is: the recorded one is "
+            return ("E_ac per Vpp^2 is compared without scaling: the recorded one is "
                     f"{self.factor:.3g} times the simulated one (geometric mean over the points).")
         voltage = ", over the square of the voltage" if self.recording.voltage is not None else (
-            ", at a voltage that is taken as the same at all frequencies")
+            ", at a voltage that is assumed equal at all frequencies")
         rate = "1/t*" if self.recording.kind == FOCUSING_TIME else "E_ac"
         return (f"Only the shape counts: the recorded {rate}{voltage}, is divided by one factor, {self.factor:.4g}, "
                 "its geometric mean ratio to the simulated E_ac per Vpp^2.")
@@ -105,10 +104,10 @@ class EnergyComparison(Brief):
 def compare_energy(
     recording: EnergyRecording, simulated: EnergySpectrum | Simulation, *, registry: Registry | None = None
 ) -> EnergyComparison:
-    """Compare recorded focusing with the energy that a simulation has in its cavity.
+    """Compare recorded focusing with the energy in a simulated cavity.
 
-    Parameters: `simulated` is the spectrum of the energy, or a simulation, whose chip and liquid then express a
-    difference of frequencies as one of width, sound speed and temperature (by the law that the `registry` has).
+    `simulated` is the spectrum of the energy, or a simulation. With a simulation, a difference of frequencies is also
+    expressed as one of width, sound speed and temperature (by the law in the `registry`).
 
     Raises:
         InputError: a simulation without an energy spectrum, or fewer than two recorded frequencies in its band.
@@ -143,7 +142,8 @@ def compare_energy(
 def _pairs(
     recorded: Sequence[FittedPeak], spectrum: EnergySpectrum, band: tuple[float, float]
 ) -> tuple[ComparedPeak, ...]:
-    """The recorded peaks with the simulated ones nearest to them, then simulated ones in the recorded `band` alone."""
+    """Recorded peaks with the nearest simulated ones, then other simulated ones. The latter are within the recorded
+    `band`."""
     found = spectrum.peaks(VoltageDrive(1.0))
     seen = [peak for peak in found if peak.per_square_volt >= LEAST_SHARE * found[0].per_square_volt]
     # A recorded peak beyond the simulated ones has no partner.
@@ -157,12 +157,12 @@ def _pairs(
 
 
 def _differences(pair: ComparedPeak, run: Simulation | None, registry: Registry) -> list[str]:
-    """Sentences about a pair that differs by more than the recording leaves open."""
+    """Findings on a pair that differs by more than the recording's interval."""
     recorded, simulated, found = pair.recorded, pair.simulated, list[str]()
     if recorded is None:
         return [] if simulated is None else [
-            f"the simulation has a peak at {simulated.frequency / 1e6:.4f} MHz, within the recorded band, that the fit "
-            "of the recording has not"]
+            f"the simulation has a peak at {simulated.frequency / 1e6:.4f} MHz, within the recorded band, which the "
+            "fit of the recording lacks"]
     if simulated is None:
         return [f"the recorded peak at {recorded.frequency / 1e6:.4f} MHz has no simulated one: no further peak of the "
                 "energy is in the simulated band"]
@@ -185,7 +185,7 @@ def _differences(pair: ComparedPeak, run: Simulation | None, registry: Registry)
 
 
 def _explained(wanted: float, run: Simulation | None, registry: Registry) -> str:
-    """Changes of first order that move the simulated peak by the share `wanted`, in words."""
+    """First-order changes that shift the simulated peak by the share `wanted`."""
     if abs(wanted) > FIRST_ORDER:
         return ". So far apart they may be different modes"
     share = f"{100.0 * abs(wanted):.2g} %"

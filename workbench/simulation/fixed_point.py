@@ -1,14 +1,14 @@
-"""Temperature and field of a driven chip as one fixed point in the rise of its liquid.
+"""Temperature and field of a driven chip as a fixed point.
 
 With the liquid t warmer than stated, the field at the drive's frequency loses P_k(t) in region k, and these losses warm
 the liquid by
 
     h(t) = h0 + sum_k R_k P_k(t),
 
-R_k (K/W) by conduction (`workbench.acoustics.heat`), h0 from holders that are not at ambient temperature. Conduction is
-linear, so that R_k are computed once. A steady state is a root of h(t) - t; it is stable where h(t) - t falls. P_k(t)
-come from a reduced model that a few full solves along t have made accurate. The root that is reported is solved in full
-at its temperature, with the R_k of its own field, until both agree.
+with R_k (K/W) by conduction (`workbench.acoustics.heat`), and h0 from holders that are not at ambient temperature.
+Conduction is linear, so R_k are computed once. A steady state is a root of h(t) - t; it is stable where h(t) - t falls.
+A reduced model, made accurate by a few full solves along t, gives P_k(t). The reported root is solved in full at its
+temperature, with the R_k of its own field, until both agree.
 """
 
 from __future__ import annotations
@@ -42,40 +42,38 @@ from workbench.simulation.warm import SteadyPoint, WarmCurve, WarmState, WarmUp
 
 Real = NDArray[np.float64]
 
-#: Estimated relative error of the impedance that the reduced model is made for, along the rise; that of the energy is
-#: smaller. Doubled, the reported root needs a round more.
+#: Tolerance of the reduced model along the rise: the estimated relative error of the impedance; that of the energy is
+#: smaller. Doubled, the reported root needs one more round.
 ACCURATE = 1e-3
 
 #: Relative differences of energy and rise between the reduced model and the full solve at the reported point. Doubled,
 #: a table may be off by 1 % and 2 %.
 SAME_ENERGY, SAME_RISE = 5e-3, 1e-2
 
-#: Rounds at most until both are met: each one brings the model and the resistances to the point of the last.
+#: Most rounds until both are met: each one makes the model and the resistances accurate at the latest point.
 ROUNDS = 6
 
-#: Relative half width of the window that a peak is looked for in, points of it, and windows and zooms at most: a peak
-#: within 2 % is near. A peak of Q = 4000 has two points.
+#: Relative half width of the window of a search for a peak, its points, and the most windows and zooms: a peak within
+#: 2 % is near. A peak of Q = 4000 has two points.
 WINDOW, POINTS, STEPS, ZOOMS = 5e-3, 41, 4, 3
 
-#: Share of the frequency by which a peak may lie beyond the ways of a solid's resonance, which stays, and of a
-#: liquid's, which moves as its speed of sound. Doubled, a neighbour may be taken for the peak of the warm chip.
-BESIDE_WAYS = 1e-2
+#: Relative margin of the search for the peak of a warm chip. The search covers the range between a resonance that does
+#: not move and one that moves as the liquid's speed of sound. Doubled, a neighbour may be mistaken for it.
+SEARCH_MARGIN = 1e-2
 
-#: Distance (K) of the rises that the reduced model is checked at, and that a followed peak is looked for at; a cubic
-#: goes through them. Doubled, the peak is off by a twentieth of its width.
+#: Distance (K) of the rises at which the reduced model is checked and a followed peak is searched; a cubic spline
+#: connects them. Doubled, the peak is wrong by a twentieth of its width.
 CHECKED = 2.0
 
-#: Intervals of the rise at first, change of the logarithm of the losses in one above which it is halved, and smallest
-#: one (K). Doubled, a bistable chip within a tenth of a kelvin may be missed.
+#: First number of intervals of the rise, change of the logarithm of the losses above which an interval is halved, and
+#: smallest interval (K). Doubled, a bistable chip within a tenth of a kelvin may be missed.
 INTERVALS, UNEVEN, SMALLEST = 48, 0.15, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Warmed:
-    """The steady ``state`` of a chip; ``reason`` why it is not known, in words, if it is None.
-
-    ``problem`` and full ``solution`` are those of the warm chip where it differs from the cold one, else None.
-    """
+    """The steady ``state`` of a chip, or ``reason`` why it is unknown. ``problem`` and full ``solution`` are those of
+    the warm chip if it differs from the cold one, else None."""
 
     state: WarmState | None
     reason: str = ""
@@ -85,9 +83,10 @@ class Warmed:
 
 @dataclass(frozen=True)
 class HeatPaths:
-    """The warming of the liquid by losses anywhere: ``resistances`` (K/W) by place, ``offset`` K without losses.
+    """The warming of the liquid by losses.
 
-    ``spread`` is the largest rise in the liquid over its mean, ``others`` the mean rises of other materials over it.
+    ``resistances`` (K/W) are by place of the loss, ``offset`` is in K without losses. ``spread`` is the largest rise in
+    the liquid over its mean, ``others`` are the mean rises of other materials over it.
     """
 
     resistances: Mapping[str, float]
@@ -97,8 +96,7 @@ class HeatPaths:
 
     @classmethod
     def of(cls, problem: Problem, solution: Solution, up: WarmUp, lawful: frozenset[str] = frozenset()) -> HeatPaths:
-        """The paths for losses that are distributed as in a full `solution`; `lawful` materials are among the others.
-        """
+        """The paths for losses that are distributed as in a full `solution`. ``others`` has the `lawful` materials."""
         model, _ = conduction_of(problem, convection=up.convection, holder=up.holder)
         source = heat_source(solution, 1.0)
         unheated = np.nan_to_num(model.temperature(np.zeros(model.size)))
@@ -119,8 +117,8 @@ class HeatPaths:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """Levels under the drive: ``energy`` density (n,) J/m^3, ``warming`` (n,) K of the liquid by the losses,
-    ``voltage`` amplitude (n,) V and ``power`` (n,) W."""
+    """Levels under the drive. ``energy`` density (n,) is in J/m^3, ``warming`` (n,) of the liquid by the losses in K,
+    ``voltage`` amplitude (n,) in V, ``power`` (n,) in W."""
 
     energy: Real
     warming: Real
@@ -130,7 +128,7 @@ class _Levels:
 
 @dataclass(frozen=True, eq=False)
 class _Chip:
-    """A chip at any rise of its liquid and any frequency near the drive's."""
+    """A chip at any rise of its liquid, near the drive's frequency."""
 
     problem: Problem
     drive: Drive
@@ -150,14 +148,13 @@ class _Chip:
         return np.array([self.heat.resistances.get(parent_place(each.place), 0.0) for each in self.full.integrals])
 
     def rises(self, rise: float) -> dict[str, float]:
-        """Rises (K) of all materials with a law for one of the liquid."""
+        """Rises (K) of all materials with a law, for a liquid's rise."""
         return {law.material.name: rise * self.heat.others.get(law.material.name, 1.0) for law in self.laws}
 
     def values(self, rise: float) -> dict[str, complex]:
         return warmer_values(self.problem, self.laws, self.rises(rise))
 
     def levels(self, rise: float, frequencies: Real) -> _Levels:
-        """The levels at some frequencies (Hz), by the reduced model."""
         values = self.values(rise)
         return self.levels_of(self.model.solve(frequencies, values), self._reduced_sound, values)
 
@@ -167,7 +164,6 @@ class _Chip:
 
     @cached_property
     def sound(self) -> SoundEnergy:
-        """The energy of full states."""
         return SoundEnergy.of(self.full)
 
     @cached_property
@@ -175,7 +171,7 @@ class _Chip:
         return self.sound.on(self.model.basis)
 
     def levels_of(self, solution: Solution, sound: SoundEnergy, values: Mapping[str, complex]) -> _Levels:
-        """The levels of a full or reduced solution at some parameter `values`, of the energy of such `sound`."""
+        """The levels of a full or reduced solution. `values` are its parameters, `sound` is its energy."""
         voltage = np.abs(self.drive.amplitude(solution.impedance))
         squared = voltage**2
         return _Levels(sound.density(solution.frequency, solution.states, values) * squared,
@@ -183,7 +179,7 @@ class _Chip:
                        solution.input_power() * squared)
 
     def accurate(self, rise: float, frequencies: Real, tolerance: float = ACCURATE) -> _Chip:
-        """The chip with a model that is accurate at a rise and some frequencies."""
+        """The chip with an accurate model at a rise and frequencies (Hz)."""
         values = self.values(rise)
         if self.model.worst(frequencies, values)[1] <= tolerance:
             return self
@@ -192,18 +188,17 @@ class _Chip:
         return replace(self, model=model)
 
     def driven(self, rise: float) -> _Levels:
-        """The levels at the frequency of the drive at a rise."""
         return self.levels(rise, self.path(np.array([rise])))
 
     def reach(self, rise: float) -> Real:
-        """Frequencies (n,) Hz that a peak at the stated temperature may have come to at a rise."""
+        """Frequencies (n,) Hz at which the peak may be at a rise."""
         name = f"{self.laws[0].material.name}.sound_speed"
-        ways = sorted((1.0, (self.values(rise)[name] / self.problem.values[name]).real))
-        low, high = ways[0] - BESIDE_WAYS, ways[1] + BESIDE_WAYS
+        shifts = sorted((1.0, (self.values(rise)[name] / self.problem.values[name]).real))
+        low, high = shifts[0] - SEARCH_MARGIN, shifts[1] + SEARCH_MARGIN
         return self.frequency * np.linspace(low, high, int((high - low) * POINTS / (2.0 * WINDOW)) + 1)
 
     def largest_peak(self, rise: float) -> tuple[float, float] | None:
-        """The frequency (Hz) of the largest peak of the energy within :meth:`reach`, and the energy there."""
+        """Frequency (Hz) and energy of the largest peak within :meth:`reach`."""
         window = self.reach(rise)
         energy = self.levels(rise, window).energy
         tops, _ = find_peaks(energy, 0.0)
@@ -213,7 +208,7 @@ class _Chip:
         return found, float(self.levels(rise, np.array([found])).energy[0])
 
     def peak(self, rise: float, near: float) -> float | None:
-        """The frequency (Hz) of the peak of the energy uphill from `near`; None if there is none nearby."""
+        """The frequency (Hz) of the peak uphill from `near`, if nearby."""
         for _ in range(STEPS):
             window = near * (1.0 + WINDOW * np.linspace(-1.0, 1.0, POINTS))
             energy, top = self.levels(rise, window).energy, POINTS // 2
@@ -225,7 +220,7 @@ class _Chip:
         return None
 
     def _zoomed(self, rise: float, near: float, half: float) -> float:
-        """The frequency (Hz) of a peak that the points of a window of that relative half width have found."""
+        """The frequency (Hz) of a peak, refined within its window. `half` is the relative half width of the window."""
         for _ in range(ZOOMS):
             half *= 2.0 / (POINTS - 1)
             window = near * (1.0 + half * np.linspace(-1.0, 1.0, POINTS))
@@ -237,16 +232,16 @@ def warmed(
     problem: Problem, solution: Solution, drive: Drive, up: WarmUp, *, registry: Registry,
     model: ReducedModel | None = None,
 ) -> Warmed:
-    """The steady state of a chip whose liquid is warmed by its own losses.
+    """The steady state of a chip whose losses warm its liquid.
 
     Args:
-        problem: the chip with everything at its stated temperature, which is that of the surroundings.
+        problem: the chip at its stated temperature, which is that of the surroundings.
         solution: full, of `problem` at the frequency of the drive.
-        model: a reduced model of `problem` around that frequency, if there is one.
+        model: a reduced model of `problem` around that frequency, if any.
 
     Raises:
-        InputError: an unknown boundary or no way for the heat to leave (`wb.heating`); a drive that is to follow a peak
-            that is not there.
+        InputError: an unknown boundary or no way for the heat to leave (`wb.heating`); a drive that follows a peak
+            where there is none.
     """
     liquid = problem.materials.get(CAVITY)
     if not isinstance(liquid, Fluid) or liquid.is_gas:
@@ -275,7 +270,8 @@ def warmed(
 def _laws(
     problem: Problem, liquid: Fluid, registry: Registry, up: WarmUp, solution: Solution
 ) -> tuple[MaterialLaw, ...] | str:
-    """The laws of the liquid and of other materials that have one, or the sentence that the liquid has none."""
+    """The laws of the liquid and of other materials, or an error. The error is the sentence that the liquid has no
+    law."""
     lowest = min(0.0, HeatPaths.of(problem, solution, up).offset) if isinstance(up.holder, Mapping) else 0.0
     first = law_of(liquid, registry, lowest=lowest)
     if first is None:
@@ -286,14 +282,14 @@ def _laws(
 
 
 def _solved(chip: _Chip, cold: Solution, up: WarmUp) -> Warmed:
-    """The steady state, with the full solve of the warm chip where it matters."""
+    """The steady state, with a full solve of a warm chip."""
     for _ in range(ROUNDS):
         low, high = _ends(chip)
         chip, end = _following(chip, low, high) if up.follow else (_along(chip, low, high), high)
         state = _state_of(chip, cold, (low, end), up)
         if not state.points and end < high:
-            return Warmed(None, f"the peak of the energy that the drive follows is not there any more {end:.3g} K "
-                          "above the stated temperature, before the chip comes to a steady state: state one frequency")
+            return Warmed(None, f"the peak of the energy that the drive follows disappears {end:.3g} K above the "
+                          "stated temperature, before the chip comes to a steady state: state one frequency")
         if not state.matters:
             return Warmed(state)
         here = state.points[0]
@@ -313,16 +309,15 @@ def _solved(chip: _Chip, cold: Solution, up: WarmUp) -> Warmed:
 
 
 def _along(chip: _Chip, low: float, high: float) -> _Chip:
-    """The chip with a model that is accurate at the frequency of the drive along the rise."""
-    # The end first: what it needs of the basis serves most of the way.
+    """The chip with a model that is accurate along the rise. The frequency is that of the drive."""
+    # The end first: its basis is sufficient for most of the other rises.
     for rise in (high, *np.linspace(low, high, max(4, int((high - low) / CHECKED) + 2))):
         chip = chip.accurate(float(rise), np.array([chip.frequency]))
     return chip
 
 
 def _following(chip: _Chip, low: float, high: float) -> tuple[_Chip, float]:
-    """The chip whose drive stays on its peak, with a model that is accurate along it, and the rise (K) up to which the
-    peak can be followed."""
+    """The chip whose drive follows its peak, with an accurate model. Also the rise (K) up to which the peak exists."""
     found, end = dict[float, float](), high
     for side in (high, low):
         near = chip.frequency
@@ -335,7 +330,7 @@ def _following(chip: _Chip, low: float, high: float) -> tuple[_Chip, float]:
                 raise InputError("warm up", "follow", f"{chip.frequency / 1e6:.6g} MHz", "a frequency beside a peak of "
                                  "the energy in the liquid, which the drive can follow; energy.png of `simulate` shows "
                                  "them")
-            if best is None or (rise and abs(best / near - 1.0) > BESIDE_WAYS):
+            if best is None or (rise and abs(best / near - 1.0) > SEARCH_MARGIN):
                 end = min(end, max(found))
                 break
             found[rise] = near = best
@@ -344,26 +339,26 @@ def _following(chip: _Chip, low: float, high: float) -> tuple[_Chip, float]:
 
 
 def _ends(chip: _Chip) -> tuple[float, float]:
-    """The lowest and the highest rise (K) of the liquid's mean: its warmest place stays within all laws."""
+    """The lowest and the highest mean rise (K) of the liquid. Its warmest place stays within all laws."""
     low = max(min(0.0, chip.heat.offset), chip.laws[0].lowest)
     highest = [law.highest / (chip.heat.others.get(law.material.name, chip.heat.spread)) for law in chip.laws]
     return low, min(highest)
 
 
 def _state_of(chip: _Chip, cold: Solution, ends: tuple[float, float], up: WarmUp) -> WarmState:
-    """The steady state by the reduced model, between the `ends` (K) of the rise."""
+    """The steady state by the reduced model, between `ends` (K)."""
     liquid, (low, high) = chip.laws[0], ends
 
-    def beyond(rise: float) -> float:
+    def excess_at(rise: float) -> float:
         return chip.heat.offset + float(chip.driven(rise).warming[0]) - rise
 
     rises, found = _scanned(chip.driven, low, high)
     warming, energy = (np.array([getattr(each, name)[0] for each in found]) for name in ("warming", "energy"))
-    left, points = chip.heat.offset + warming - rises, list[SteadyPoint]()
-    for k in np.flatnonzero((left[:-1] > 0.0) != (left[1:] > 0.0)):
-        rise = float(brentq(beyond, rises[k], rises[k + 1], xtol=1e-5))
+    excess, points = chip.heat.offset + warming - rises, list[SteadyPoint]()
+    for k in np.flatnonzero((excess[:-1] > 0.0) != (excess[1:] > 0.0)):
+        rise = float(brentq(excess_at, rises[k], rises[k + 1], xtol=1e-5))
         frequency = float(chip.path(np.array([rise]))[0])
-        points.append(_point(chip.driven(rise), rise, frequency, stable=bool(left[k] > 0.0)))
+        points.append(_point(chip.driven(rise), rise, frequency, stable=bool(excess[k] > 0.0)))
     if not warming.any():
         points = [_point(found[0], low, chip.frequency)]
     here = chip.levels_of(cold, chip.sound, chip.problem.values)
@@ -397,7 +392,7 @@ def _point(levels: _Levels, rise: float, frequency: float, *, stable: bool = Tru
 def _scanned(
     driven: Callable[[float], _Levels], low: float, high: float
 ) -> tuple[Real, list[_Levels]]:
-    """Rises (K), closer where the losses change, and the levels there."""
+    """Rises (K), denser where the losses change, and their levels."""
     known = {float(rise): driven(float(rise)) for rise in np.linspace(low, high, INTERVALS + 1)}
     while True:
         rises = sorted(known)

@@ -1,7 +1,7 @@
-"""The statement whether, where and when particles gather: one for every command, from the force and the flow.
+"""The statement whether, where and when particles gather.
 
-It is made from trajectories of particles in the radiation force, their weight and the flow of the liquid. Where the
-flow moves a particle more than sound does, none are followed: it circulates, at any voltage.
+It follows from trajectories of particles in the radiation force, their weight and the flow of the liquid. If the flow
+moves a particle more than sound does, no trajectories are computed: it circulates at any voltage.
 """
 
 from __future__ import annotations
@@ -30,32 +30,30 @@ from workbench.simulation.liquid_motion import FlowCause, LiquidMotion, liquid_m
 from workbench.simulation.run import Snapshot
 from workbench.simulation.warm import WarmUp
 
-#: Share of the particles that must stay at a place to gather there. Doubled, a trap that a tenth of them reach does not
-#: count.
+#: Least share of the particles at a place where they gather. Doubled, a trap that a tenth of them reach does not count.
 LEAST_SHARE = 0.05
 #: Time to the plane or the line (s) above which particles gather slowly. Doubled, a quarter of an hour for a full
-#: cavity passes without a word.
+#: cavity is not reported as slow.
 SLOW = 60.0
-#: Energy (J) of thermal motion at 25 degC, and the barrier below which it carries a particle out of a trap.
+#: Energy (J) of thermal motion at 25 degC, and the barrier below which it moves a particle out of a trap.
 KT = 1.380649e-23 * 298.15
 THERMAL = 10.0 * KT
-#: Step, as a factor of the voltage, and largest factor of the search for a voltage that holds particles. Finer steps
-#: would promise more than the accuracy of a bench's drive, and no amplifier of a bench has more.
+#: Step and largest factor of the search for a voltage that traps particles. Finer steps would exceed the accuracy of a
+#: bench's drive, and a larger factor its amplifier.
 VOLTAGE_STEP, LARGEST_FACTOR = 1.2, 15.0
-#: Time (s) that a statement follows particles for, that of `workbench particles`, and how many. Doubled, shares change
-#: by a hundredth.
+#: Duration (s) of trajectories, that of `workbench particles`, and their number. Doubled, shares change by a hundredth.
 FOLLOWED, COUNT = 1800.0, 200
-#: Turns of the flow about the cavity at most that it follows them for. Doubled, fast rolls take twice the processor.
+#: Most turns of the flow about the cavity during trajectories. Doubled, fast rolls take twice the time.
 TURNS = 30.0
-#: Times of the record, and error of a step as a share of the wavelength: shares are those of the default within 1 %, in
+#: Times of the record, and error of a step relative to the wavelength: shares agree with the default's within 1 %, in
 #: half the time.
 RECORDED, TOLERANCE = 31, 1e-4
 
 
 @dataclass(frozen=True)
 class GatheredAt:
-    """A place where particles stay: its ``words``, their ``share`` of all, and the time (s) by which ``half`` of them
-    are there, None if they were from the start or the time is not known."""
+    """A place where particles stay. ``words`` describe it, ``share`` is that of all particles. ``half`` is the time (s)
+    at which half of the former have arrived, None if they started there or the time is unknown."""
 
     words: str
     share: float
@@ -68,10 +66,11 @@ class GatheredAt:
 
 @dataclass(frozen=True)
 class Gathering:
-    """The answer for one state: ``gathers`` is None if there is no particle; ``sentences`` describe it.
+    """The answer for one state.
 
-    ``first`` is the plane of levitation, or the line across a channel, that particles come to first, and ``places`` are
-    those where they are in the end. ``critical_diameters`` (m) by direction, empty where the flow is not known.
+    ``gathers`` is None if there is no particle; ``sentences`` describe it. ``first`` is the plane of levitation, or the
+    line across a channel, which particles reach first; ``places`` are their final ones. ``critical_diameters`` (m) are
+    by direction, empty if the flow is unknown.
     """
 
     state: str
@@ -86,10 +85,8 @@ class Gathering:
 
 
 def gathering(shot: Snapshot, *, registry: Registry | None = None, kept: bool = False) -> Gathering | None:
-    """The answer whether and where the particles of a state gather; None without a cavity.
-
-    A liquid that is `kept` at its stated temperature has no flow by heat.
-    """
+    """Whether and where the particles of a state gather; None without cavity. A liquid that is `kept` at its stated
+    temperature has no flow by heat."""
     if CAVITY not in shot.chip.materials(shot.state):
         return None
     fluid, state = shot.problem.materials.get(CAVITY), shot.state
@@ -109,33 +106,33 @@ def gathering(shot: Snapshot, *, registry: Registry | None = None, kept: bool = 
 
 
 def statement(state: str, report: TrapReport, moving: LiquidMotion, found: Trajectories | None) -> Gathering:
-    """The answer for particles that were followed, or, where they circulate, need not be.
+    """The answer for particles with trajectories, or that circulate.
 
     Args:
-        report: the traps of the field, by which it is said why particles do not gather.
+        report: the traps of the field, for the reason why particles do not gather.
         moving: the flow of the liquid that carried them.
-        found: their trajectories; None only where they circulate.
+        found: their trajectories; None only if they circulate.
     """
     report = report if found is None else found.report
     critical = {} if moving.streaming is None else dict(moving.streaming.critical_diameters)
     ends = () if found is None else tuple(_ends(found))
     first = None if found is None else _first(found)
-    said = [] if found is None else [_ends_words(found, ends)]
+    sentences = [] if found is None else [_ends_words(found, ends)]
     gathers = False
     if circulates(report, moving):
-        said += _circulating(report, critical)
+        sentences += _circulating(report, critical)
     elif found is None or first is None or first.share < LEAST_SHARE:
-        said += _why_not(report, [trap for trap in report.traps if not trap.on_wall])
+        sentences += _why_not(report, [trap for trap in report.traps if not trap.on_wall])
     else:
         gathers, more = _gathered(found, first, critical)
-        said += more
-    said += [*_weightless(report.forces), *cavitation_words(report.excitation.pressure_amplitude,
-                                                            report.excitation.frequency)]
-    return Gathering(state, gathers, tuple(said), first, ends, critical)
+        sentences += more
+    sentences += [*_weightless(report.forces), *cavitation_words(report.excitation.pressure_amplitude,
+                                                                 report.excitation.frequency)]
+    return Gathering(state, gathers, tuple(sentences), first, ends, critical)
 
 
 def circulates(report: TrapReport, moving: LiquidMotion) -> bool:
-    """Whether the flow moves the particle more than sound does along the direction that it would gather along first."""
+    """Whether the flow moves the particle more than sound does. Only the direction of fast focusing counts."""
     if moving.streaming is None:
         return False
     limit = moving.streaming.critical_diameters[_first_direction(report.forces)]
@@ -143,7 +140,7 @@ def circulates(report: TrapReport, moving: LiquidMotion) -> bool:
 
 
 def _first_direction(forces: ParticleForces) -> str:
-    """The name of the direction that particles focus along within seconds: across a channel, up in a flat cavity."""
+    """The direction of fast focusing: across a channel, else up."""
     measure = forces.mesh.measure
     return measure.directions[min(measure.focusing)]
 
@@ -151,7 +148,7 @@ def _first_direction(forces: ParticleForces) -> str:
 def _known_motion(
     shot: Snapshot, registry: Registry | None, kept: bool
 ) -> tuple[LiquidMotion, tuple[str, ...]]:
-    """The flow as far as it can be computed, and sentences on its causes that are left out."""
+    """The computable flow, and sentences on causes that are left out."""
     left_out, causes = list[str](), [(FlowCause.SOUND, "flow of the liquid")]
     if kept or (shot.warm is not None and shot.warm.here is None):
         left_out.append("The following is for a liquid that is kept at its stated temperature.")
@@ -164,12 +161,12 @@ def _known_motion(
             return moving, (*left_out[-1:], *softening_words(shot, moving.heat))
         except InputError as error:
             left_out.append(f"The {words} is left out of the following, because this state has {error.value} and the "
-                            f"computation takes {error.expected}.")
+                            f"computation needs {error.expected}.")
     return liquid_motion(shot, by=FlowCause.NONE), tuple(left_out[-1:])
 
 
 def _followed(shot: Snapshot, moving: LiquidMotion) -> Trajectories:
-    """The particles of a state, followed as `workbench particles` does, with larger steps."""
+    """Trajectories as of `workbench particles`, with larger steps."""
     assert shot.traps is not None
     forces = shot.traps.forces
     duration = FOLLOWED
@@ -185,12 +182,12 @@ def _followed(shot: Snapshot, moving: LiquidMotion) -> Trajectories:
 
 
 def _half(at: FloatArray) -> float | None:
-    """The time (s) by which half of some particles have arrived; None where one of them has no time."""
+    """The median time of arrival (s); None if one has none."""
     return float(np.median(at)) if at.size and np.isfinite(at).all() else None
 
 
 def _first(found: Trajectories) -> GatheredAt:
-    """The plane of levitation or the line across that particles come to first, and stay in."""
+    """The plane of levitation or the line that particles reach first."""
     across = 0 in found.velocity.mesh.measure.focusing
     at = found.focused_at if across else found.levitated_at
     which = np.flatnonzero(np.isfinite(at))
@@ -205,15 +202,15 @@ def _first(found: Trajectories) -> GatheredAt:
 
 
 def _levels(heights: FloatArray, apart: float) -> list[float]:
-    """The middles of the groups of heights that lie further than a distance `apart` from each other."""
+    """The medians of the groups of heights that are `apart` (m)."""
     ordered = np.sort(heights)
     groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > apart) + 1) if ordered.size else []
-    # A few that are on their way along a slope are no level of their own.
+    # A few particles that still move along a slope are not a level.
     return [float(np.median(group)) for group in groups if group.size >= LEAST_SHARE * ordered.size]
 
 
 def _ends(found: Trajectories) -> Iterator[GatheredAt]:
-    """Where the particles are in the end, those in the liquid first, each place with most of them first."""
+    """The final places, those in the liquid first, sorted by share."""
     def at(words: str, which: IntArray, arrived: FloatArray | None = None) -> GatheredAt:
         return GatheredAt(words, which.size / found.count, None if arrived is None else _half(arrived[which]))
 
@@ -238,7 +235,7 @@ def _ends(found: Trajectories) -> Iterator[GatheredAt]:
 
 
 def _at_rest(found: Trajectories, number: int) -> Trap:
-    """A trap where weight and flow let a particle rest."""
+    """A trap at the point of rest under weight and flow."""
     trap, (r, z) = found.report.traps[number], found.rest[number]
     return replace(trap, radius=found.velocity.mesh.mirrors.snapped(float(r)), height=float(z),
                    above_floor=trap.above_floor + float(z) - trap.height)
@@ -259,38 +256,38 @@ def _ends_words(found: Trajectories, ends: tuple[GatheredAt, ...]) -> str:
 
 
 def _gathered(found: Trajectories, first: GatheredAt, critical: Mapping[str, float]) -> tuple[bool, list[str]]:
-    """Whether particles that come to a plane or a line gather, and sentences on that."""
+    """Whether particles at a plane or a line gather, and sentences."""
     report, across = found.report, 0 in found.velocity.mesh.measure.focusing
     at = found.focused_at if across else found.levitated_at
     ninety = float(np.quantile(at[np.isfinite(at)], 0.9))
     half = first.half or 0.0
-    said = [f"{percent(first.share)} {first.words}: half of these within {time_text(half)}, nine tenths within "
-            f"{time_text(ninety)}."]
+    sentences = [f"{percent(first.share)} {first.words}: half of these within {time_text(half)}, nine tenths within "
+                 f"{time_text(ninety)}."]
     if half > SLOW:
         voltage = 2.0 * found.forces.excitation.voltage
-        said.append(f"This is slow; the force grows with the square of the voltage, so that "
-                    f"{rounded(voltage * math.sqrt(half / 10.0))} Vpp would take 10 s if the chip stayed as warm.")
-    held = [_at_rest(found, number) for number in np.unique(found.trap[found.trap >= 0])]
+        sentences.append(f"This is slow; the force grows with the square of the voltage, so that "
+                         f"{rounded(voltage * math.sqrt(half / 10.0))} Vpp would take 10 s if the chip stayed as warm.")
+    occupied = [_at_rest(found, number) for number in np.unique(found.trap[found.trap >= 0])]
     share = float((found.trap >= 0).mean())
-    if held:
-        best = max(held, key=lambda trap: math.inf if trap.barrier is None else trap.barrier)
-        said += [_strength(best, report, several=len(held) > 1), *_two_times(best, report)]
-    kept = any(trap.barrier is None or trap.barrier >= THERMAL for trap in held)
+    if occupied:
+        best = max(occupied, key=lambda trap: math.inf if trap.barrier is None else trap.barrier)
+        sentences += [_strength(best, report, several=len(occupied) > 1), *_two_times(best, report)]
+    kept = any(trap.barrier is None or trap.barrier >= THERMAL for trap in occupied)
     if across:
         lines = [line for line in focus_lines(report.forces) if not line.at_side]
         kept, share = any(line.depth >= THERMAL for line in lines), first.share
         if not kept:
-            said.append("Thermal motion carries them out of the line.")
+            sentences.append("Thermal motion carries them out of the line.")
     slow_direction = found.velocity.mesh.measure.directions[1 if across else 0]
     limit, own = critical.get(slow_direction), 2.0 * report.forces.particle.radius
     if not across and limit is not None and not own > limit:
-        said.append(f"Along the plane the flow moves them more than the sound does, however large the voltage"
-                    f"{_limit_words(limit)}.")
-    return kept and share >= LEAST_SHARE and half <= SLOW, said
+        sentences.append(f"Along the plane the flow moves them more than the sound does, however large the voltage"
+                         f"{_limit_words(limit)}.")
+    return kept and share >= LEAST_SHARE and half <= SLOW, sentences
 
 
 def _two_times(trap: Trap, report: TrapReport) -> list[str]:
-    """The times in which the sound alone brings a particle e times nearer to a trap, up and across."""
+    """Time constants of the approach to a trap, up and across."""
     drag = drag_coefficient(report.forces.particle, report.forces.fluid)
     if trap.on_wall or not (trap.axial_stiffness > 0.0 and trap.radial_stiffness > 0.0):
         return []
@@ -300,7 +297,6 @@ def _two_times(trap: Trap, report: TrapReport) -> list[str]:
 
 
 def _circulating(report: TrapReport, critical: Mapping[str, float]) -> list[str]:
-    """Sentences on particles that follow the flow."""
     excitation, direction = report.excitation, _first_direction(report.forces)
     return [f"At {excitation.frequency / 1e6:.4f} MHz and {2.0 * excitation.voltage:.3g} Vpp, "
             f"{particle_words(report.forces)} do not gather: they circulate with the streaming, however large the "
@@ -315,7 +311,8 @@ def _limit_words(limit: float) -> str:
 
 
 def _rests(forces: ParticleForces) -> bool:
-    """Whether weight holds a particle on the floor against thermal motion: kT over it is less than the height."""
+    """Whether weight keeps a particle on the floor against thermal motion. The scale height kT over weight is then
+    below the cavity's height."""
     weight = abs(net_weight(forces.particle, forces.fluid))
     return weight * float(np.ptp(forces.mesh.points[:, 1])) > KT
 
@@ -348,7 +345,6 @@ def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
 
 
 def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
-    """The reason why particles do not come to rest in the liquid, and a remedy."""
     forces, excitation = report.forces, report.excitation
     weight = abs(net_weight(forces.particle, forces.fluid))
     falling = [trap for trap in free if not trap.holds and trap.lift is not None and trap.lift < weight]
@@ -358,7 +354,7 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
         return (f"The field is too weak: its trap {place_words(best)} lifts up to {rounded(best.lift * 1e12)} pN, and "
                 f"the net weight is {rounded(weight * 1e12)} pN. {_enough(report)}",)
     if free and not any(trap.holds for trap in free):
-        return ("The weight joins what traps there are in the liquid with a deeper one at a wall.",)
+        return ("The weight joins all traps in the liquid with a deeper one at a wall.",)
     if free:
         return (f"Traps in the liquid ({place_words(free[0])}) are reached from {percent(free[0].share)} of the "
                 "cavity only.",)
@@ -370,20 +366,21 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
 
 
 def _enough(report: TrapReport) -> str:
-    """The voltage at which traps in the liquid would hold particles, found with the potential of that voltage."""
+    """The voltage at which traps in the liquid hold particles. Traps are computed with the potential at that
+    voltage."""
     voltage, factor = 2.0 * report.excitation.voltage, 1.0
     while factor < LARGEST_FACTOR:
         factor *= VOLTAGE_STEP
         forces = report.forces
         stronger = replace(forces, potential=factor**2 * forces.potential, force=factor**2 * forces.force)
-        held = sum(trap.share for trap in find_traps(stronger).traps if trap.holds and not trap.on_wall)
-        if held >= LEAST_SHARE:
-            return f"At {rounded(factor * voltage)} Vpp traps in the liquid would hold {percent(held)} of them."
+        share = sum(trap.share for trap in find_traps(stronger).traps if trap.holds and not trap.on_wall)
+        if share >= LEAST_SHARE:
+            return f"At {rounded(factor * voltage)} Vpp traps in the liquid would hold {percent(share)} of them."
     return f"Nor would it hold any at {rounded(factor * voltage)} Vpp."
 
 
 def _antinode(forces: ParticleForces, trap: Trap) -> str:
-    """The place of the largest energy on the vertical line through a trap at a wall, and its meaning."""
+    """The largest energy on the vertical line through a wall's trap."""
     nodes = forces.mesh.points
     z = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 101)
     values = raster(forces.mesh, forces.potential, np.array([trap.radius]), z, [forces.region])[0]
@@ -412,13 +409,13 @@ def particle_words(forces: ParticleForces) -> str:
 
 
 def percent(share: float) -> str:
-    """A share as a whole per cent, or with more digits where that would be 0 or 100."""
+    """A share as a whole per cent, with decimals if needed."""
     whole = round(100.0 * share)
     return f"{whole} %" if whole == 100.0 * share or 0 < whole < 100 else f"{100.0 * share:.3g} %"
 
 
 def rounded(value: float) -> str:
-    """Two significant digits in plain notation: 170 rather than 1.7e+02."""
+    """Two significant digits in plain notation, such as 170."""
     return f"{float(f'{value:.2g}'):g}"
 
 

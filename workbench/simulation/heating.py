@@ -1,4 +1,4 @@
-"""Heat in a simulated chip: temperatures, thermal resistances, and what its liquid's warming does to sound.
+"""Temperatures and thermal resistances of a simulated chip, and effects on sound.
 
     run = simulate(read_chip("chip.toml"), "filled")
     heat = heating(run)
@@ -44,7 +44,6 @@ from workbench.simulation.run import Simulation, Snapshot
 #: tenth of a hertz of a megahertz, a thousandth of the width of a resonance of Q = 10000.
 RESONANCE_STEPS, RESONANCE_FOUND = 8, 1e-7
 
-
 #: Relative difference of two heat capacities of one part: far above rounding, far below that of two materials.
 SAME_CAPACITY = 1e-6
 
@@ -53,14 +52,13 @@ SAME_CAPACITY = 1e-6
 class LiquidWarming:
     """The liquid in the cavity of a chip driven steadily.
 
-    ``rise`` K, the mean over the cavity above ambient. At the temperature that its numbers are stated at:
-    ``speed_slope`` m/s per K and ``density_slope`` kg/m^3 per K by the law of its entry; ``speed_change`` (m/s) and
-    ``density_change`` (kg/m^3) by a parabola through that law; ``thermal_expansion`` of volume, 1/K. ``resonance`` Hz
-    is f0, and ``resonance_slope`` Hz per K its derivative when all of the liquid, and nothing else, is warmer;
-    ``resonance_shift`` Hz is that times ``rise``. ``energy_slope`` (1/K) is the relative change of the mean energy
-    density in the cavity by the first kelvin, at the frequency of the fields and a constant voltage. None where the
-    entry has no law so far to both sides, or the result no resonance. For the slopes of f0 viscosities stay; the solids
-    always do.
+    ``rise`` (K) is the mean over the cavity above ambient. At the stated temperature: ``speed_slope`` (m/s per K) and
+    ``density_slope`` (kg/m^3 per K) follow from the law of its entry, ``speed_change`` (m/s) and ``density_change``
+    (kg/m^3) from a parabola through that law; ``thermal_expansion`` of volume is in 1/K. ``resonance`` (Hz) is f0,
+    ``resonance_slope`` (Hz per K) its derivative when only the liquid is warmer, and ``resonance_shift`` (Hz) that
+    times ``rise``. ``energy_slope`` (1/K) is the relative change of the mean energy density in the cavity by the first
+    kelvin, at the frequency of the fields and a constant voltage. Values are None if the entry has no law on both
+    sides, or the result no resonance. The slopes of f0 assume constant viscosities and solids.
     """
 
     fluid: str
@@ -87,24 +85,23 @@ def heating(
     empty: str | None = EMPTY,
     flow_speed: float = 0.0,
 ) -> Heating:
-    """The steady temperatures of a simulated chip, at the frequency and under the drive of its fields.
+    """The steady temperatures of a simulated chip under its drive.
 
-    Its notes tell how the field changes with the temperature. Fields of `snapshot` are those of the stated temperature
-    unless it was given a `warm`; the temperatures are then those that their losses would bring.
+    The notes describe the change of the field with the temperature. Fields of `snapshot` without `warm` are those of
+    the stated temperature; the temperatures then follow from their losses.
 
     Args:
-        result: what `simulate` or `snapshot` returned.
+        result: the result of `simulate` or `snapshot`.
         convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
-            (``superstrate|outside``), the key "" standing for all that are not named.
+            (``superstrate|outside``), with the key "" for all others.
         holder: an outer boundary (``substrate|outside``) at ambient temperature, or the temperature (K above ambient)
             of several.
-        empty: material of the registry that an empty cavity conducts as; None: it is insulated.
+        empty: material of the registry for conduction in an empty cavity; None: it is insulated.
         flow_speed: largest speed (m/s) of the liquid, for the Peclet number across the height of the cavity.
 
     Raises:
         InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary or none of
-            the outside, a chip that loses nothing, a negative speed, or a flow that carries more heat than conduction
-            does.
+            the outside, a chip without losses, a negative speed, or a flow that carries more heat than conduction does.
     """
     expect(result, Snapshot, reader="read_chip", source="heating", field="result")
     expect_number(flow_speed, "a speed in m/s of 0 or more", source="heating", field="flow_speed", low=0.0)
@@ -119,7 +116,6 @@ def heating(
 
 
 def _unwarmed(result: Snapshot, heat: Heating) -> tuple[str, ...]:
-    """A note on fields that do not know of the warmth of the chip."""
     slope = energy_slope(result, Registry())
     if slope is None:
         return ()
@@ -130,10 +126,8 @@ def _unwarmed(result: Snapshot, heat: Heating) -> tuple[str, ...]:
 
 
 def energy_slope(result: Snapshot, registry: Registry) -> float | None:
-    """The relative change of the mean energy density in the cavity by the first kelvin of its liquid.
-
-    At the frequency and the voltage of the fields; None without a liquid that has a law so far.
-    """
+    """Relative change of the mean energy density by a liquid's first kelvin. At the frequency and the voltage of the
+    fields; None without a liquid whose law reaches 1 K."""
     problem, solution = result.problem, result.solution
     liquid = problem.materials.get(CAVITY)
     law = law_of(liquid, registry) if isinstance(liquid, Fluid) and not liquid.is_gas else None
@@ -149,10 +143,8 @@ def energy_slope(result: Snapshot, registry: Registry) -> float | None:
 
 
 def softening_words(result: Snapshot, heat: Heating | None) -> tuple[str, ...]:
-    """A sentence for each part that the drive warms beyond the softening temperature of its polymer.
-
-    The surroundings are at the temperature that the liquid is stated at.
-    """
+    """A sentence for each part above the softening temperature of its polymer. The surroundings are at the stated
+    temperature of the liquid."""
     liquid = result.stated_problem.materials.get(CAVITY)
     if heat is None or not isinstance(liquid, Fluid) or liquid.temperature is None:
         return ()
@@ -164,8 +156,8 @@ def softening_words(result: Snapshot, heat: Heating | None) -> tuple[str, ...]:
             continue
         most = voltage * max((limit - liquid.temperature) / part.peak, 0.0) ** 0.5
         found.append(f"The {region} becomes {liquid.temperature + part.peak - 273.15:.3g} degC at its warmest place, "
-                     f"and {material.name.split('/')[0]} softens at {limit - 273.15:.3g} degC: its numbers hold up to "
-                     f"about {most:.2g} Vpp at the electrodes.")
+                     f"and {material.name.split('/')[0]} softens at {limit - 273.15:.3g} degC: its constants are valid "
+                     f"up to about {most:.2g} Vpp at the electrodes.")
     return tuple(found)
 
 
@@ -177,10 +169,11 @@ def thermal_resistances(
     holder: str | Mapping[str, float] | None = None,
     empty: str | None = EMPTY,
 ) -> dict[str, float]:
-    """Thermal resistances (K/W) for the figure "heating" of a study, a goal or a tolerance analysis.
+    """Thermal resistances (K/W) of a part, by place of the loss.
 
-    Each is the mean rise of `part` for a watt lost in one region or on one interface, distributed as in the fields of
-    `result`. Their sum weighted with the losses is the mean of `part` by :func:`heating`. Other arguments as there.
+    They are for the figure "heating" of a study, a goal or a tolerance analysis. Each is the mean rise of `part` for a
+    watt lost in one region or on one interface, distributed as in the fields of `result`. Their sum weighted with the
+    losses is the mean of `part` by :func:`heating`. Other arguments are as there.
 
     Raises:
         InputError: as :func:`heating`; an unknown part.
@@ -191,16 +184,18 @@ def thermal_resistances(
 
 
 def cavity_height(result: Snapshot) -> float:
-    """Height (m) of the cavity of a chip, between its lowest and its highest point."""
+    """Height (m) of the cavity, from its lowest to its highest point."""
     mesh = result.fields.mesh
     return float(np.ptp(mesh.points[mesh.nodes_of([CAVITY]), 1]))
 
 
 def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None = None) -> LiquidWarming:
-    """The mean rise of the cavity's liquid, and the change of its sound speed and of f0 that follows.
+    """The mean rise of the cavity's liquid, and its effects.
+
+    Effects are on its sound speed, its density and f0.
 
     Raises:
-        InputError: the cavity holds no liquid; temperatures of another chip or state.
+        InputError: the cavity contains no liquid; temperatures of another chip or state.
     """
     expect(result, Snapshot, reader="read_chip", source="liquid warming", field="result")
     liquid = result.stated_problem.materials.get(CAVITY)
@@ -232,7 +227,7 @@ def liquid_warming(result: Snapshot, heat: Heating, *, registry: Registry | None
 
 
 def _check_own(result: Snapshot, heat: Heating) -> None:
-    """Raise if the temperatures are not those of the mesh and the materials of `result`."""
+    """Raise if the temperatures belong to another mesh or other materials."""
     problem, refusal = result.problem, f"wb.heating of this result, {result.chip.name}, state {result.state}"
     if not isinstance(heat, Heating):
         raise InputError("liquid warming", "heat", type(heat).__name__, refusal)
@@ -251,10 +246,8 @@ def _check_own(result: Snapshot, heat: Heating) -> None:
 def _resonance_slope(
     result: Snapshot, fluid: str, speed_slope: float, density_slope: float
 ) -> tuple[float, float] | None:
-    """f0 (Hz) and its derivative (Hz/K) by the temperature of the liquid; None where the result has no resonance.
-
-    L = ln |Z| has its minimum at f0, so that d f0 = -(d^2 L / df d theta) / (d^2 L / df^2) d theta.
-    """
+    """f0 (Hz) and its derivative (Hz/K) by the liquid's temperature. L = ln |Z| has its minimum at f0, so that d f0 =
+    -(d^2 L / df d theta) / (d^2 L / df^2) d theta. None if the result has no resonance."""
     if not isinstance(result, Simulation) or result.figures is None:
         return None
     system, frequency = FullSystem(result.operators, result.stated_problem.values), result.figures.f0

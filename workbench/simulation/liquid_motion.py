@@ -1,4 +1,4 @@
-"""The liquid that carries particles in a simulated state: streaming by sound, and by the heat that the chip loses.
+"""The flow of the liquid by sound and by heat.
 
     shot = snapshot(read_chip("chip.toml"), "filled", 1.03e6)
     moving = liquid_motion(shot)
@@ -25,7 +25,7 @@ from workbench.simulation.streaming import streaming
 
 
 class FlowCause(StrEnum):
-    """A cause of the liquid's motion: heat brings that of sound along."""
+    """A cause of the flow; heat includes sound."""
 
     HEAT = "heat"
     SOUND = "sound"
@@ -34,11 +34,11 @@ class FlowCause(StrEnum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiquidMotion(Brief):
-    """The steady motion of the liquid in the cavity of a state, and the temperatures that drive it.
+    """The steady flow of the liquid in a cavity, and the temperatures.
 
-    ``streaming`` is None where the liquid stays at rest, ``heat`` where it is driven by sound alone; ``velocity``
-    (N, 2) m/s carries particles, at the nodes of the mesh of the state's forces, None at rest. ``left_out`` is a
-    sentence on a cause that was requested and is not known.
+    ``streaming`` is None for a liquid at rest, ``heat`` for a flow by sound alone. ``velocity`` (N, 2) m/s carries
+    particles, at the nodes of the mesh of the state's forces; None at rest. ``left_out`` is a sentence on a cause that
+    was requested but cannot be computed.
     """
 
     streaming: Streaming | None
@@ -54,8 +54,8 @@ class LiquidMotion(Brief):
         """Sentences on assumptions."""
         found = () if self.streaming is None else self.streaming.assumptions
         if self.heat is not None:
-            found += (f"The flow is that of the chip when it has warmed up, by {self.heat.peak:.3g} K at the hottest "
-                      f"place; it comes up with a time constant of {self.heat.time_constant:.3g} s.", *self.heat.notes)
+            found += (f"The flow is that of the warm chip, {self.heat.peak:.3g} K warmer at the hottest place; it "
+                      f"develops with a time constant of {self.heat.time_constant:.3g} s.", *self.heat.notes)
         return (self.left_out, *found) if self.left_out else found
 
 
@@ -63,13 +63,13 @@ def liquid_motion(
     shot: Snapshot, *, by: str = FlowCause.HEAT, registry: Registry | None = None,
     convection: float | Mapping[str, float] = STILL_AIR, holder: str | Mapping[str, float] | None = None,
 ) -> LiquidMotion:
-    """The steady motion of the liquid in the cavity of a simulated state, at its frequency and drive.
+    """The steady flow of the liquid in a simulated cavity.
 
     Args:
         shot: a state of `snapshot` or `simulate` with a particle in a liquid.
-        by: "heat" (thermoacoustic force and buoyancy, beside the sound), "sound" (slip at the walls and absorption) or
-            "none". Heat is left out of a liquid whose entry states no law of temperature, and of a chip that lacks
-            thermal constants; the notes say so.
+        by: "heat" (thermoacoustic force and buoyancy, and sound), "sound" (slip at the walls and absorption) or "none".
+            Heat is left out for a liquid without a law of temperature, and for a chip without thermal constants; a note
+            reports this.
         convection, holder: ways for the heat to leave, as of `heating`.
 
     Raises:
@@ -92,7 +92,7 @@ def liquid_motion(
 
 
 def _unknown_heat(shot: Snapshot) -> str:
-    """A sentence on the reason why the flow by heat is not known; empty if it is."""
+    """The reason why the flow by heat is unknown, or ""."""
     assert shot.traps is not None
     fluid = shot.traps.forces.fluid
     if isinstance(fluid, Fluid) and fluid.temperature is None:
@@ -103,7 +103,7 @@ def _unknown_heat(shot: Snapshot) -> str:
 
 
 def _check_warm(shot: Snapshot, heat: Heating, registry: Registry) -> None:
-    """Raise if the liquid becomes warmer than its law reaches."""
+    """Raise if the liquid becomes warmer than its law allows."""
     assert shot.traps is not None
     fluid, voltage = shot.traps.forces.fluid, 2.0 * abs(shot.fields.voltage)
     rise = heat.parts[shot.traps.forces.region].peak - shot.liquid_rise
@@ -125,7 +125,6 @@ def _check_warm(shot: Snapshot, heat: Heating, registry: Registry) -> None:
 
 
 def _reaches(fluid: Fluid, rise: float, registry: Registry) -> bool:
-    """Whether the law of a liquid reaches so many K above its stated temperature."""
     assert fluid.temperature is not None
     try:
         registry.load(fluid.name, temperature=fluid.temperature + rise)

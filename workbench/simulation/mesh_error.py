@@ -1,18 +1,18 @@
-"""Error of Z due to the mesh, estimated on the mesh itself from the addition of fields of a higher order.
+"""Error of Z due to the mesh, estimated with higher-order functions.
 
-The fields of order q = p + :data:`MORE` contain those of order p and *surplus* functions besides: on every edge and in
-every element the integrated Legendre polynomials of the orders above p. A state x of order p leaves a residual r in
-them. The charge is stationary, so its error is a quadratic form of the residual,
+The fields of order q = p + :data:`MORE` contain those of order p and *surplus* functions: on every edge and in every
+element, the integrated Legendre polynomials of the orders above p. A state x of order p has a residual r in them. The
+charge is stationary, so its error is a quadratic form of the residual,
 
     Q_q - Q_p = r^T S^-1 r,    S = A_ss - A_sp A_pp^-1 A_ps,
 
-with A_ss the block of the surplus functions. These have short waves, and A_ss mostly dominates; it is factorised once,
-at the middle of the band. The second part of S counts if a resonance moves by a notable part of its width. A_pp^-1 is
-then that of the reduced model, which holds the resonances, and S that in the direction of y = A_ss^-1 r: with b = r^T y
-and c = y^T A_sp A_pp^-1 A_ps y the error is b^2 / (b - c), complex and signed at every frequency. (Zienkiewicz, de S.
-R. Gago and Kelly 1983, Comput. Struct. 16, 53: the hierarchical concept in finite element analysis; Bank and Smith
-1993, SIAM J. Numer. Anal. 30, 921: a posteriori error estimates based on hierarchical bases.) One more order shows only
-a part of the error of a singular corner: see `tests/benchmarks/discretisation.py`.
+with A_ss the block of the surplus functions. These have short wavelengths, and A_ss mostly dominates; it is factorised
+once, at the middle of the band. The second part of S matters if a resonance moves by a notable part of its width.
+A_pp^-1 is then that of the reduced model, which contains the resonances, and S is taken in the direction of y = A_ss^-1
+r: with b = r^T y and c = y^T A_sp A_pp^-1 A_ps y the error is b^2 / (b - c), complex and signed at every frequency.
+(Zienkiewicz, de S. R. Gago and Kelly 1983, Comput. Struct. 16, 53: the hierarchical concept in finite element analysis;
+Bank and Smith 1993, SIAM J. Numer. Anal. 30, 921: a posteriori error estimates based on hierarchical bases.) One more
+order shows only a part of the error of a singular corner: see `tests/benchmarks/discretisation.py`.
 """
 
 from __future__ import annotations
@@ -38,27 +38,26 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 
-#: Number of orders above that of the fields whose functions are the surplus.
+#: Number of orders of the surplus functions.
 MORE = 1
-
 
 #: Magnitude below which entries of the surplus functions at the nodes are rounding.
 ZERO_ENTRY = 1e-14
 
-#: Number of frequencies at which the error is estimated: each takes as long as a hundredth of a reduced model.
+#: Number of frequencies of an estimate: each takes a hundredth of the time of a reduced model.
 ERROR_FREQUENCIES = 13
 
 
 def samples(frequency: Real, impedance: Complex, count: int = ERROR_FREQUENCIES) -> tuple[Integers, Real]:
-    """Samples of a spectrum (n,) for the rms of its error over the whole: indices (k,) and weights (k,).
+    """Indices (k,) and weights (k,) of samples of a spectrum (n,).
 
-    The mean of a function over the spectrum is about the sum of its values there times the weights, which add up to
-    one. A mesh shifts resonances, so the error is large where ln Z is steep: half of the `count` samples lie evenly,
+    The mean of a function over the spectrum is about the weighted sum over the samples; the weights add up to one. A
+    mesh shifts resonances, so the error is large where ln Z is steep: half of the `count` samples are evenly spaced,
     the others in proportion to the square of that slope.
     """
     steep = np.abs(np.gradient(np.log(impedance.real + 1j * impedance.imag), np.log(frequency))) ** 2
     density = 0.5 / frequency.size + 0.5 * steep / max(float(steep.sum()), np.finfo(float).tiny)
-    # Every point belongs to the sample in whose equal share of the density it lies.
+    # Each sample represents an equal share of the density.
     share = np.minimum((count * (np.cumsum(density) - 0.5 * density)).astype(int), count - 1)
     indices, weights = [], []
     for each in np.unique(share):
@@ -71,8 +70,8 @@ def samples(frequency: Real, impedance: Complex, count: int = ERROR_FREQUENCIES)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeshErrorEstimate(Brief):
-    """Estimated ln Z of the exact model less that of the mesh, ``log_impedance`` (n,), e^{-i w t}, at ``frequency``
-    (n,) in Hz. By their ``weights`` (n,) these stand for a whole spectrum."""
+    """Estimated ln Z of the exact model less that of the mesh. ``log_impedance`` (n,), e^{-i w t}, is at ``frequency``
+    (n,) in Hz. The ``weights`` (n,) are for a mean over the whole spectrum."""
 
     frequency: Real
     log_impedance: Complex
@@ -85,7 +84,7 @@ class MeshErrorEstimate(Brief):
 
 
 def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorEstimate:
-    """The error that the mesh leaves in the spectrum of a reduced model at `frequency` (n,) Hz."""
+    """The mesh's error of Z by a reduced model. It is estimated at `frequency` (n,) Hz."""
     indices, weights = samples(frequency, model.solve(frequency, values).impedance)
     solution = model.solve(frequency[indices], values)
     surplus, g = _surplus(model.full), solution.coefficients
@@ -108,11 +107,9 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshErrorE
 
 @dataclass(frozen=True, eq=False)
 class _Surplus:
-    """The functions that a higher order adds to the fields of a mesh.
-
-    ``finer``: the model of that order; ``embedding`` (its size, size) of the mesh's own unknowns in it; ``basis`` (its
-    size, n) the surplus functions in it; ``operators`` the model on these alone, without terms across a layer.
-    """
+    """The functions that a higher order adds to a mesh's fields. ``finer`` is the model of that order; ``embedding``
+    (its size, size) maps the mesh's own unknowns into it, ``basis`` (its size, n) the surplus functions; ``operators``
+    is the model on these alone, without terms across a layer."""
 
     finer: FullOperators
     embedding: sparse.csr_array
@@ -132,7 +129,7 @@ def _surplus(operators: FullOperators) -> _Surplus:
                    + [facets * MORE + np.arange(cells) * inside + k for k in range(inside)])
     numbering, count = {}, 0
     for component, rows in finer.numbering.items():
-        # They are unknowns where the nodes of the higher order are.
+        # They are unknowns if the nodes of the higher order are.
         nodes = np.concatenate([np.repeat(rows[fine.facet_dofs[0]], MORE),
                                 np.repeat(rows[fine.interior_dofs[0]], inside)])
         free = (nodes >= 0) & (nodes < finer.size - 1)
@@ -162,11 +159,9 @@ def _map(
     nodes: Integers, functions: Integers, values: Real, rows: Integers, columns: Integers, shape: tuple[int, ...],
     shares: Real | None = None,
 ) -> sparse.csr_array:
-    """The map from the unknowns of some functions to those of the higher order, without the electrode.
-
-    `values` (nodes, functions) of every element at the `nodes` (nodes, cells) for the `functions` (functions, cells);
-    their unknowns are `rows` and `columns` by their number, -1 for none, and the functions have `shares` of theirs.
-    """
+    """The map from unknowns of functions to those of the higher order. `values` (nodes, functions) are at the `nodes`
+    (nodes, cells) of every element for the `functions` (functions, cells); `rows` and `columns` are their unknowns, -1
+    for none; the functions have `shares` of theirs. The electrode is excluded."""
     node, function = np.nonzero(np.abs(values) > ZERO_ENTRY)
     row, column, value = nodes[node].ravel(), functions[function].ravel(), np.repeat(values[node, function],
                                                                                     nodes.shape[1])
@@ -179,7 +174,7 @@ def _map(
 
 
 def _restricted(place: Place, nodes: Integers, own: Integers, functions: Real) -> Place:
-    """A place with the surplus functions `own` (functions, cells) in place of those of the `nodes` (nodes, cells)."""
+    """A place with the surplus functions `own` (functions, cells). They replace those of the `nodes` (nodes, cells)."""
     if place.dofs.shape == nodes.shape:
         change = functions
     else:  # a boundary has the functions of its own nodes only
@@ -188,15 +183,13 @@ def _restricted(place: Place, nodes: Integers, own: Integers, functions: Real) -
 
 
 def _values(low: int, high: int) -> Real:
-    """Values (nodes, functions) at the nodes of order `high` of the functions of order `low`."""
+    """Values (nodes, functions) of order `low` at nodes of order `high`."""
     return Lagrange(low).tabulated(np.array(Lagrange(high).doflocs).T)[0]
 
 
 def _surplus_functions(low: int, high: int) -> Real:
-    """Values (local nodes, functions) at the nodes of order `high` of the functions that it adds to order `low`.
-
-    First come those of the edges bottom, right, top, left, then those inside.
-    """
+    """Values (local nodes, functions) of the surplus functions at the nodes. First are those of the edges bottom,
+    right, top, left, then those inside."""
     nodes = gauss_lobatto(high)
     bubbles = {k: _bubble(k, nodes) for k in range(2, high + 1)}
     ends = (1.0 - nodes, nodes)
@@ -209,6 +202,6 @@ def _surplus_functions(low: int, high: int) -> Real:
 
 
 def _bubble(order: int, points: Real) -> Real:
-    """The integral of the Legendre polynomial of `order` - 1 over [0, x], which is 0 at both ends, scaled."""
+    """The integral of the Legendre polynomial of `order` - 1, scaled. It is over [0, x] and vanishes at both ends."""
     series = legendre.legint([0.0] * (order - 1) + [1.0], lbnd=-1)
     return np.asarray(np.sqrt(2.0 * order - 1.0) * legendre.legval(2.0 * points - 1.0, series))

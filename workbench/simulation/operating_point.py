@@ -1,7 +1,7 @@
-"""The frequency that a state is driven at, and the reason for it.
+"""The drive frequency of a state, and the reason for it.
 
-Something happens in a liquid where its sound has a peak. The default is therefore the largest peak of the energy in the
-cavity under the drive; a chip file, or whoever simulates it, may state f0 or a frequency instead.
+Sound acts on a liquid at a peak of its energy. So the default is the largest peak of the energy in the cavity under the
+drive; a chip file or a caller may state f0 or a frequency instead.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from workbench.model.drive import Drive
 from workbench.results.merit import Figures
 from workbench.simulation.energy import EnergyPeak, EnergySpectrum
 
-#: Ratio to its largest peak above which energy elsewhere is larger: a peak lies between two points of a spectrum.
+#: Ratio of energies above which one is larger: a peak is between two points of a spectrum.
 HIGHER = 1.01
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """The ``frequency`` (Hz) of the fields, and the ``reason`` for it in words.
+    """The ``frequency`` (Hz) of the fields, and its ``reason``.
 
-    ``here`` are the figures of the energy there, and ``at_f0`` those at ``f0`` (Hz), None where the cavity holds no
-    sound or the band no f0; ``peaks`` are those of the energy under the drive, the largest first. With ``follows`` the
-    drive starts there and stays on the peak while the chip warms up.
+    ``here`` are the figures of the energy at it, and ``at_f0`` those at ``f0`` (Hz); None if the cavity contains no
+    sound or the band no f0. ``peaks`` are those of the energy under the drive, the largest first. With ``follows`` the
+    drive starts there and follows the peak while the chip warms up.
     """
 
     frequency: float
@@ -59,19 +59,19 @@ def _less(ratio: float) -> str:
 
 
 def operating_point(
-    asked: float | str | None, stated: float | str | None, merit: Figures | None, middle: float,
+    requested: float | str | None, stated: float | str | None, merit: Figures | None, middle: float,
     energy: EnergySpectrum | None, drive: Drive, *, source: str,
 ) -> OperatingPoint:
-    """The operating point that was `asked` for, or else `stated` by the chip, or else the default.
+    """The `requested` operating point, that `stated` by the chip, or the default.
 
-    `asked` and `stated` are a frequency (Hz) or one of `geometry.operating_point.OPERATING_POINTS`. The default is the
-    peak of the `energy` under the `drive`, f0 of the figures of `merit` without one, and the `middle` (Hz) of the band
-    without either.
+    `requested` and `stated` are a frequency (Hz) or one of `geometry.operating_point.OPERATING_POINTS`. The default is
+    the peak of the `energy` under the `drive`, f0 of the figures of `merit` without one, and the `middle` (Hz) of the
+    band without either.
 
     Raises:
-        InputError: a word that is none of these.
+        InputError: another word.
     """
-    wanted = stated if asked is None else asked
+    wanted = stated if requested is None else requested
     peaks = () if energy is None else energy.peaks(drive)
     peak, f0 = (peaks[0] if peaks else None), (None if merit is None else merit.f0)
     if isinstance(wanted, str):

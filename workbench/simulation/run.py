@@ -1,4 +1,4 @@
-"""The main job in Python: a chip in one of its states becomes a spectrum, figures of merit, fields and traps.
+"""Simulation of a chip: spectrum, figures of merit, fields and traps.
 
     result = simulate(read_chip("chip.toml"), "filled")
     result.spectrum, result.figures, result.fields, result.traps
@@ -66,27 +66,23 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest ratio of the error of a mesh to its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small
-#: example chip (one more order shows a part of the error of a singular corner). Used in the warning alone.
+#: Largest ratio of the error of a mesh to its estimate, for the warning: 1.2 to 2.9 for the meshes of all accuracies of
+#: the small example chip (one more order shows only a part of the error of a singular corner).
 ERROR_OVER_ESTIMATE = 3.0
-
 
 #: A driven chip warms up in still air, at a fixed frequency.
 IN_STILL_AIR = WarmUp()
 
 
 class MeshTooCoarse(UserWarning):
-    """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
-    larger error than requested."""
+    """The mesh is coarser than requested. It has fewer elements per wavelength than its discretisation in some region,
+    or a larger error."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DrawnState(Brief):
-    """One state of a chip at one frequency under one drive, with all that its pictures show.
-
-    ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
-    ``traps`` is None without a fluid-filled cavity and a particle.
-    """
+    """One state at one frequency and drive, for pictures. ``losses`` (W) are by region, ``closure`` is their relative
+    difference from the electrical input power. ``traps`` is None without a fluid-filled cavity and a particle."""
 
     chip: Chip
     state: str
@@ -99,12 +95,12 @@ class DrawnState(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Snapshot(DrawnState):
-    """One state of a chip at one frequency under one drive, with the solve behind it.
+    """One state at one frequency and drive, with its solution.
 
     ``residual`` is the scaled residual of the solve. ``findings`` are sentences on assumptions about the materials, and
-    on failed solves. ``solution`` is the full one behind the fields, at 1 V. ``warm`` is the steady state of the driven
-    chip, whose fields and ``problem`` these are where it matters; None if the chip is kept at its stated temperature,
-    or if the warm one is not known.
+    on failed solves. ``solution`` is the full one, at 1 V. ``warm`` is the steady state of the driven chip; if it
+    matters, the fields and the ``problem`` are those of the warm chip. It is None if the chip is kept at its stated
+    temperature, or if the warm state is unknown.
     """
 
     residual: float
@@ -119,26 +115,25 @@ class Snapshot(DrawnState):
 
     @property
     def liquid_rise(self) -> float:
-        """K by which the liquid of the fields is warmer than stated."""
+        """The rise (K) of the liquid above its stated temperature."""
         return 0.0 if self.warm is None else self.warm.rise
 
     @property
     def drawn(self) -> DrawnState:
-        """The part that pictures show, which is small and goes to another process."""
+        """The small part for pictures, which goes to another process."""
         return DrawnState(**{each.name: getattr(self, each.name) for each in dataclasses.fields(DrawnState)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Snapshot, Shown):
-    """One state of a chip, simulated over a band; the snapshot is at its operating point.
+    """One state of a chip over a band, with a snapshot.
 
-    ``figures`` is None if the band has no resonance, and ``no_resonance`` gives the reason. ``error`` is the largest
-    estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
-    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual`` the
-    largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step. ``left_out`` (Hz) are the
-    requested frequencies that the spectrum lacks, because the solve there did not converge. ``energy`` of the sound in
-    the cavity over the band is None without a liquid there and after full solves; ``operating`` is the point that the
-    fields are at, and why.
+    The snapshot is at the operating point ``operating``. ``figures`` is None if the band has no resonance, and
+    ``no_resonance`` gives the reason. ``error`` is the largest estimated relative error of the impedance by the reduced
+    model (0 for a full solve), ``mesh_error`` that by the mesh (of ln Z; None after full solves, whose states are not
+    stored), ``solves`` the number of full solves, ``residual`` the largest scaled residual of one. ``capacitance`` is
+    that of the electrodes. ``seconds`` are by step. ``left_out`` (Hz) are requested frequencies whose solve did not
+    converge. ``energy`` of the sound in the cavity over the band is None without a liquid there and after full solves.
     """
 
     operators: FullOperators
@@ -161,7 +156,7 @@ class Simulation(Snapshot, Shown):
 
     @cached_property
     def resonances(self) -> CircuitFit | None:
-        """The resonances of the band, fitted together (`wb.fit_resonances`); None where none stands out."""
+        """The resonances of the band (`wb.fit_resonances`), or None."""
         return resonances_of(self.spectrum)
 
     def summary(self) -> Summary:
@@ -184,7 +179,7 @@ class Simulation(Snapshot, Shown):
         return Summary(f"{self.chip.name}, {self.state}", tuple(rows), {self.state: self.spectrum})
 
     def to_xarray(self) -> xarray.Dataset:
-        """The spectrum (:meth:`Spectrum.to_xarray`) with the figures of merit as attributes (Hz, ohm, 1)."""
+        """The spectrum (:meth:`Spectrum.to_xarray`) with figures as attributes. They are in Hz, ohm and 1."""
         found = self.spectrum.to_xarray().assign_attrs(chip=self.chip.name, state=self.state,
                                                        estimated_relative_error=self.error)
         if self.figures is not None:
@@ -212,27 +207,29 @@ def simulate(
     inviscid: bool = False,
     warm: WarmUp | None = IN_STILL_AIR,
 ) -> Simulation:
-    """Simulate a chip in one of its states. Frequencies at which no solve converges are left out; a finding names them.
+    """Simulate a chip in one of its states.
+
+    Frequencies at which no solve converges are left out; a finding names them.
 
     Args:
-        state: name of the state; the last one of the file if not given.
-        band: two frequencies (Hz); the chip's own if not given. The mesh is made for its upper end.
-        at: frequency (Hz) of the fields, or "energy" or "f0"; if not given, the chip's operating point, or else the
-            largest peak of the energy in the cavity under the drive, f0 without one, the band's middle without either.
+        state: name of the state; default: the last one of the file.
+        band: two frequencies (Hz); default: the chip's band. The mesh is made for its upper end.
+        at: frequency (Hz) of the fields, or "energy" or "f0". Default: the chip's operating point, or else the largest
+            peak of the energy in the cavity under the drive, f0 without one, the band's middle without either.
         full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         relative_error: of the reduced model's impedance.
-        drive: drive of the device; 10 Vpp at the electrodes if not given.
-        accuracy: relative error of Z that the mesh is made for, or a discretisation.
-        assumed_losses, inviscid: give a ceramic without any loss that of `materials.assumed`; leave out the boundary
-            layers of what the cavity holds. A finding says so.
-        warm: ways for the heat to leave a chip whose fields are as warm as they keep it; None, or a Peltier element,
-            keeps the liquid at its stated temperature. The spectrum is always that of the stated one.
-        on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
+        drive: drive of the device; default: 10 Vpp at the electrodes.
+        accuracy: relative error of Z for the choice of the mesh, or a discretisation.
+        assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding reports it.
+        inviscid: leave out the boundary layers of the cavity's fluid; a finding reports it.
+        warm: ways for the heat to leave; the fields are those of the warm chip. None, for example with a Peltier
+            element, keeps the liquid at its stated temperature. The spectrum is always at the stated temperature.
+        on_spectrum: called with the spectrum as soon as it is known; again with the error of its mesh.
 
     Raises:
-        InputError: a mistake in the chip, its materials or the arguments; a model there is no memory for.
-        NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
+        InputError: a mistake in the chip, its materials or the arguments; a model that does not fit in memory.
+        NotConverged: the full solves converge at few of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
     _check_operation(chip, None if isinstance(at, str) else at, drive, source="simulate", field="at")
@@ -284,7 +281,9 @@ def energy_spectrum(
     inviscid: bool = False,
     progress: Progress = no_progress,
 ) -> EnergySpectrum:
-    """The mean energy density of sound in the cavity of a chip over a band, with its peaks. See :func:`simulate`.
+    """The mean energy density of sound in the cavity over a band.
+
+    See :func:`simulate`.
 
     Raises:
         InputError: a mistake in the chip, its materials or the arguments; a state without a liquid in its cavity.
@@ -303,7 +302,6 @@ def energy_spectrum(
 
 
 def _assuming(registry: Registry | None, assumed_losses: bool, inviscid: bool) -> Registry:
-    """The registry that a chip is filled from for its simulation."""
     registry = registry or Registry()
     return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses,
                    inviscid=inviscid or registry.inviscid)
@@ -324,15 +322,15 @@ def _check_relative_error(relative_error: float) -> None:
 def _mesh_error(
     model: ReducedModel, frequencies: Real, problem: Problem, accuracy: float | Discretisation, progress: Progress
 ) -> MeshErrorEstimate:
-    """The estimated error of the mesh, with a warning if it is above the requested one."""
+    """The estimated error of the mesh; warns if above the requested one."""
     progress("error of the mesh", 0.0)
     error = mesh_error(model, frequencies, problem.values)
     if isinstance(accuracy, float) and error.rms > accuracy:
         finer = [row for row in ROWS if row < accuracy]
         remedy = "there is no finer one" if not finer else (
             f'--accuracy "{100.0 * max(finer):g} %" (in Python accuracy={max(finer):g}) makes a finer one')
-        warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above the "
-                      f"{100.0 * accuracy:g} % that it was made for; {remedy}. The error itself is "
+        warnings.warn(f"{problem.name}: the mesh has an estimated error of {100.0 * error.rms:.2g} % rms in Z, above "
+                      f"the {100.0 * accuracy:g} % that it was made for; {remedy}. The error itself is "
                       f"up to {ERROR_OVER_ESTIMATE:g} times its estimate where corners are sharp", MeshTooCoarse,
                       stacklevel=3)
     return error
@@ -352,13 +350,14 @@ def snapshot(
     inviscid: bool = False,
     warm: WarmUp | None = None,
 ) -> Snapshot:
-    """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
+    """A chip in one state at one `frequency` (Hz).
 
-    The liquid is at its stated temperature, unless `warm` states the ways for the heat of the drive to leave.
+    It takes one full solve; see :func:`simulate`. The liquid is at its stated temperature, unless `warm` states the
+    ways for the heat of the drive to leave.
 
     Raises:
         InputError: a mistake in the chip, its materials or the arguments.
-        NotConverged: the solve reached its tolerance neither there nor beside it.
+        NotConverged: the solve did not reach its tolerance there or nearby.
     """
     _check_operation(chip, frequency, drive, source="snapshot", field="frequency")
     registry = _assuming(registry, assumed_losses, inviscid)
@@ -377,8 +376,7 @@ def _snapshot(
     device: FilledChip, problem: Problem, system: System, frequency: float, drive: Drive, warm: WarmUp | None,
     registry: Registry, model: ReducedModel | None = None,
 ) -> Snapshot:
-    """The state of a device by a full solution, as `warm` as its drive keeps it where that matters; particles stay as
-    stated."""
+    """The full solution of a device, warm if that matters. Particles are those of the stated temperature."""
     check_mesh(problem, frequency)
     device.check_validity((frequency, frequency))
     solution, state = solution_near(system, frequency), None
@@ -400,8 +398,8 @@ def _snapshot(
 
 
 def check_mesh(problem: Problem, frequency: float) -> None:
-    """Warn, once for the problem, of every region with fewer elements per wavelength at `frequency` (Hz) than its
-    discretisation has. A mesh of the caller's own is not checked."""
+    """Warn of every region that is too coarse at `frequency` (Hz). It has fewer elements per wavelength than its
+    discretisation. A mesh of the caller's own is not checked."""
     made = problem.discretisation
     if made is None:
         return
@@ -418,8 +416,8 @@ def check_mesh(problem: Problem, frequency: float) -> None:
 
 
 def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
-    """Power (W) lost in every place by a solution at one frequency under an electrode voltage amplitude (V), and the
-    relative difference of the sum from the electrical input power."""
+    """Power (W) by place of the loss, and its closure. The closure is the relative difference of their sum from the
+    electrical input power. `voltage` is the amplitude at the electrodes (V); the solution is at one frequency."""
     parts = solution.dissipation()[0] * voltage**2
     losses: dict[str, float] = {}
     for integral, power in zip(solution.operators.integrals, parts, strict=True):
@@ -437,7 +435,6 @@ def _traps(device: FilledChip, found: Fields) -> TrapReport | None:
 
 
 def _spectrum_of(found: SolvedSpectrum, device: FilledChip, of_mesh: MeshErrorEstimate | None = None) -> Spectrum:
-    """The spectrum with its origin, and its errors as far as they are known."""
     method = "full solves"
     if found.model is not None:
         method = f"reduced model, estimated relative error at most {found.error:.1e}"

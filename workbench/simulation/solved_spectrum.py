@@ -1,4 +1,4 @@
-"""The spectrum of a state, by the reduced model or by full solves."""
+"""The spectrum of a state, by a reduced model or full solves."""
 
 from __future__ import annotations
 
@@ -28,31 +28,30 @@ from workbench.results.spectrum import Spectrum
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Number of frequencies that may fail to converge for each one that does, and number in any case, before a spectrum is
-#: given up: a model that is singular everywhere is not held by anything. Doubled, the message takes twice as long.
+#: Largest number of frequencies that fail to converge, for each one that converges and in any case, before an error: a
+#: free body without any support is singular everywhere. Doubled, the error takes twice as long.
 FAILED_PER_SOLVED, FAILED_ANYWAY = 0.5, 5
 
 #: Least number of frequencies within the half-power width of a resonance that determine its figures. Doubled, grids
-#: that are right to 0.1 % would raise a finding.
+#: that are accurate to 0.1 % would give a finding.
 RESOLVED = 2
 
-#: Ratio of the error of a reduced model to the requested one up to which it is used, and said. Doubled, a spectrum may
-#: be off by 2e-3 where 1e-4 was asked.
+#: Largest ratio of the error of a reduced model to the requested one: up to it the model is used, with a finding.
+#: Doubled, a spectrum may have an error of 2e-3 instead of the requested 1e-4.
 NEARLY = 10.0
 
-
-#: Relative distances from a frequency at which the fields are solved if it does not converge: within a line of a
-#: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
+#: Relative distances of alternative frequencies for fields whose solve does not converge: within the width of a
+#: resonance with Q = 1e4. Doubled, fields are further from the resonance and smaller.
 NEARBY = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolvedSpectrum(Brief):
-    """The impedance (n,) ohm, e^{-i w t}, at the ``frequency`` (n,) Hz of all requested ones that could be solved.
+    """The impedance (n,) ohm, e^{-i w t}, at ``frequency`` (n,) Hz.
 
-    ``solves`` is the number of full solves and ``residual`` the largest scaled residual of them; ``error`` the largest
-    estimated relative error of the impedance by the reduced model, whose ``model`` and ``solution`` are None, and error
-    0, after full solves.
+    Frequencies whose solve failed are left out. ``solves`` is the number of full solves and ``residual`` the largest
+    scaled residual of them. ``error`` is the largest estimated relative error of the impedance by the reduced ``model``
+    with its ``solution``; after full solves these are None and the error is 0.
     """
 
     frequency: Real
@@ -65,7 +64,7 @@ class SolvedSpectrum(Brief):
 
 
 def frequency_grid(band: tuple[float, float], points: int) -> Real:
-    """Equally spaced frequencies (points,) in Hz over `band`, both ends included.
+    """Equally spaced frequencies (points,) in Hz over `band`, ends included.
 
     Raises:
         InputError: fewer than 5 points, or a band that is not rising and positive.
@@ -83,7 +82,7 @@ def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]
     """The requested band (Hz), or the chip's own.
 
     Raises:
-        InputError: a band that nobody drives such a chip in, and that the chip does not list as unusual.
+        InputError: a band that is implausible for such a chip, unless the chip lists it as unusual.
     """
     if band is None:
         return chip.band
@@ -95,10 +94,10 @@ def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]
 def reduced_spectrum(
     system: System, frequencies: Real, relative_error: float, device: FilledChip, progress: Progress
 ) -> SolvedSpectrum:
-    """The spectrum by the reduced model; one that nearly reached its tolerance is better than none.
+    """The spectrum by the reduced model, possibly less accurate than requested.
 
     Raises:
-        NotEnriched: it is off by more than :data:`NEARLY` times the tolerance; the remedies are those of the `device`.
+        NotEnriched: the error is above :data:`NEARLY` times the tolerance; it has remedies for the `device`.
     """
     try:
         model, solution = reduced(system.operators, frequencies, system.values, tolerance=relative_error,
@@ -113,45 +112,45 @@ def reduced_spectrum(
 
 
 def _remedy(device: FilledChip, estimate: float) -> str:
-    """Ways out for a state whose reduced model is off by the `estimate`."""
     power = 10.0 ** math.floor(math.log10(estimate))
     enough = next(each * power for each in (2.0, 5.0, 10.0) if each * power >= 1.2 * estimate)
-    held = device.materials.get(CAVITY)
+    inside = device.materials.get(CAVITY)
     gas = (f' In a chip file, cavity = "vacuum" in place of "{device.state.cavity}" leaves out the modes of the gas, '
-           "of which this band has many") if isinstance(held, Fluid) and held.is_gas else ""
+           "of which this band has many") if isinstance(inside, Fluid) and inside.is_gas else ""
     return (f'for state {device.state.name}, --relative-error "{100.0 * enough:.2g} %" (in Python relative_error='
             f"{enough:.0e}) accepts that, --full (full=True) solves every frequency, --from and --to narrow the band."
             f"{gas}")
 
 
 def findings_of(
-    found: SolvedSpectrum, asked: float, device: FilledChip, left_out: tuple[float, ...], spectrum: Spectrum,
+    found: SolvedSpectrum, requested: float, device: FilledChip, left_out: tuple[float, ...], spectrum: Spectrum,
     merit: Figures | None,
 ) -> tuple[str, ...]:
-    """Findings on a spectrum: frequencies (Hz) `left_out`, a reduced model that is off by more than was `asked`, no
-    energy over frequency, or too few frequencies in its resonance."""
+    """Findings on a spectrum and its resonance. They report frequencies (Hz) that are `left_out`, a reduced model above
+    the `requested` error, an unknown energy, and a resonance with too few frequencies."""
     return (*_left_out(device, left_out, found.frequency.size + len(left_out)),
-            *_inexact(found, asked, is_wet=device.is_wet), *_unresolved(spectrum, merit))
+            *_inexact(found, requested, is_wet=device.is_wet), *_unresolved(spectrum, merit))
 
 
-def _inexact(found: SolvedSpectrum, asked: float, *, is_wet: bool) -> tuple[str, ...]:
-    """Findings that the reduced model is off by more than was `asked`, or that without it the energy of the sound in a
-    liquid is not known over frequency."""
+def _inexact(found: SolvedSpectrum, requested: float, *, is_wet: bool) -> tuple[str, ...]:
+    """Findings on a reduced model above the `requested` error, or none. Without a reduced model, the energy of the
+    sound over frequency is unknown."""
     if found.model is None:
         return ("full solves keep no states: the energy of the sound in the liquid is not known over frequency, and "
                 "the fields are not at its peak; --at states their frequency",) if is_wet else ()
-    if found.error <= asked:
+    if found.error <= requested:
         return ()
-    return (f"the reduced model is at an estimated relative error of {found.error:.1e}, above the {asked:.0e} that was "
-            "asked; --full solves every frequency, --from and --to narrow the band",)
+    return (f"the reduced model is at an estimated relative error of {found.error:.1e}, above the requested "
+            f"{requested:.0e}; --full solves every frequency, --from and --to narrow the band",)
 
 
 def full_spectrum(
     system: System, frequencies: Real, known: Mapping[float, complex],
     on_point: Callable[[float, complex], None] | None, progress: Progress,
 ) -> SolvedSpectrum:
-    """The spectrum by full solves; `on_point` is called with each frequency and impedance (e^{+j w t}), and points
-    `known` already are not solved again.
+    """The spectrum by full solves.
+
+    `on_point` is called with each frequency and impedance (e^{+j w t}); points in `known` are not solved again.
 
     Raises:
         NotConverged: more frequencies than :data:`FAILED_PER_SOLVED` of them do not converge.
@@ -180,7 +179,7 @@ def full_spectrum(
 
 
 def solution_near(system: System, frequency: float) -> Solution:
-    """The full solution at `frequency` (Hz), or at the nearest of :data:`NEARBY` if it does not converge there.
+    """The full solution at `frequency` (Hz), or at one of :data:`NEARBY`.
 
     Raises:
         NotConverged: it converges at none of them.
@@ -196,18 +195,17 @@ def solution_near(system: System, frequency: float) -> Solution:
         raise error
 
 
-def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
-    """A finding that names the `frequencies` (Hz), of `asked` requested ones, at which no solve converged."""
+def _left_out(device: FilledChip, frequencies: tuple[float, ...], requested: int) -> tuple[str, ...]:
+    """The finding on `frequencies` (Hz) at which no solve converged."""
     if not frequencies:
         return ()
     listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
-    return (f"{len(frequencies)} of {asked} frequencies are left out, because the solve there did not converge: "
+    return (f"{len(frequencies)} of {requested} frequencies are left out, because the solve there did not converge: "
             f"{listed} MHz. {undamped(device)}",)
 
 
 def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
-    """Findings that the resonance is weak, and that hardly any frequencies lie in it; none if it is not, and they do.
-    """
+    """Findings on a weak resonance, and on one with few frequencies."""
     if merit is None:
         return ()
     width = merit.f2 - merit.f1
@@ -221,7 +219,7 @@ def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
 
 
 def undamped(device: FilledChip) -> str:
-    """The reason why a solve may not converge, as far as the materials show it."""
+    """The reason why a solve may not converge, from the materials."""
     lossless = [f"{material.name} ({region})" for region, material in device.materials.items()
                 if not isinstance(material, Fluid) and is_lossless(material)]
     if not lossless:

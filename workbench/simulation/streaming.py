@@ -1,4 +1,4 @@
-"""The streaming of a simulated state, with the numbers of its liquid taken from the problem and the registry.
+"""The streaming of a simulated state.
 
     run = simulate(read_chip("chip.toml"), "filled")
     flow = streaming(run)
@@ -22,8 +22,8 @@ from workbench.model.problem import registry_of
 from workbench.model.validity import check_streaming_layer
 from workbench.simulation.run import Snapshot
 
-#: Step in K of the central differences for the change of a liquid with temperature. A parabola is exact; the cube of
-#: water's speed of sound leaves 1e-4 of its slope.
+#: Step in K of the central differences for the change of a liquid with temperature. They are exact for a parabola; the
+#: third-order part of water's speed of sound gives an error of 1e-4 of its slope.
 STEP = 1.0
 
 
@@ -31,19 +31,18 @@ def streaming(
     shot: Snapshot, *, temperature: FloatArray | None = None, slopes: TemperatureSlopes | None = None,
     registry: Registry | None = None, order: int | None = None,
 ) -> Streaming:
-    """The steady flow in the cavity of a simulated state, at its frequency and drive.
+    """The steady flow in the cavity of a simulated state.
 
     Args:
         shot: a state of `snapshot` or `simulate` with a liquid in its cavity.
         temperature: K above the stated temperature of the liquid, which is that of the surroundings, at the nodes of
-            the mesh of ``shot.fields`` or at those of the cavity alone; even unless given.
-        slopes: change of the liquid with temperature; taken from its law in the `registry` unless given.
-        order: polynomial order of the flow; that of the fields unless given.
+            the mesh of ``shot.fields`` or at those of the cavity alone; default: uniform.
+        slopes: change of the liquid with temperature; default: from its law in the `registry`.
+        order: polynomial order of the flow; default: that of the fields.
 
     Raises:
         InputError: no liquid in the cavity, or one without viscosity, or with a boundary layer above 5 % of the
-            cavity's smallest length; a temperature of another shape, or without a law
-            of the liquid at it.
+            cavity's smallest length; a temperature of another shape, or outside the liquid's law.
     """
     fluid = shot.problem.materials.get(CAVITY)
     if not isinstance(fluid, Fluid):
@@ -54,13 +53,13 @@ def streaming(
     known = {name: complex(shot.problem.values[f"{fluid.name}.{name}"]).real for name in (
         "density", "sound_speed", "shear_viscosity", "diffusivity_of_sound")
         if f"{fluid.name}.{name}" in shot.problem.values}
-    # The numbers that the fields were computed with, which a fit may have changed.
+    # The constants of the fields, which a fit may have changed.
     fluid = replace(fluid, density=known["density"], sound_speed=known["sound_speed"],
                     shear_viscosity=known.get("shear_viscosity"))
     if temperature is not None and not isinstance(temperature, np.ndarray):
         raise InputError("streaming", "temperature", temperature, "kelvin above the liquid's stated temperature at the "
                          f"nodes of the fields, an array ({len(shot.fields.mesh.points)},), such as "
-                         "wb.heating(shot).rise; leave it out for a liquid that is warm evenly")
+                         "wb.heating(shot).rise; leave it out for a liquid of uniform temperature")
     if temperature is not None and slopes is None:
         inside = shot.fields.mesh.nodes_of([CAVITY])
         there = temperature[inside] if temperature.size > inside.size else temperature
@@ -71,10 +70,12 @@ def streaming(
 
 
 def slopes_of(fluid: Fluid, registry: Registry, *, warmer_by: float = 0.0) -> TemperatureSlopes:
-    """The change of `fluid` with temperature, by its law in the `registry`, at `warmer_by` K above its temperature.
+    """The change of `fluid` with temperature, by its law.
+
+    It is at `warmer_by` K above the fluid's temperature.
 
     Raises:
-        InputError: the registry states no law for the fluid, or none that reaches this temperature.
+        InputError: the registry states no law for the fluid, or none at this temperature.
     """
     if fluid.temperature is None:
         raise InputError("streaming", "temperature", f"{fluid.name} without a temperature",

@@ -1,7 +1,7 @@
-"""The steady state of a chip that its own drive has warmed up: its temperature, its field, and the words for both.
+"""The steady state of a chip that its drive has warmed.
 
-A liquid's speed of sound moves with its temperature, and with it the resonance that the drive meets. Temperature and
-field are therefore one fixed point (`workbench.simulation.fixed_point`), which may exist several times or not at all.
+A liquid's speed of sound depends on its temperature, and so does the resonance at the drive's frequency. Temperature
+and field are therefore a fixed point (`workbench.simulation.fixed_point`), of which there may be several or none.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 
 #: Relative change of the energy on the way to the steady temperature above which the fields are those of the warm chip.
-#: Doubled, a report may be off by 6 % for the temperature.
+#: Doubled, the energy may have an error of 6 % due to the temperature.
 CHANGE = 0.03
 
 #: Relative shift of the frequency by `follow` above which the fields are those of the followed one.
 FOLLOWED = 1e-5
 
-#: Ratio to the energy of the warm chip above which a larger peak is named.
+#: Ratio to the energy of the warm chip above which a larger peak is reported.
 LARGER = 1.1
 
 
 @dataclass(frozen=True)
 class WarmUp:
-    """The ways for the heat of a driven chip to leave, and whether the drive follows the resonance.
+    """The ways for the heat of a driven chip to leave.
 
-    ``convection`` and ``holder`` as of `wb.heating`; with ``follow`` the frequency stays on the peak of the energy in
-    the cavity while the chip warms up. The surroundings are at the temperature that the liquid is stated at.
+    ``convection`` and ``holder`` are as of `wb.heating`. With ``follow`` the frequency of the drive stays at the peak
+    of the energy in the cavity while the chip warms up. The surroundings are at the stated temperature of the liquid.
     """
 
     convection: float | Mapping[str, float] = STILL_AIR
@@ -45,11 +45,11 @@ class WarmUp:
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """A temperature at which the losses of a chip's field keep it.
+    """A temperature in equilibrium with the losses.
 
-    ``rise`` K, the mean of the liquid above its stated temperature; ``frequency`` Hz; ``energy_density`` J/m^3, the
-    mean in the cavity; ``voltage`` Vpp at the electrodes; ``power`` W of electrical input. A point that is not
-    ``stable`` is left at the smallest disturbance.
+    ``rise`` (K) is the mean of the liquid above its stated temperature; ``frequency`` is in Hz; ``energy_density``
+    (J/m^3) is the mean in the cavity; ``voltage`` (Vpp) is at the electrodes; ``power`` (W) is electrical input. A
+    point that is not ``stable`` changes after the smallest disturbance.
     """
 
     rise: float
@@ -62,10 +62,8 @@ class SteadyPoint:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarmCurve(Brief):
-    """A warm chip over its drive: ``factor`` (n,) of the drive's voltage that keeps the liquid ``rise`` (n,) K warmer.
-
-    ``frequency`` (n,) Hz and ``energy_density`` (n,) J/m^3 are those at that factor; NaN where no drive does.
-    """
+    """A warm chip over its drive. ``factor`` (n,) of the drive's voltage keeps the liquid ``rise`` (n,) K warmer.
+    ``frequency`` (n,) Hz and ``energy_density`` (n,) J/m^3 are at that factor; NaN if no drive does."""
 
     rise: Real
     factor: Real
@@ -75,10 +73,10 @@ class WarmCurve(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarmState(Brief):
-    """A chip driven steadily, as warm as its own losses make it.
+    """A chip driven steadily, at the temperature due to its losses.
 
-    ``cold`` is the point of a chip whose liquid is kept at its ``stated`` temperature (K), with the rise that its
-    losses would bring; ``points`` are the steady ones by rise, of which the first is that of a drive switched on.
+    ``cold`` is the point of a chip whose liquid is kept at its ``stated`` temperature (K), with the rise due to its
+    losses; ``points`` are the steady ones by rise, of which a drive that is switched on reaches the first.
     ``energy_per_kelvin`` is the relative change of the energy by the first kelvin at the cold chip's frequency, and
     ``peak_per_kelvin`` (Hz) that of the frequency of its peak, None without a peak nearby. ``largest_change`` is the
     relative change of the energy on the way to the first point. ``largest`` is the factor of the voltage up to which
@@ -86,7 +84,7 @@ class WarmState(Brief):
     that change with the temperature; ``up`` are the ways for the heat to leave; ``problem`` is the chip at its stated
     temperature. ``evaluate`` gives the energy density (n,) J/m^3 under the drive at a rise (K) and frequencies (n,) Hz
     near the drive's. ``peak`` is the frequency (Hz) of the largest peak of the energy at the warm chip's temperature,
-    and the energy density there.
+    and its energy density.
     """
 
     liquid: str
@@ -113,7 +111,7 @@ class WarmState(Brief):
 
     @property
     def here(self) -> SteadyPoint | None:
-        """The point of a drive that is switched on; None if the liquid leaves its law."""
+        """The point after switching on; None if beyond the liquid's law."""
         return self.points[0] if self.points else None
 
     @property
@@ -123,17 +121,17 @@ class WarmState(Brief):
 
     @property
     def is_followed(self) -> bool:
-        """Whether the drive has left its frequency with the peak."""
+        """Whether the drive has followed the peak to another frequency."""
         return self.here is not None and abs(self.here.frequency / self.cold.frequency - 1.0) > FOLLOWED
 
     @property
     def rise(self) -> float:
-        """The rise (K) of the liquid that the fields are solved at: that of the warm chip where it matters, else 0."""
+        """The rise (K) of the liquid in the fields; 0 if negligible."""
         return self.points[0].rise if self.matters else 0.0
 
     @property
     def highest_drive(self) -> str:
-        """The drive, in words, up to which the warmest place of the liquid stays within its law."""
+        """The largest drive within the liquid's law, in words."""
         most = drive_up_to(self.drive, self.largest) if self.largest > 0.0 else None
         return f"{_short(self.largest)} times the voltage" if most is None else str(most)
 
@@ -194,5 +192,4 @@ class WarmState(Brief):
 
 
 def _short(value: float) -> str:
-    """Two significant digits in plain notation."""
     return f"{float(f'{value:.2g}'):g}"
