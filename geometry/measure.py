@@ -69,7 +69,7 @@ class Axisymmetric:
         return np.asarray(value / r)
 
     def turned(self, value: Real, r: Real) -> Real:
-        """The slope (1 / r) d/dt of values whose factor is cos(m t) or sin(m t), over the order m."""
+        """The slope (1 / r) d/dt over the order m, for cos(m t) and sin(m t)."""
         return np.asarray(value / r)
 
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
@@ -187,7 +187,7 @@ class Straight:
         return np.zeros(np.broadcast_shapes(np.shape(value), np.shape(r)))
 
     def turned(self, value: Real, r: Real) -> Real:
-        """The slope d/dy of values whose factor is cos(k y) or sin(k y), over the wave number k."""
+        """The slope d/dy over the wave number k, for cos(k y) and sin(k y)."""
         return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), np.shape(r)))
 
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:

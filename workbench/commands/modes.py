@@ -27,7 +27,7 @@ OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png"))
 
 
 def run_modes(options: argparse.Namespace, console: Console) -> int:
-    """``workbench modes``: the modes of a chip, what each peak of its spectrum is."""
+    """``workbench modes``: the modes of a chip, as table, record and pictures."""
     chip = read_chip(options.chip)
     model, name = model_options(options, chip), chip.state(options.state).name
     orders = [_order(each) for each in options.orders.split(",") if each.strip()]
@@ -59,7 +59,7 @@ def _order(text: str) -> int:
 
 
 def _drawn(found: ChipModes, most: int, folder: Path) -> Iterator[Path]:
-    """Pictures of the modes with the largest coupling to the electrodes, or energy in the liquid."""
+    """Pictures of the modes with most coupling, or energy in the liquid."""
     leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
     for mode in sorted(leading, key=lambda mode: mode.frequency):
         yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz.png")

@@ -502,7 +502,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "compare": ("compare a recorded impedance, or focusing over frequency, with a simulated chip", _compare),
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
-    "modes": ("the modes of a chip: what each peak of its spectrum is", _modes),
+    "modes": ("the modes of a chip, which are the peaks of its spectrum, with pictures", _modes),
     "render": ("draw the fields of a chip at one frequency", _render),
     "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
     "sensitivity": ("rank the constants of a transducer by their effect on its spectrum", _sensitivity),

@@ -1,4 +1,4 @@
-"""Forms of states cell by cell: stiffness, mass and loss, and the energy of every region."""
+"""Stiffness, mass and loss of states by cell, and energy by region."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ STIFFNESS, MASS, LOSS = range(3)
 
 
 def energy_shares(operators: FullOperators, states: Complex, coefficients_of: Complex) -> dict[str, Real]:
-    """The share (n,) of the mechanical energy in each region, for `states` (size, n) with coefficients (n, integrals).
+    """The share (n,) of each region in the mechanical energy of `states` (size, n).
+
+    `coefficients_of` (n, integrals) are the coefficients at their frequencies.
     """
     stored = coefficients_of.real.astype(np.complex128)
     cells = cell_forms(operators, np.conj(states), states, stored)[[STIFFNESS, MASS]].real

@@ -1,12 +1,12 @@
-"""Complex eigenfrequencies and mode shapes of a model with its electrodes short-circuited: the poles of its admittance.
+"""Complex eigenfrequencies and mode shapes of a model: the poles of its admittance.
 
-The matrix A(w) of a model has any powers of w in it (fluids, boundary layers, laws of loss), so its modes are solutions
-of a nonlinear eigenvalue problem A(w) x = 0. With its rows of the pressure times w^2, the matrix of lossy solids and
-ideal fluids is linear in w^2, so Arnoldi iterations with one factorisation at a real frequency give all modes within a
-circle about it, all but for boundary layers and laws of loss. The problem projected on these vectors is solved
-exactly by Newton's method, and the vectors are extended by residual inverse iteration (Neumaier 1985, SIAM J. Numer.
-Anal. 22, 914) until the frequencies stay. Coefficients are continued from the real axis to complex frequencies by
-Chebyshev polynomials. Circles are added until they cover the band.
+The electrodes are short-circuited. The matrix A(w) of a model has any powers of w in it (fluids, boundary layers, laws
+of loss), so its modes are solutions of a nonlinear eigenvalue problem A(w) x = 0. With its rows of the pressure times
+w^2, the matrix of lossy solids and ideal fluids is linear in w^2, so Arnoldi iterations with one factorisation at a
+real frequency give all modes within a circle about it, all but for boundary layers and laws of loss. The problem
+projected on these vectors is solved exactly by Newton's method, and the vectors are extended by residual inverse
+iteration (Neumaier 1985, SIAM J. Numer. Anal. 22, 914) until the frequencies stay. Coefficients are continued from the
+real axis to complex frequencies by Chebyshev polynomials. Circles are added until they cover the band.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ LEAST_Q = 20.0
 
 
 class ModesNotConverged(RuntimeError):
-    """Eigenfrequencies that still changed after the last round: these (n,) in Hz, with their relative changes (n,)."""
+    """Eigenfrequencies (n,) in Hz still changed in the last round, by ``changes`` (n,)."""
 
     def __init__(self, frequencies: Complex, changes: Real) -> None:
         worst = int(np.argmax(changes))
@@ -78,10 +78,10 @@ class ModesNotConverged(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Eigenmodes:
-    """Modes of a model: ``omega`` (n,) rad/s, complex, e^{-i w t}, by ascending real part, and ``states`` (size, n).
+    """Modes of a model, by frequency.
 
-    States have no voltage and x^T (dA/dw) x = -2 w, that is x^T M x = 1 where A = K - w^2 M. ``changes`` (n,) is the
-    relative change of each frequency in the last round.
+    ``omega`` (n,) rad/s is complex, e^{-i w t}. ``states`` (size, n) have no voltage and x^T (dA/dw) x = -2 w, that is
+    x^T M x = 1 where A = K - w^2 M. ``changes`` (n,) is the relative change of each frequency in the last round.
     """
 
     operators: FullOperators
@@ -101,7 +101,7 @@ class Eigenmodes:
 
 
 def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LEAST_Q) -> Eigenmodes:
-    """All modes of a model of at least some quality factor, with real parts of their frequencies in a band.
+    """All modes of a model in a band with at least some quality factor.
 
     Parameters
     ----------
@@ -132,7 +132,10 @@ def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LE
 def _windows(
     model: _Continued, middle: float, band: tuple[float, float], least_q: float
 ) -> Iterator[tuple[float, Eigenmodes, float]]:
-    """Modes about frequencies that together cover the band, each once: (centre, modes, half width covered), Hz."""
+    """Modes about several frequencies, each mode once, until they cover the band.
+
+    Yields (centre, modes, half width covered), in Hz.
+    """
     low, high = band
     factor, starts, first = _starts(model.system, middle, least_q)
     yield middle, _refined(model, factor, starts, (max(low, middle - first), min(high, middle + first)), least_q), first
@@ -150,8 +153,10 @@ def _windows(
 
 
 def _starts(system: System, frequency: float, least_q: float) -> tuple[Factor, Pairs, float]:
-    """The model factorised at a frequency (Hz), approximate modes about it, and the half width (Hz) of the band in
-    which they are all of the wanted quality."""
+    """The model factorised at a frequency (Hz), and approximate modes about it.
+
+    Returns also the half width (Hz) of the band in which these are all modes of the quality factor.
+    """
     factor = system.factored(frequency)[1]
     further = frequency * (1.0 + STEP)
     change, free, growth = system.change(frequency, further), factor.scale.size, (1.0 + STEP) ** 2
@@ -209,7 +214,10 @@ def _refined(
 
 
 def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: float = 0.0) -> NDArray[np.bool_]:
-    """Mask (n,) of the modes in a `band` (Hz), widened by a share of it, of at least a quality factor."""
+    """Mask (n,) of the modes in a `band` (Hz), of at least a quality factor.
+
+    The band is widened by the share `margin` of its width.
+    """
     low, high = (2.0 * np.pi * each for each in band)
     wider = margin * (high - low)
     return (omegas.real >= low - wider) & (omegas.real < high + wider) & (_quality(omegas) >= least_q)
@@ -217,7 +225,7 @@ def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: 
 
 @dataclass(frozen=True, eq=False)
 class _Continued:
-    """The full model at complex frequencies: A(w) = sum_g h_g(w) B_g, with polynomials h_g."""
+    """The full model at complex frequencies: sum_g h_g(w) B_g with polynomials h_g."""
 
     system: System
     laws: list[Chebyshev]
@@ -232,7 +240,7 @@ class _Continued:
         return cls(system, [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups)
 
     def image(self, omega: complex, state: Complex) -> Complex:
-        """The product A(w) x (size - 1,) for a state (size - 1,) without voltage."""
+        """The product A(w) x (size - 1,) for a state x without voltage."""
         state = np.append(state, 0.0)
         return np.asarray(sum(law(omega) * matrix.times(state)
                               for law, matrix in zip(self.laws, self.system.groups, strict=True)))[:-1]
@@ -247,13 +255,16 @@ class _Continued:
 
 @dataclass(frozen=True, eq=False)
 class _Projected:
-    """A model on a small basis at complex frequencies; ``matrices`` (groups, r, r)."""
+    """A model on a small basis at complex frequencies.
+
+    ``matrices`` has the shape (groups, r, r).
+    """
 
     laws: list[Chebyshev]
     matrices: Complex
 
     def at(self, omega: complex) -> tuple[Complex, Complex]:
-        """The matrix (r, r) and its derivative by w at a complex angular frequency."""
+        """The matrix (r, r) and its derivative by w, at complex w."""
         factors = np.array([[law(omega) for law in laws] for laws in (self.laws, self._slopes)])
         matrix, slope = np.tensordot(factors, self.matrices, axes=1)
         return matrix, slope
@@ -263,20 +274,20 @@ class _Projected:
         return [law.deriv() for law in self.laws]
 
     def mode_near(self, omega: complex, state: Complex) -> tuple[complex, Complex] | None:
-        """The mode that Newton's method reaches from a frequency and a `state` (r,) close to it."""
+        """The mode that Newton's method reaches from a frequency and a `state` (r,)."""
         for _ in range(NEWTON):
             matrix, slope = self.at(omega)
             left = slope @ state
             step = np.linalg.solve(matrix, left)
             change = -complex(left @ state) / complex(left @ step)
-            state = step / np.linalg.norm(step)
+            state = np.asarray(step / np.linalg.norm(step), dtype=np.complex128)
             omega += change
             if abs(change) <= 1e-13 * abs(omega):
                 return omega, state
         return None
 
     def distinct(self, modes: Iterable[tuple[complex, Complex] | None]) -> Pairs:
-        """The distinct ones of some modes, with states of the norm of :class:`Eigenmodes`."""
+        """The distinct ones of some modes, normalised as in :class:`Eigenmodes`."""
         found: list[tuple[complex, Complex]] = []
         for mode in modes:
             if mode is None:
@@ -298,15 +309,20 @@ def _quality(omega: NDArray[np.complexfloating] | complex) -> Real:
 
 
 def _parts(states: Complex) -> Real:
-    """Real and imaginary parts (m, 2 n) of states (m, n) of unit length, turned so that the real part is the largest.
+    """Real and imaginary parts (m, 2 n) of states (m, n) of unit length.
+
+    The phase of each state makes its real part largest.
     """
-    turned = states / np.linalg.norm(states, axis=0)
-    turned *= np.exp(-0.5j * np.angle(np.sum(turned**2, axis=0)))
+    turned: Complex = states / np.linalg.norm(states, axis=0)
+    turned = np.asarray(turned * np.exp(-0.5j * np.angle(np.sum(turned**2, axis=0))))
     return np.asarray(np.hstack([turned.real, turned.imag]))
 
 
 def _orthonormal(vectors: Real, basis: Real) -> Real:
-    """Orthonormal directions (m, k) of `vectors` (m, n) outside an orthonormal `basis` (m, r), small ones left out."""
+    """Orthonormal directions (m, k) of `vectors` (m, n) outside an orthonormal `basis` (m, r).
+
+    Those smaller than :data:`DEPENDENT` are left out.
+    """
     for _ in range(2):
         vectors = vectors - basis @ (basis.T @ vectors)
     columns, triangle, _ = qr(vectors, mode="economic", pivoting=True)

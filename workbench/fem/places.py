@@ -52,7 +52,10 @@ class Place:
                      {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
 
     def of_order(self, measure: Measure) -> Place:
-        """The place for fields that vary along the third direction: the mean square of their factor is a half."""
+        """The place for fields that vary along the third direction.
+
+        The mean square of their factor is a half.
+        """
         shapes = dict(self.shapes)
         for side in ("", OPPOSITE):
             if f"value{side}" in shapes:

@@ -1,4 +1,4 @@
-"""Fields that vary along the third direction: by an order around an axis, or a wave number along a straight section.
+"""Fields that vary around the axis by an order, or along a straight section.
 
 Around an axis, u_r, u_z, phi and p have the factor cos(m t), the displacement u_s along the circumference sin(m t). In
 a straight section y takes the place of r t: cos(k y), sin(k y). Integrals over that direction leave sections again,
@@ -8,8 +8,7 @@ a straight section y takes the place of r t: cos(k y), sin(k y). Integrals over 
 
 so an order is one more parameter of the coefficients, a real number. An integral of the base model gains its parts
 along s by symmetry: a product of two components across the axis stands for a scalar product, and a form of the strains
-e_rr, e_tt is isotropic about the axis. With fields of no variation along s, the displacement u_s decouples and the base
-model is left.
+e_rr, e_tt is isotropic about the axis. Without variation along s, the displacement u_s decouples from the base model.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ _SHEAR: Mapping[tuple[str, str], float] = {
 
 @dataclass(frozen=True)
 class OfOrder(Term):
-    """A term of the base model for fields of an order, the parameter :data:`ORDER`.
+    """A term of the base model for fields of the order :data:`ORDER`.
 
     Raises:
         ModelError: from `integrals`, where the term is not isotropic about the axis or has moved coordinates.
@@ -70,7 +69,7 @@ class OfOrder(Term):
         return tuple(found for integral in self.term.integrals() for found in self._of(integral))
 
     def _of(self, integral: Integral) -> Iterator[Integral]:
-        """The integrals of each power of the order that one of the base model becomes."""
+        """The integrals, by power of the order, of one of the base model."""
         if integral.variant:
             raise ModelError(f"{self.term!r} has lengths as parameters; orders of fields need a section as it is")
         products: dict[int, list[Product]] = {}
@@ -94,7 +93,7 @@ class OfOrder(Term):
 
 
 def _along(products: tuple[Product, ...], term: Term) -> Iterator[Product]:
-    """The products of components along s that stand beside those of an integral."""
+    """The products of components along s beside those of an integral."""
     weights: dict[tuple[str, str], float] = {}
     for each in products:
         one, other = _ALONG.get(each.row), _ALONG.get(each.column)
@@ -113,7 +112,9 @@ def _along(products: tuple[Product, ...], term: Term) -> Iterator[Product]:
 
 @dataclass(frozen=True)
 class AxisOfOrder(Term):
-    """Conditions on the axis for fields of an order: smooth vectors have u_r + u_s = 0 for m = 1, and all vanish above.
+    """Conditions on the axis for fields of an order.
+
+    Smooth vectors have u_r + u_s = 0 for m = 1, and vanish above.
     """
 
     is_first: bool
@@ -125,5 +126,5 @@ class AxisOfOrder(Term):
 
 
 def terms_of_order(terms: tuple[Term, ...], *, is_first: bool) -> tuple[Term, ...]:
-    """The terms of a base model for fields of an order, the first one or a higher one."""
+    """The terms of a base model for fields of the first order, or a higher one."""
     return (AxisOfOrder(is_first), *map(OfOrder, terms))

@@ -108,7 +108,7 @@ def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
 
 
 def by_order(operator: str) -> Iterator[tuple[int, str]]:
-    """Pairs of a power of the order and the name of the operator's part with that power."""
+    """Pairs of a power of the order and the name of that part."""
     if operator in _WRITTEN:
         yield 0, operator
     if operator in TURNED:

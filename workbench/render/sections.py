@@ -83,7 +83,7 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 
 def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
-    """Draw the leading displacement of a `mode` in the solids of its section. Writes `path`."""
+    """Draw the leading displacement of a `mode` in solids. Writes `path`."""
     squares = np.nansum(mode.shape**2, axis=1)
     leading = int(np.argmax(squares))
     name = (f"along {mesh.measure.symbol}", "along z", "along the third direction")[leading]

@@ -1,4 +1,4 @@
-"""The modes of a chip in one of its states: what each peak of a spectrum is, and which modes a section cannot show.
+"""The modes of a chip in one of its states.
 
 Electrodes are short-circuited, so the frequencies are those of the poles of the admittance: the dips of |Z|. A whole
 electrode drives the modes of order 0 alone; those of higher orders are seen where something is not round.
@@ -58,8 +58,8 @@ class ChipMode(Brief):
     effective coupling factor without the other modes of the band; both are 0 for a mode that the electrodes do not
     drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
     ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
-    N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of it;
-    NaN in fluids.
+    N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of
+    it; NaN in fluids.
     """
 
     order: float
@@ -95,9 +95,9 @@ class ChipMode(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChipModes(Shown):
-    """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency, of at least the quality factor ``least_q``.
+    """The modes of a chip's ``state`` in a ``band`` (Hz), by frequency.
 
-    Their shapes are on ``nodes``.
+    All have at least the quality factor ``least_q``. Their shapes are on ``nodes``.
     """
 
     chip: Chip
@@ -108,9 +108,10 @@ class ChipModes(Shown):
     nodes: NodalMesh
 
     def near(self, frequency: float) -> ChipMode | None:
-        """The mode that a peak at a `frequency` (Hz) is: of those driven within a half width, the most coupled one.
+        """The mode of a peak at a `frequency` (Hz).
 
-        Without any, it is the nearest driven one; None if none is driven.
+        It is the driven mode of largest coupling within a half width. Without any, it is the nearest driven mode, or
+        None if no mode is driven.
         """
         driven = [mode for mode in self.modes if mode.k_eff > 0.0]
         close = [mode for mode in driven if abs(mode.frequency - frequency) <= 0.5 * mode.frequency / mode.q]
@@ -161,7 +162,8 @@ def modes(
     found: list[ChipMode] = []
     for k, number in enumerate(numbers):
         progress("modes", k / len(numbers))
-        terms = posed.terms if number == 0.0 else terms_of_order(posed.terms, is_first=not is_straight and number == 1.0)
+        is_first = not is_straight and number == 1.0
+        terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
         system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
         found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight, span)
     progress("modes", 1.0)
@@ -217,7 +219,7 @@ def _ordered(shares: Mapping[str, float]) -> dict[str, float]:
 
 
 def _loss_shares(operators: FullOperators, states: Complex, coefficients: Complex) -> dict[str, Real]:
-    """The share (n,) of the loss of every region and boundary, for `states` (size, n)."""
+    """The share (n,) of each place in the loss of `states`."""
     forms = operators.quadratic(np.conj(states), states).real
     lost: dict[str, Real] = {}
     for q, integral in enumerate(operators.integrals):
@@ -229,9 +231,9 @@ def _loss_shares(operators: FullOperators, states: Complex, coefficients: Comple
 
 
 def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> tuple[Real, Real]:
-    """Capacitances C_n (n,) in F and effective coupling factors (n,) of modes: k^2 = C_n / (C_b + C_n).
+    """Capacitances C_n (F) and effective coupling factors of modes, (n,) each.
 
-    C_b is the capacitance at the mode without the modes of the band.
+    k^2 = C_n / (C_b + C_n), where C_b is the capacitance at the mode without the modes of the band.
 
     The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
     """
@@ -253,7 +255,7 @@ def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> 
 def _nodal(
     operators: FullOperators, posed: Problem, state: Complex, nodal: NodalMesh, dofs: NDArray[np.int64]
 ) -> dict[str, Complex]:
-    """The components of a state at the nodes (N,); NaN where a region does not have them."""
+    """The components of a state at the nodes (N,), or NaN."""
     padded = np.append(state, 0.0)
     result = {}
     for component, rows in operators.numbering.items():
@@ -267,7 +269,7 @@ def _nodal(
 
 
 def _shape(fields: Mapping[str, Complex]) -> Real:
-    """Displacement (3, N) at the phase of its largest component, in units of that."""
+    """Displacement (3, N) at the phase of its maximum, over this maximum."""
     count = len(fields["u_r"])
     moved = np.stack([fields.get(name, np.zeros(count)) for name in ("u_r", "u_z", "u_s")])
     largest = moved.ravel()[np.nanargmax(np.abs(moved))]
@@ -275,7 +277,7 @@ def _shape(fields: Mapping[str, Complex]) -> Real:
 
 
 def _crossings(fields: Mapping[str, Complex], nodal: NodalMesh, region: str) -> int:
-    """Number of zeros of the leading component along the upper face of a region."""
+    """Number of zeros of the leading component on a region's upper face."""
     nodes = nodal.nodes_of([region])
     points = nodal.points[nodes]
     top = points[:, 1] >= points[:, 1].max() - AT_FACE * np.ptp(points[:, 1])
