@@ -20,13 +20,14 @@ import numpy as np
 
 from workbench.files.errors import InputError, choose
 from workbench.readers import columns as _columns
-from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
-from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
+from workbench.readers import headed, makers, touchstone, workbench_csv
+from workbench.readers.columns import ColumnMap, read_column_map
 from workbench.readers.findings import Finding, Rows, examine
 from workbench.readers.proposals import OPTION
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded
-from workbench.readers.text import RecordingText, load_text, refuse_waveform
+from workbench.readers.tables import find_table
+from workbench.readers.text import READ_AS, RecordingText, load_text, refuse_waveform
 from workbench.results.notebook import Shown, Summary
 from workbench.results.spectrum import Spectrum, corrected
 
@@ -46,18 +47,19 @@ class Format:
     parse: Callable[[RecordingText], Recorded]
 
 
+_MAKERS = {name: Format(f"{maker.name} table", maker.recognises, maker.parse) for name, maker in makers.MAKERS.items()}
 FORMATS: Mapping[str, Format] = {
     "workbench": Format("the workbench's own CSV", workbench_csv.recognises_workbench_csv,
                         workbench_csv.parse_workbench_csv),
-    "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises_e4990a, e4990a.parse_e4990a),
-    "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises_hp4294a, hp4294a.parse_hp4294a),
+    "e4990a": _MAKERS["e4990a"],
+    "4294a": Format("HP/Agilent 4294A ASCII", makers.recognises_hp4294a, makers.parse_hp4294a),
     "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises_touchstone, touchstone.parse_touchstone),
-    "labone": Format("Zurich Instruments LabOne sweep", labone.recognises_labone, labone.parse_labone),
-    **{name: Format(f"{instrument.name} table", instrument.recognises, instrument.parse)
-       for name, instrument in instruments.INSTRUMENTS.items()},
-    "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
+    "labone": Format("Zurich Instruments LabOne sweep", makers.recognises_labone, makers.parse_labone),
+    **_MAKERS,
+    "lines": Format("a table with one quantity a line", makers.recognises_lines, makers.parse_lines),
     # The last one, since it takes any file with three columns of numbers.
-    "table": Format("a table whose headings say what its columns are", headed.recognises_headed, headed.parse_headed),
+    "table": Format("a table whose headings say what its columns are", lambda text: find_table(text) is not None,
+                    headed.parse_headed),
 }
 
 #: Findings on the spectrum itself, which are found anew after a correction.
