@@ -1,7 +1,7 @@
 """Columns of one table that hold one impedance in several forms, and whether they agree.
 
-Every column with a known meaning is compared with the impedance of the pair that is read: |Z|, theta, R, X, G, B, S11,
-return loss. Healthy instruments agree within the rounding of their digits, 0.2 % in the median and 3 % at worst.
+Every column with a known meaning is compared with the impedance of the pair that is read: |Z|, theta, R, X, G, B, S11.
+Healthy instruments agree within the rounding of their digits, 0.2 % in the median and 3 % at worst.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from workbench.readers.findings import Finding
 from workbench.readers.headings import Heading
 from workbench.readers.pairs import HeadedTable, Pair
-from workbench.readers.quantities import MAGNITUDE_UNITS, PHASE_UNITS
+from workbench.readers.quantities import units
 from workbench.readers.tables import Table
 from workbench.readers.text import complex_parts
 
@@ -77,8 +77,6 @@ def _difference(
         values = real + 1j * imaginary
 
     def si(column: NDArray[Any]) -> NDArray[Any]:
-        if heading.part == "scalar":  # a loss is the magnitude of its reflection
-            return np.asarray(10.0 ** (-np.abs(column) / 20.0))
         return np.asarray(10.0 ** (column / 20.0) if np.isnan(scale) else scale * column)
 
     def part(quantity: Complex) -> NDArray[Any]:
@@ -112,8 +110,6 @@ def _compared(heading: Heading, table: HeadedTable) -> bool:
             other and other.kind == "transmission" for other in table.known)):
         # Of a device between two ports, the reflection is not that of its impedance alone.
         return False
-    if heading.part == "scalar":
-        return heading.unit == "dB"
     return heading.part in ("magnitude", "whole", "phase", "real", "imaginary") and heading.port == 1 and (
         heading.kind in ("impedance", "admittance", "reflection") or heading.part == "phase")
 
@@ -125,14 +121,14 @@ def _meanings(
     kind = heading.kind or table.owner(place) or pair.quantity.kind
     if kind not in ("impedance", "admittance", "reflection"):
         kind = "impedance"
-    units = PHASE_UNITS if heading.part == "phase" else {**MAGNITUDE_UNITS[kind], "dB": np.nan}
+    known = units("phase" if heading.part == "phase" else "magnitude", kind)
     if heading.unit:
-        scales = [units.get(heading.unit, 1.0)]
+        scales = [known.get(heading.unit, 1.0)]
     elif heading.part == "phase":
-        scales = list(units.values())
+        scales = list(known.values())
     else:
         decibel = [np.nan] if kind == "reflection" else []
-        scales = list(dict.fromkeys((1.0, units.get(pair.quantity.unit, 1.0), *decibel)))
+        scales = list(dict.fromkeys((1.0, known.get(pair.quantity.unit, 1.0), *decibel)))
     sign = -1.0 if heading.negated else 1.0
     for scale in scales:
         for resistance in ((table.reference,) if table.reference else _REFERENCES) if kind == "reflection" else (1.0,):

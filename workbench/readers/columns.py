@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +21,11 @@ from workbench.readers.findings import Finding
 from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, hint, understand, units_of
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.states import select_of, telling_columns, values_in_words
-from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
+from workbench.readers.sweep import ONE_FREQUENCY, Reading, in_order
 from workbench.readers.tables import Table
 from workbench.readers.text import (
     COMMENTS,
     RecordingText,
-    cell_number,
     cells,
     complex_parts,
     holds_no_value,
@@ -183,7 +181,7 @@ def map_text(columns: ColumnMap, doubts: Mapping[str, str] = MappingProxyType({}
     return "\n".join(lines)
 
 
-def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
+def parse_columns(text: RecordingText, columns: ColumnMap) -> Reading:
     """Read the file.
 
     Columns given by heading: the heading line is the first that holds all of them (a leading %, # or ! is ignored).
@@ -227,7 +225,7 @@ def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
 def recorded(
     table: Table, columns: ColumnMap, values: Sequence[NDArray[np.float64]], place: int, origin: Origin, *,
     scale: float = 1.0, findings: Sequence[Finding] = (),
-) -> Recorded:
+) -> Reading:
     """The spectrum of a table's `values`, (n,) each: frequency (its `place` counted from 0), first and second.
 
     `scale` multiplies the impedance.
@@ -260,13 +258,12 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
     quantity = columns.quantity
     found = []
     for name, (part, kind, unit) in zip(columns.named, columns.meanings, strict=True):
-        meaning = kind if part == "element" else PART_WORDS[part] + (
-            f" of {QUANTITY_WORDS[kind]}" if part not in ("frequency", "whole") else "")
+        minus = quantity.negated and name is columns.second
+        meaning = ("minus " if minus else "") + (kind if part == "element" else PART_WORDS[part] + (
+            f" of {QUANTITY_WORDS[kind]}" if part != "frequency" else ""))
         if part == "whole":
             meaning = f"{QUANTITY_WORDS[kind]} as complex numbers" + (
                 " whose imaginary part is negated" if quantity.negated else "")
-        elif quantity.negated and name is columns.second:
-            meaning = f"minus {meaning}"
         called = f'"{name}"' if isinstance(name, str) else f"column {name}"
         if name is columns.second and columns.second_file:
             called += f" of {columns.second_file}"
@@ -274,22 +271,18 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
         unit = {"1": "no unit", "dB": f"dB{of}"}.get(unit, unit)
         found.append(f"{called} is {meaning} in {unit}" + (f" ({notes[name]})" if name in notes else ""))
     resistance = f"{quantity.reference_resistance or 0.0:g} ohm"
-    match quantity.kind:
-        case "gain":
-            both, resistor = "the voltage across both", f"that across {resistance}"
-            found.append(f"the gain is {both} over {resistor}" if quantity.inverse else f"the gain is {resistor} over "
-                         f"{both}")
-        case "reflection":
-            found.append(f"reflection at one port of {resistance}")
-        case "transmission":
-            found.append(f"transmission between two ports of {resistance}, the specimen in {quantity.configuration}")
-        case "impedance" | "admittance":
-            sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
-            found.append(f"of a capacitor the {'imaginary part' if columns.second is None else 'last'} is {sign}")
+    ratio = ("the voltage across both", f"that across {resistance}")[::1 if quantity.inverse else -1]
+    sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
+    of_capacitor = f"of a capacitor the {'imaginary part' if columns.second is None else 'last'} is {sign}"
+    found += {"gain": [f"the gain is {ratio[0]} over {ratio[1]}"],
+              "reflection": [f"reflection at one port of {resistance}"],
+              "transmission": [f"transmission between two ports of {resistance}, the specimen in "
+                               f"{quantity.configuration}"],
+              "impedance": [of_capacitor], "admittance": [of_capacitor]}.get(quantity.kind, [])
     found += [f"rows with {name} {value} alone" for name, value in columns.select.items()]
-    delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}.get(
-        columns.delimiter, repr(columns.delimiter))
-    found.append(f"columns divided by {delimiter}, decimal {'comma' if columns.decimal == ',' else 'point'}")
+    delimiters = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
+    found.append(f"columns divided by {delimiters.get(columns.delimiter, repr(columns.delimiter))}, decimal "
+                 f"{'comma' if columns.decimal == ',' else 'point'}")
     return "; ".join(found)
 
 
@@ -369,8 +362,11 @@ def _mapped(text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]
         places = [int(name) - 1 for name in wanted]
         numbered = [index for index, row in enumerate(split) if _holds_numbers(row, places, columns.decimal)
                     and not text.lines[index].startswith(COMMENTS)]
+        # Rows that a decimal mark or a missing column spoils are refused with their place.
+        numbered = numbered or [index for index, row in enumerate(split) if len(row) > 1 and all(
+            cell.lstrip("+-.")[:1].isdigit() for cell in row)]
         if not numbered:
-            _refuse_columns(text, columns, places, split)
+            raise InputError(text.path, "rows", text.lines[0], f"rows of numbers separated by {columns.delimiter!r}")
         # Settings and counts above a table may be numbers too, but have fewer cells than most rows.
         widths = [len(split[index]) for index in numbered]
         width = max(widths, key=widths.count)
@@ -388,18 +384,3 @@ def _holds_numbers(row: Sequence[str], places: Sequence[int], decimal: str) -> b
     return max(places) < len(row) and is_number(row[places[0]], decimal) and all(
         is_number(row[place], decimal) or complex_parts(row[place]) is not None or holds_no_value(row[place], decimal)
         for place in places)
-
-
-def _refuse_columns(
-    text: RecordingText, columns: ColumnMap, places: Sequence[int], split: Sequence[Sequence[str]]
-) -> NoReturn:
-    """Raise with the reason why no line has numbers in all of the `places`."""
-    start = next((index for index, row in enumerate(split) if len(row) > 1 and all(
-        cell.lstrip("+-.")[:1].isdigit() for cell in row)), None)
-    if start is None:
-        raise InputError(text.path, "rows", text.lines[0], f"rows of numbers separated by {columns.delimiter!r}")
-    if max(places) >= len(split[start]):
-        raise text.error(start + 1, None, f"{len(split[start])} columns", f"at least {max(places) + 1} columns")
-    place = next(place for place in places if not is_number(split[start][place], columns.decimal))
-    cell_number(text, start + 1, place + 1, cell=split[start][place], decimal=columns.decimal)
-    raise AssertionError(split[start])  # number() raises

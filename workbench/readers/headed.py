@@ -22,7 +22,7 @@ from workbench.readers.headings import Heading, understand
 from workbench.readers.pairs import HeadedTable, find_pairs, reference_of
 from workbench.readers.proposals import OPTION, headings_in_doubt
 from workbench.readers.states import select_of, telling_columns, values_in_words
-from workbench.readers.sweep import Recorded
+from workbench.readers.sweep import Reading
 from workbench.readers.tables import find_table
 from workbench.readers.text import RecordingText
 
@@ -36,7 +36,7 @@ FAULTY = 0.05
 
 def parse_headed(
     text: RecordingText, *, instrument: str = "", date: str = "", how: str = "by its headings"
-) -> Recorded:
+) -> Reading:
     """Read the file; the origin's setting ``columns.READ_AS`` states the meaning of each column, with reasons.
 
     Raises:

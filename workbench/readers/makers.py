@@ -19,7 +19,7 @@ from workbench.readers.findings import Finding
 from workbench.readers.headed import parse_headed
 from workbench.readers.headings import understand
 from workbench.readers.quantities import RecordedQuantity
-from workbench.readers.sweep import Recorded
+from workbench.readers.sweep import Reading
 from workbench.readers.tables import Table, find_table
 from workbench.readers.text import RecordingText, cells, holds_no_value, is_cell
 
@@ -45,7 +45,7 @@ class Maker:
         return any(re.search(self.sign, line) for line in text.lines[:self.lines]) and (
             bool(self.end) or find_table(text) is not None)
 
-    def parse(self, text: RecordingText) -> Recorded:
+    def parse(self, text: RecordingText) -> Reading:
         """Read the first table that holds an impedance; a finding names the others.
 
         Raises:
@@ -56,10 +56,10 @@ class Maker:
         if not above:
             raise text.error(len(bare), None, bare[-1][:80], f"a line such as {self.such_as!r} above the table of a "
                              f"{self.name} file")
-        return first_of("channel", [(bare[begin].removeprefix("BEGIN "), tried(lambda begin=begin: self._table(
+        return first_of("channel", [(bare[begin].removeprefix("BEGIN "), _tried(lambda begin=begin: self._table(
             text, bare, begin))) for begin in (above if self.end else above[:1])])
 
-    def _table(self, text: RecordingText, bare: Sequence[str], begin: int) -> Recorded:
+    def _table(self, text: RecordingText, bare: Sequence[str], begin: int) -> Reading:
         """The table below the line index `begin`; its lines keep their numbers."""
         if self.end and self.end not in bare[begin:]:
             raise text.error(len(bare), None, bare[-1], f"a last line {self.end!r}; the file is cut short")
@@ -82,7 +82,7 @@ MAKERS: Mapping[str, Maker] = {
 }
 
 
-def tried(parse: Callable[[], Recorded]) -> Recorded | InputError:
+def _tried(parse: Callable[[], Reading]) -> Reading | InputError:
     """The recording, or the reason why it is not read."""
     try:
         return parse()
@@ -90,13 +90,13 @@ def tried(parse: Callable[[], Recorded]) -> Recorded | InputError:
         return error
 
 
-def first_of(word: str, read: Sequence[tuple[str, Recorded | InputError]]) -> Recorded:
+def first_of(word: str, read: Sequence[tuple[str, Reading | InputError]]) -> Reading:
     """The first recording of a file that could be read; a finding compares the others, each called a `word`, with it.
 
     Raises:
         InputError: none could be read.
     """
-    found = [(name, each) for name, each in read if isinstance(each, Recorded)]
+    found = [(name, each) for name, each in read if isinstance(each, Reading)]
     if not found:
         raise next(each for _, each in read if isinstance(each, InputError))
     name, first = found[0]
@@ -129,7 +129,7 @@ def recognises_hp4294a(text: RecordingText) -> bool:
     return text.lines[0].lstrip('"').startswith("4294A")
 
 
-def parse_hp4294a(text: RecordingText) -> Recorded:
+def parse_hp4294a(text: RecordingText) -> Reading:
     """Read the file.
 
     Raises:
@@ -222,7 +222,7 @@ def recognises_labone(text: RecordingText) -> bool:
     return bool(_labone_delimiter(text))
 
 
-def parse_labone(text: RecordingText) -> Recorded:
+def parse_labone(text: RecordingText) -> Reading:
     """Read the first sweep of the file; a finding states the differences of the others.
 
     Raises:
@@ -238,11 +238,11 @@ def parse_labone(text: RecordingText) -> Recorded:
             chunks.setdefault(row[0], {})[row[3].casefold()] = (line, row[4:])
     if not chunks:
         raise text.error(len(text.lines), None, text.lines[-1][:80], "a line of values behind the first one")
-    return first_of("sweep", [(f"sweep {name}", tried(lambda name=name, fields=fields: _chunk(text, name, fields)))
+    return first_of("sweep", [(f"sweep {name}", _tried(lambda name=name, fields=fields: _chunk(text, name, fields)))
                               for name, fields in chunks.items()])
 
 
-def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[str]]]) -> Recorded:
+def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[str]]]) -> Reading:
     """One sweep of the file."""
     pair = next((pair for pair in FIELDS if set(pair) <= set(fields)), None)
     frequency = next((field for field in ("frequency", "grid") if field in fields), None)
@@ -275,7 +275,7 @@ def recognises_lines(text: RecordingText) -> bool:
     return _turned(text) is not None
 
 
-def parse_lines(text: RecordingText) -> Recorded:
+def parse_lines(text: RecordingText) -> Reading:
     """Read a table whose lines are its columns.
 
     Raises:

@@ -14,12 +14,11 @@ from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, is_series,
 from workbench.readers.quantities import (
     CIRCUITS,
     CONFIGURATIONS,
-    ELEMENT_UNITS,
-    MAGNITUDE_UNITS,
     PHASE_UNITS,
     REFERENCE_OHM,
     THROUGH,
     RecordedQuantity,
+    units,
 )
 from workbench.readers.tables import Table
 
@@ -174,7 +173,7 @@ def _pair(table: HeadedTable, kind: str, form: str, first: int, second: int) -> 
     assert two is not None
     remarks = _Remarks(table)
     more, stated = stated_ports(kind, table.reference)
-    allowed = (*MAGNITUDE_UNITS[kind], *(["dB"] if form == "polar" else []))
+    allowed = tuple(units("magnitude" if form == "polar" else "real", kind))
     unit = remarks.unit("unit", first, one, allowed, has_default=bool(more))
     phase_unit = "deg"
     if form == "rectangular":
@@ -245,11 +244,11 @@ def _circuit(table: HeadedTable, circuit: str, places: tuple[int, int], *, doubt
     """A pair of elements with their units, in the order of their columns."""
     remarks = _Remarks(table)
     (one, symbol), (other, second) = sorted(zip(places, circuit.split("-"), strict=True))
-    units = []
+    own = []
     for key, place, element in (("unit", one, symbol), ("second_unit", other, second)):
-        heading, allowed = table.known[place], tuple(ELEMENT_UNITS[element])
+        heading, allowed = table.known[place], tuple(units("element", element))
         assert heading is not None
-        units.append(remarks.unit(key, place, heading, allowed, has_default=element in ("D", "Q")))
+        own.append(remarks.unit(key, place, heading, allowed, has_default=element in ("D", "Q")))
         sizes = np.abs(table.table.values[:, place])
         size = float(np.nanmedian(sizes)) if np.any(np.isfinite(sizes)) else 0.0
         if not (heading.unit or heading.strange_unit) and size > LARGEST_ELEMENT.get(element[0], np.inf):
@@ -257,5 +256,5 @@ def _circuit(table: HeadedTable, circuit: str, places: tuple[int, int], *, doubt
     if doubted:
         remarks.doubt("form", places[0], "of a parallel (p) or a series circuit (s), as the meter was set",
                       "series or parallel is not said")
-    quantity = RecordedQuantity("circuit", f"{symbol}-{second}", units[0], second_unit=units[1])
+    quantity = RecordedQuantity("circuit", f"{symbol}-{second}", own[0], second_unit=own[1])
     return Pair(one, other, quantity, remarks.doubts, remarks.notes)

@@ -16,7 +16,7 @@ from workbench.files.errors import InputError
 from workbench.readers.columns import PART_WORDS, ColumnMap, contradiction, map_text
 from workbench.readers.headings import SYMBOLS, Heading, hint
 from workbench.readers.pairs import HeadedTable, Pair, find_pairs, stated_ports
-from workbench.readers.quantities import MAGNITUDE_UNITS, PHASE_UNITS, RecordedQuantity
+from workbench.readers.quantities import PHASE_UNITS, RecordedQuantity, units
 from workbench.readers.tables import Table
 
 OPTION = "--columns MAP.toml"
@@ -118,8 +118,8 @@ def _first_half(seen: HeadedTable, place: int) -> Pair | None:
 def _quantity(heading: Heading | None, form: str, **more: object) -> RecordedQuantity:
     """The quantity of a `form` of which a heading names one half."""
     kind = heading.kind if heading and heading.kind in SYMBOLS else "impedance"
-    units = (*MAGNITUDE_UNITS[kind], *(["dB"] if form == "polar" else []))
-    unit = heading.unit if heading and heading.unit in units else units[0]
+    allowed = tuple(units("magnitude" if form == "polar" else "real", kind))
+    unit = heading.unit if heading and heading.unit in allowed else allowed[0]
     ports, _ = stated_ports(kind, None)
     return RecordedQuantity(**{"kind": kind, "form": form, "unit": unit, **ports, **more})  # type: ignore[arg-type]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.readers.sweep import TWO_STATES
-from workbench.readers.tables import Table, listed
+from workbench.readers.tables import Table, values_listed
 
 #: Headings of columns that count repeated sweeps of one device, whose mean has a meaning.
 _REPEATS = re.compile(
@@ -63,7 +63,7 @@ def _apart(
 
 def values_in_words(telling: Mapping[int, Sequence[str]], table: Table) -> str:
     """Every telling column with its values: column 1 "DUT": 1, 2, 3."""
-    return "; ".join(f"{table.name(place)}: {listed(values)}" for place, values in telling.items())
+    return "; ".join(f"{table.name(place)}: {values_listed(values)}" for place, values in telling.items())
 
 
 def select_of(telling: Mapping[int, Sequence[str]], table: Table) -> dict[str, str]:

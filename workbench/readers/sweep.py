@@ -5,17 +5,28 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
-from workbench.readers.findings import Finding, Rows, rows_in_words
+from workbench.readers.findings import Finding, Rows, examine, rows_in_words
 from workbench.readers.tables import Table
-from workbench.results.spectrum import Origin, Spectrum
+from workbench.readers.text import READ_AS
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Origin, Spectrum, corrected
+
+if TYPE_CHECKING:
+    import xarray
 
 #: The setting of an origin that lists the points put in order or left out.
 PUT_IN_ORDER = "put in order"
+#: Findings on the spectrum itself, which are found anew after a correction.
+_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "unsigned", "stretch", "magnitude",
+                       "frequency", "outlier", "spacing"})
+#: The setting of an origin that lists the points left out on request.
+LEFT_OUT = "left out"
 #: Largest relative difference of equal frequencies: digits lost in a unit. Doubled, nothing changes, since no analyser
 #: steps by a thousandth of a hertz at 1 MHz.
 ONE_FREQUENCY = 1e-9
@@ -36,15 +47,69 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """The spectrum that a file holds, the findings made while it was put in order, and the ``rows`` of its points."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Reading(Shown):
+    """A spectrum as recorded, the findings on it, and the rows of the file that its points stand in, if known."""
 
     spectrum: Spectrum
     findings: tuple[Finding, ...]
-    rows: Rows
+    rows: Rows | None = None
 
-    def share_apart(self, other: Recorded) -> float:
+    @property
+    def read_as(self) -> str:
+        """Meaning of every column according to headings or a column map; otherwise empty."""
+        return self.spectrum.origin.settings.get(READ_AS, "")
+
+    def summary(self) -> Summary:
+        """The spectrum and its findings, for a notebook."""
+        own = self.spectrum.summary()
+        found = [("read as", self.read_as)] if self.read_as else []
+        rows = (*own.rows, *found, *(("finding", str(finding.message)) for finding in self.findings))
+        return Summary("Recording", rows, {"measured": self.spectrum}, ("measured",))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The spectrum as a dataset, see :meth:`Spectrum.to_xarray`."""
+        return self.spectrum.to_xarray()
+
+    def examined(
+        self, spectrum: Spectrum, *more: Finding, rows: Rows | None = None, shunt_gain: bool = False
+    ) -> Reading:
+        """The reading with another `spectrum`, in other `rows` of the file if given, and the findings on it.
+
+        `more` findings stand before those; `shunt_gain` if the recording is the gain of a shunt divider.
+        """
+        rows = self.rows if rows is None else rows
+        kept = (finding for finding in self.findings if finding.code not in _EXAMINED)
+        return Reading(spectrum, (*kept, *more, *examine(spectrum, rows=rows, shunt_gain=shunt_gain)), rows)
+
+    def corrected(self, correction: str) -> Reading:
+        """The reading with its spectrum corrected, noted in the origin, and re-examined.
+
+        `correction` is "negate", "conjugate" or "signs", see :func:`workbench.results.spectrum.corrected`.
+        """
+        return self.examined(corrected(self.spectrum, correction))
+
+    def without_outliers(self) -> Reading:
+        """The reading without the points in the ``rows`` of its findings, noted in the origin and in a finding.
+
+        Raises:
+            InputError: they are half of the points or more.
+        """
+        rows, spectrum = self.rows or Rows(tuple(range(1, self.spectrum.frequency.size + 1)), "point"), self.spectrum
+        out = {row for finding in self.findings for row in finding.rows}
+        kept = np.array([row not in out for row in rows.numbers])
+        points = np.flatnonzero(~kept)
+        if not len(points):
+            return self
+        words = f"{len(points)} of {len(kept)} points as outliers: {rows.named(points, spectrum.frequency)}"
+        if 2 * len(points) >= len(kept):
+            raise InputError(spectrum.origin.source or "recording", "without_outliers", words,
+                             "fewer than half of the points; the recording as a whole is in doubt")
+        origin = replace(spectrum.origin, settings={**spectrum.origin.settings, LEFT_OUT: words})
+        return self.examined(replace(spectrum.at(kept), origin=origin), Finding("left_out", f"left out {words}"),
+                             rows=Rows(rows.of(np.flatnonzero(kept)), rows.word))
+
+    def share_apart(self, other: Reading) -> float:
         """Rms difference of another spectrum from this one, as a share of its rms; infinite at other frequencies."""
         if not np.array_equal(self.spectrum.frequency, other.spectrum.frequency):
             return np.inf
@@ -55,7 +120,7 @@ class Recorded:
 def in_order(
     table: Table, frequency: Real, impedance: Complex, *, values: Sequence[Real], column: int, origin: Origin,
     uncertainty: Real | None = None, shared_uncertainty: float = 0.0, findings: Sequence[Finding] = (),
-) -> Recorded:
+) -> Reading:
     """The spectrum of the rows of a table, whose `frequency` (n,) Hz stands in the `column` (from one).
 
     `values` are the columns of numbers, (n,) each, behind the `impedance` (n,) ohm; points with NaN in one, which
@@ -112,7 +177,7 @@ def in_order(
         words = " ".join("; ".join(finding.message for finding in found).split())
         origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: words})
     spectrum = Spectrum(frequency, impedance, None if uncertainty is None else stated, origin, shared_uncertainty)
-    return Recorded(spectrum, tuple(found), Rows(tuple(lines.tolist()), text.row))
+    return Reading(spectrum, tuple(found), Rows(tuple(lines.tolist()), text.row))
 
 
 def _with_values(

@@ -212,7 +212,7 @@ class Table:
             kept = [index for index, cell in enumerate(table.column(place)) if _same(cell, value)]
             if not kept:
                 raise InputError(self.text.path, "column map", f"select {name} = {value}", "a value of this column: "
-                                 + listed(table.column(place)))
+                                 + values_listed(table.column(place)))
             table = replace(table, cells=tuple(table.cells[index] for index in kept),
                             lines=tuple(table.lines[index] for index in kept))
         return table
@@ -235,7 +235,7 @@ def _same(cell: str, value: object) -> bool:
         return False
 
 
-def listed(values: Sequence[str]) -> str:
+def values_listed(values: Sequence[str]) -> str:
     """The values of a column in words, each once."""
     once = list(dict.fromkeys(values))
     return ", ".join(once[:_NAMED]) + (f" and {len(once) - _NAMED} more" if len(once) > _NAMED else "")

@@ -21,7 +21,7 @@ from workbench.files.quantities import UNITS
 from workbench.readers.columns import ColumnMap, map_text, recorded
 from workbench.readers.findings import Finding
 from workbench.readers.quantities import MAGNITUDE_UNITS, THROUGH, RecordedQuantity
-from workbench.readers.sweep import Recorded
+from workbench.readers.sweep import Reading
 from workbench.readers.tables import Table
 from workbench.readers.text import RecordingText, cell_number, is_number
 
@@ -30,6 +30,8 @@ _FREQUENCIES: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1
 _PARAMETERS: Mapping[str, str] = {"s": "reflection", "y": "admittance", "z": "impedance", "g": "", "h": ""}
 _FORMS: Mapping[str, str] = {"ri": "rectangular", "ma": "polar", "db": "polar"}
 _SUFFIX = re.compile(r"\.[syzgh](\d+)p")
+#: Keywords of sections that hold no parameters of the network.
+_NOT_READ = ("begin information", "noise data")
 _KEYWORD = re.compile(r"\[([^\]]*)\]\s*(.*)")
 
 #: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and a
@@ -69,7 +71,7 @@ def recognises_touchstone(text: RecordingText) -> bool:
     return len(words) > 1 and words[0] in known and all(word in known or is_number(word) for word in words)
 
 
-def parse_touchstone(text: RecordingText) -> Recorded:
+def parse_touchstone(text: RecordingText) -> Reading:
     """Read the file; of several ports, the impedance at port 1.
 
     Raises:
@@ -130,36 +132,29 @@ def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding
 
 def _content(text: RecordingText) -> tuple[Options, list[tuple[int, list[str]]]]:
     """The options, and the lines of data as words."""
-    options, data = Options(), list[tuple[int, list[str]]]()
-    # Resistances that [Reference] still lacks, and the section whose lines are not read.
-    lacking, skipped = 0, ""
+    options, data, section = Options(), list[tuple[int, list[str]]](), ""
     for line, raw in enumerate(text.lines, 1):
         content = raw.split("!")[0].strip()
-        keyword = _KEYWORD.fullmatch(content)
+        words, keyword = content.split(), _KEYWORD.fullmatch(content)
         if keyword is not None:
             name, value = keyword[1].strip().casefold(), keyword[2].strip()
+            # Keywords of an information section are in it.
+            section = section if section == "begin information" and name != "end information" else name
             if name == "end":
                 break
-            skipped = name if name in ("begin information", "noise data") else (
-                "" if name == "end information" else skipped)
             _keyword(text, line, options, name, value)
-            lacking = 0
-            if name == "reference":
-                stated = _resistances(text, line, value.split())
-                options.reference = stated or options.reference
-                lacking = max(options.ports, 1) - len(stated)
-        elif not content or skipped:
+            words = value.split() if name == "reference" else []
+        if section in _NOT_READ or not (words or keyword):
             continue
-        elif content.startswith("#"):
+        if content.startswith("#"):
             # The standard ignores a second line of options.
             if not options.stands:
                 _option_line(text, line, options, content[1:].split())
-        elif lacking > 0:
-            more = _resistances(text, line, content.split())
-            options.reference = (*(options.reference if lacking < max(options.ports, 1) else ()), *more)
-            lacking -= len(more)
-        else:
-            data.append((line, content.split()))
+        elif section == "reference":
+            options.reference = (*(() if keyword else options.reference), *_resistances(text, line, words))
+        elif words:
+            data.append((line, words))
+    options.reference = options.reference or (50.0,)
     return options, data
 
 

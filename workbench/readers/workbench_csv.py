@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.readers.findings import Finding
-from workbench.readers.sweep import Recorded, in_order
+from workbench.readers.sweep import Reading, in_order
 from workbench.readers.tables import Table
 from workbench.readers.text import RecordingText, cells
 from workbench.results.spectrum import CSV_COLUMNS, ORIGIN_KINDS, ROWS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
@@ -25,7 +25,7 @@ def recognises_workbench_csv(text: RecordingText) -> bool:
     return names[0].startswith(CSV_COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(CSV_COLUMNS[1:]))
 
 
-def parse_workbench_csv(text: RecordingText) -> Recorded:
+def parse_workbench_csv(text: RecordingText) -> Reading:
     """Read the file.
 
     Raises:
