@@ -7,7 +7,7 @@ Healthy instruments agree within the rounding of their digits, 0.2 % in the medi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ _DIGITS = re.compile(r"[+-]?\d*(?:[.,](\d*))?(?:[eE]([+-]?\d+))?")
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+#: Parts of a quantity; of others it is the magnitude.
+_PARTS: Mapping[str, Callable[[Complex], Real]] = {"phase": np.angle, "real": np.real, "imaginary": np.imag}
 
 
 def disagreement(table: HeadedTable, pair: Pair, frequency: Real) -> tuple[Finding, bool] | None:
@@ -80,8 +82,7 @@ def _difference(
         return np.asarray(10.0 ** (column / 20.0) if np.isnan(scale) else scale * column)
 
     def part(quantity: Complex) -> NDArray[Any]:
-        return quantity if whole else np.asarray({"phase": np.angle, "real": np.real, "imaginary": np.imag}.get(
-            heading.part, np.abs)(quantity))
+        return quantity if whole else _PARTS.get(heading.part, np.abs)(quantity)
 
     def apart(one: NDArray[Any], two: NDArray[Any]) -> Real:
         return np.abs(np.angle(np.exp(1j * (one - two))) if is_phase else one - two)

@@ -28,10 +28,10 @@ from workbench.readers.text import (
     RecordingText,
     cells,
     complex_parts,
-    holds_no_value,
     is_number,
     load_text,
     uncommented,
+    value_of,
 )
 from workbench.results.spectrum import Origin
 
@@ -382,5 +382,5 @@ def _mapped(text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]
 
 def _holds_numbers(row: Sequence[str], places: Sequence[int], decimal: str) -> bool:
     return max(places) < len(row) and is_number(row[places[0]], decimal) and all(
-        is_number(row[place], decimal) or complex_parts(row[place]) is not None or holds_no_value(row[place], decimal)
+        value_of(row[place], decimal) is not None or complex_parts(row[place]) is not None
         for place in places)

@@ -21,13 +21,13 @@ from workbench.readers.headings import understand
 from workbench.readers.tables import Table
 from workbench.readers.text import (
     RecordingText,
-    cell_number,
     cells,
     holds_no_value,
     is_cell,
     is_number,
     load_text,
     uncommented,
+    value_of,
 )
 from workbench.results.energy_recording import ENERGY_DENSITY, FOCUSING_TIME, EnergyRecording
 
@@ -181,7 +181,7 @@ def _rows(
     for line, content, short in table.content:
         row = short + [""] * (table.width - len(short))
         if len(row) > table.width:
-            raise table.too_wide(line, content, row, ": divide the columns by semicolons")
+            raise table.wrong_width(line, content, row, ": divide the columns by semicolons")
         if not any(is_number(cell, decimal) for cell in row):
             skipped.append(f"line {line}")
         elif _NO_FOCUS.fullmatch(row[value]) or holds_no_value(row[value], decimal) or (
@@ -191,9 +191,8 @@ def _rows(
         else:
             rows.append([])
             for place in factors:
-                is_value = is_number(row[place], decimal) and not holds_no_value(row[place], decimal)
-                number = cell_number(table.text, line, place + 1, cell=row[place], decimal=decimal) if is_value else 0.0
-                if not number > 0.0:
+                number = value_of(row[place], decimal)
+                if number is None or not number > 0.0:
                     raise table.text.error(line, place + 1, row[place],
                                            f"a positive number{REMEDY if place == value else ''}")
                 rows[-1].append(number)

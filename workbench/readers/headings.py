@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 from workbench.readers.quantities import ELEMENT_UNITS
 
@@ -60,8 +61,7 @@ class Heading:
     port: int = 1
 
 
-@dataclass(frozen=True)
-class _Word:
+class _Word(NamedTuple):
     """A word of the vocabulary: the ``part`` and ``kind`` that it names, and its ``role`` beside that."""
 
     part: str = ""
@@ -69,8 +69,7 @@ class _Word:
     role: str = ""
 
 
-@dataclass(frozen=True)
-class _Vocabulary:
+class _Vocabulary(NamedTuple):
     """The content of ``headings.toml``; ``units`` are (quantity, unit, pattern)."""
 
     words: Mapping[str, _Word]
@@ -125,19 +124,15 @@ def hint(heading: str) -> Heading | None:
     named = [word for word in named if not word.role and word.part != "scalar"]
     parts = {word.part for word in named if word.part} | ({"magnitude"} if text.count("|") == 2 else set())
     kinds = {word.kind for word in named if word.kind}
-    if "element" in parts:
-        element = _element(parts, kinds, "")
-        bare = [] if element is None else [Heading("element", element)]
-    elif len(parts) > 1 or len(kinds) > 1:
+    found = _joined(parts, kinds)
+    if found is None and parts | kinds:
         return None
-    elif parts or kinds:
-        bare = [Heading(next(iter(parts), "whole"), next(iter(kinds), ""))]
-    else:
-        bare = [Heading("whole"), Heading("frequency"), Heading("element", "C"), Heading("element", "L")]
+    bare = [found] if found else [Heading("whole"), Heading("frequency"), Heading("element", "C"),
+                                  Heading("element", "L")]
     known = next((known for each in bare for unit in units if (known := find_unit(unit, each))), None)
     if known is None and any(("ratio", "dB") in _spelled(unit) for unit in units):
         known = Heading("magnitude", min(kinds, default=""), "dB")
-    return known or (bare[0] if parts or kinds else None)
+    return known or found
 
 
 def is_series(heading: str) -> bool:
@@ -274,35 +269,35 @@ def _meaning(text: str) -> Heading | None:
     parts, kinds = {word.part for word in words if word.part}, {word.kind for word in words if word.kind}
     roles = [word.role for word in words]
     negated, primed, scaled = "minus" in roles, "prime" in roles, "scale" in roles
-    connection = next((role for role in reversed(roles) if role in ("s", "p")), "")
-    if "element" in parts:
-        # The magnitude or phase of a capacitance is no element of a circuit.
-        element = _element(parts, kinds, connection)
-        return None if element is None or negated or primed or scaled else Heading("element", element)
-    if connection == "p" and kinds == {"impedance"}:
-        return Heading("element", "Rp") if parts == {"real"} else None
-    if len(parts) > 1 or len(kinds) > 1 or not (parts or kinds) or roles.count("bar") % 2:
+    found = _joined(parts, kinds, next((role for role in reversed(roles) if role in ("s", "p")), ""))
+    if found is None or roles.count("bar") % 2:
         return None
-    part, kind = next(iter(parts), "whole"), next(iter(kinds), "")
+    part, kind = found.part, found.kind
     refused = (
         primed and not any(word.kind and not word.part for word in words),
         part == "frequency" and kind,
         negated and part not in ("phase", "imaginary"),
         scaled and (kind not in ("reflection", "transmission") or part not in ("magnitude", "whole")),
     )
-    return None if any(refused) else Heading(part, kind, negated=negated, primed=primed and part == "imaginary")
+    return None if any(refused) else replace(found, negated=negated, primed=primed and part == "imaginary")
 
 
-def _element(parts: set[str], kinds: set[str], connection: str) -> str | None:
-    """The symbol of an element of a circuit."""
-    # "Capacitance Cp" names it twice.
-    kinds = kinds - {"C", "L"} or kinds
-    if parts != {"element"} or len(kinds) != 1:
+def _joined(parts: set[str], kinds: set[str], connection: str = "") -> Heading | None:
+    """The one part of one quantity, or the element of a circuit in series (s) or parallel (p), that words name."""
+    if "element" in parts:
+        # "Capacitance Cp" names it twice; the magnitude of a capacitance is no element.
+        kinds = kinds - {"C", "L"} or kinds
+        if parts != {"element"} or len(kinds) != 1:
+            return None
+        (symbol,) = kinds
+        if symbol in ("C", "L"):
+            return Heading("element", symbol + connection)
+        return Heading("element", symbol) if not connection or symbol[1:] == connection else None
+    if connection == "p" and kinds == {"impedance"}:
+        return Heading("element", "Rp") if parts == {"real"} else None
+    if len(parts) > 1 or len(kinds) > 1 or not (parts or kinds):
         return None
-    (symbol,) = kinds
-    if symbol in ("C", "L"):
-        return symbol + connection
-    return symbol if not connection or symbol[1:] == connection else None
+    return Heading(next(iter(parts), "whole"), next(iter(kinds), ""))
 
 
 def _word(token: str) -> _Word | None:

@@ -56,8 +56,8 @@ class Maker:
         if not above:
             raise text.error(len(bare), None, bare[-1][:80], f"a line such as {self.such_as!r} above the table of a "
                              f"{self.name} file")
-        return first_of("channel", [(bare[begin].removeprefix("BEGIN "), _tried(lambda begin=begin: self._table(
-            text, bare, begin))) for begin in (above if self.end else above[:1])])
+        return first_of("channel", [(bare[begin].removeprefix("BEGIN "), _tried(self._table, text, bare, begin))
+                                    for begin in (above if self.end else above[:1])])
 
     def _table(self, text: RecordingText, bare: Sequence[str], begin: int) -> Reading:
         """The table below the line index `begin`; its lines keep their numbers."""
@@ -82,10 +82,10 @@ MAKERS: Mapping[str, Maker] = {
 }
 
 
-def _tried(parse: Callable[[], Reading]) -> Reading | InputError:
-    """The recording, or the reason why it is not read."""
+def _tried(parse: Callable[..., Reading], *arguments: object) -> Reading | InputError:
+    """The recording that a function reads, or the reason why it does not."""
     try:
-        return parse()
+        return parse(*arguments)
     except InputError as error:
         return error
 
@@ -238,8 +238,7 @@ def parse_labone(text: RecordingText) -> Reading:
             chunks.setdefault(row[0], {})[row[3].casefold()] = (line, row[4:])
     if not chunks:
         raise text.error(len(text.lines), None, text.lines[-1][:80], "a line of values behind the first one")
-    return first_of("sweep", [(f"sweep {name}", _tried(lambda name=name, fields=fields: _chunk(text, name, fields)))
-                              for name, fields in chunks.items()])
+    return first_of("sweep", [(f"sweep {name}", _tried(_chunk, text, name, fields)) for name, fields in chunks.items()])
 
 
 def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[str]]]) -> Reading:

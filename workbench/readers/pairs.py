@@ -69,7 +69,7 @@ class Pair:
     notes: Mapping[int, str] = field(default_factory=dict)
     primed: bool = False
 
-    def values(self, table: Table) -> Sequence[NDArray[np.float64]]:
+    def values(self, table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The two numbers (n,) of every row, NaN for none; of one column the parts of its complex numbers."""
         return table.parts(self.first) if self.first == self.second else (
             table.values[:, self.first], table.values[:, self.second])

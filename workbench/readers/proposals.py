@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -76,13 +77,13 @@ def proposal(headed: HeadedTable, pair: Pair | None, doubts: Mapping[str, str], 
         return map_text(ColumnMap(table.handle(place), table.handle(pair.first), 1 if table.handle(place) == 2 else 2,
                                   pair.quantity, stated or "Hz", table.delimiter, table.decimal, second_file), doubts)
     proposed = replace(pair.column_map(table, place, stated or "Hz"), select=select)
-    names = {key: table.headings[of] for key, of in (("frequency", place), ("first", pair.first), (
+    names: dict[str, Any] = {key: table.headings[of] for key, of in (("frequency", place), ("first", pair.first), (
         "second", pair.second)) if table.headings and (key != "second" or proposed.second is not None)}
     # Headings that occur twice are counted, and have no say.
     against = contradiction(replace(proposed, **names)) if names and len(set(names.values())) == len(names) else None
     if against is not None and not against.unit:
         return ""
-    counted = {key: table.headings.index(name) + 1 for key, name in names.items()
+    counted: dict[str, Any] = {key: table.headings.index(name) + 1 for key, name in names.items()
                if against is not None and name == against.heading}
     return map_text(replace(proposed, **counted), doubts)
 

@@ -141,7 +141,7 @@ def in_order(
     stated = np.ones(lines.size) if uncertainty is None else uncertainty
     kept, left_out = _with_values(table, frequency, [*values, stated], column)
     found += left_out
-    lines, frequency, impedance, stated = (each[kept] for each in (lines, frequency, impedance, stated))
+    lines, frequency, impedance, stated = lines[kept], frequency[kept], impedance[kept], stated[kept]
     wrong = np.flatnonzero(~np.isfinite(impedance) | (impedance == 0.0))
     if wrong.size:
         raise text.error(lines[wrong[0]], None, f"{impedance[wrong[0]]} ohm", "an impedance neither zero nor infinite")
@@ -150,7 +150,7 @@ def in_order(
     if lines.size and np.any(steps < 0.0):
         found.append(Finding("falling", f"the sweep falls ({text.row} {lines[0]} to {lines[-1]}): turned round")
                      if monotonic else Finding("order", _order(steps, lines.tolist(), text.row)))
-    lines, frequency, impedance, stated = (each[order] for each in (lines, frequency, impedance, stated))
+    lines, frequency, impedance, stated = lines[order], frequency[order], impedance[order], stated[order]
     # A sweep that rises or falls throughout has no frequency twice, however small its steps.
     near = 0.0 if monotonic else ONE_FREQUENCY
     groups = np.concatenate(([0], np.cumsum(np.diff(frequency) > near * frequency[:-1])))

@@ -23,6 +23,7 @@ from workbench.readers.text import (
     is_cell,
     is_number,
     uncommented,
+    value_of,
 )
 
 #: Number of lines in which headings are looked for if no rows of numbers follow.
@@ -67,8 +68,8 @@ class Table:
     @cached_property
     def values(self) -> NDArray[np.float64]:
         """The numbers (n, width) of the rows, NaN for a cell that is no real number."""
-        return np.column_stack([[cell_number(self.text, 0, 0, cell=cell, decimal=self.decimal) if is_number(
-            cell, self.decimal) else np.nan for cell in self.column(place)] for place in range(self.width)])
+        columns = [[value_of(cell, self.decimal) for cell in self.column(place)] for place in range(self.width)]
+        return np.array(columns, dtype=float).T
 
     @cached_property
     def complexes(self) -> frozenset[int]:
@@ -83,8 +84,7 @@ class Table:
     def parts(self, place: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Real and imaginary part (n,) of a column of complex numbers, NaN for a cell that is none."""
         parts = [complex_parts(cell) or (cell, "0") for cell in self.column(place)]
-        real, imaginary = np.array([[float(cell.replace(",", ".")) if is_number(cell, ",") else np.nan for cell in pair]
-                                    for pair in parts]).T
+        real, imaginary = np.array([[value_of(cell, ",") for cell in pair] for pair in parts], dtype=float).T
         return real, imaginary
 
     def numbers(self, places: Sequence[int], *, last_is_complex: bool = False) -> list[NDArray[np.float64]]:
@@ -101,13 +101,13 @@ class Table:
     def _number(self, row: Sequence[str], line: int, place: int, part: int | None) -> float:
         """The number in a cell, or one `part` of a complex number."""
         if place >= len(row):
-            raise self.too_wide(line, self.text.lines[line - 1], row)
+            raise self.wrong_width(line, self.text.lines[line - 1], row)
         cell = row[place]
         if part is not None:
             cell = (complex_parts(cell) or (cell, "0"))[part].lstrip("+") or cell
         return cell_number(self.text, line, place + 1, cell=cell, decimal=self.decimal)
 
-    def too_wide(self, line: int, content: str, row: Sequence[str], remedy: str = "") -> InputError:
+    def wrong_width(self, line: int, content: str, row: Sequence[str], remedy: str = "") -> InputError:
         """The error about a row of another number of cells; `remedy` is that for decimal commas."""
         divided = f", as if its decimal commas divided it{remedy}" if len(row) > self.width and (
             self.delimiter == ",") else ""
@@ -170,7 +170,7 @@ class Table:
                 # Some programs end a row with a remark.
                 row = row[:width] if len(row) > width and row[width].startswith(COMMENTS) else row
                 if len(row) > width or (len(row) != width and (strict or self.delimiter == " ")) or lone:
-                    raise table.too_wide(line, content, row)
+                    raise table.wrong_width(line, content, row)
                 if not first:
                     cell_number(self.text, line, frequency + 1, cell=first, decimal=decimal)
                 rows[line] = tuple(row)
@@ -180,7 +180,7 @@ class Table:
                                       "decimal commas are a spreadsheet's rewriting: use the instrument's own file, or "
                                       '--columns MAP.toml with delimiter = ";"')
             if strict and len(row) != width:
-                raise table.too_wide(line, content, row)
+                raise table.wrong_width(line, content, row)
             if strict or (others > 1 and not first[:1].isalpha()):
                 cell_number(self.text, line, frequency + 1, cell=first, decimal=decimal)
             if not rows or row == above:
@@ -227,12 +227,9 @@ def _is_row(row: Sequence[str], first: str, others: int, decimal: str) -> bool:
 
 
 def _same(cell: str, value: object) -> bool:
-    if cell == str(value):
-        return True
-    try:
-        return float(cell.replace(",", ".")) == float(str(value))
-    except ValueError:
-        return False
+    """Whether a cell holds a value, as a text or as a number with either decimal mark."""
+    number = value_of(str(value))
+    return cell == str(value) or (number is not None and value_of(cell, ",") == number)
 
 
 def values_listed(values: Sequence[str]) -> str:

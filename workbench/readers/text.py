@@ -5,14 +5,13 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
+import math
 import re
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-
-import numpy as np
 
 from workbench.files.errors import InputError, nearest_files
 from workbench.instruments.waveform_table import recognised
@@ -226,23 +225,32 @@ def is_cell(cell: str) -> bool:
     return is_number(cell, ",") or complex_parts(cell) is not None
 
 
-def holds_no_value(cell: str, decimal: str = ".") -> bool:
-    """Whether a cell holds a code for no value: a word, or a number of :data:`NO_VALUE` or more."""
+def value_of(cell: str, decimal: str = ".") -> float | None:
+    """The number in a cell, NaN for a code of no value, None for any other text.
+
+    A code is a word, or a number of :data:`NO_VALUE` or more.
+    """
     if is_number(cell, decimal):
-        return not abs(float(_plain(cell, decimal))) < NO_VALUE
-    return _NO_VALUE.fullmatch(cell) is not None
+        number = float(_plain(cell, decimal))
+        return number if abs(number) < NO_VALUE else math.nan
+    return math.nan if _NO_VALUE.fullmatch(cell) else None
+
+
+def holds_no_value(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell holds a code for no value."""
+    value = value_of(cell, decimal)
+    return value is not None and math.isnan(value)
 
 
 def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
-    """The number in one cell, NaN if it :func:`holds_no_value`.
+    """The number in one cell, NaN for a code of no value.
 
     Raises:
         InputError: the cell holds no number, or an undeclared decimal comma.
     """
-    if holds_no_value(cell, decimal):
-        return np.nan
-    if is_number(cell, decimal):
-        return float(_plain(cell, decimal))
+    value = value_of(cell, decimal)
+    if value is not None:
+        return value
     if _DECIMAL_COMMA.fullmatch(cell):
         raise text.error(line, column, cell, "a number with a decimal point; this one has a decimal comma")
     raise text.error(line, column, cell, "a number" if cell else "a number; this cell is empty")
