@@ -1,4 +1,4 @@
-"""Recordings of impedance: find out the format, read it, and report what looks wrong.
+"""Recordings of impedance in many formats: a spectrum, and findings on it.
 
     reading = read_recording(Path("disc.csv"))
     reading.spectrum, reading.findings
@@ -32,7 +32,7 @@ __all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Reading", "RecordedQua
 
 @dataclass(frozen=True)
 class Format:
-    """One file format: a test of the text, its parser, and a description for messages."""
+    """One file format: a description, a test of the text, a parser."""
 
     description: str
     recognises: Callable[[RecordingText], bool]

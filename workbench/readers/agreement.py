@@ -1,4 +1,4 @@
-"""Columns of one table that hold one impedance in several forms, and whether they agree.
+"""Whether columns that hold one impedance in several forms agree.
 
 Every column with a known meaning is compared with the impedance of the pair that is read: |Z|, theta, R, X, G, B, S11.
 Healthy instruments agree within the rounding of their digits, 0.2 % in the median and 3 % at worst.
@@ -36,7 +36,7 @@ _PARTS: Mapping[str, Callable[[Complex], Real]] = {"phase": np.angle, "real": np
 
 
 def disagreement(table: HeadedTable, pair: Pair, frequency: Real) -> tuple[Finding, bool] | None:
-    """The finding on the column that differs from a pair at most of the rows; None if all agree.
+    """The finding on the column that contradicts a pair most, or None.
 
     It comes with whether the reactance of the pair has lost its sign. `frequency` (n,) is in Hz.
     """
@@ -67,9 +67,10 @@ def disagreement(table: HeadedTable, pair: Pair, frequency: Real) -> tuple[Findi
 def _difference(
     table: Table, place: int, heading: Heading, impedances: list[Complex], meaning: tuple[str, float, float, float]
 ) -> tuple[NDArray[np.bool_], bool, str]:
-    """The rows (n,) at which a column differs from the impedance, whether the sign alone does, and the first in words.
+    """The rows (n,) at which a column differs from the impedance.
 
-    `meaning` is a kind, a factor to SI, a reference resistance and a sign of :func:`_meanings`.
+    They come with whether the sign alone differs there, and with the first one in words. `meaning` is a kind, a factor
+    to SI, a reference resistance and a sign of :func:`_meanings`.
     """
     kind, scale, resistance, sign = meaning
     whole, is_phase = place in table.complexes, heading.part == "phase"
@@ -106,7 +107,7 @@ def _difference(
 
 
 def _compared(heading: Heading, table: HeadedTable) -> bool:
-    """Whether a heading has a meaning that an impedance decides."""
+    """Whether an impedance determines the column of a heading."""
     if heading.strange_unit or (heading.kind == "reflection" and any(
             other and other.kind == "transmission" for other in table.known)):
         # Of a device between two ports, the reflection is not that of its impedance alone.
@@ -118,7 +119,7 @@ def _compared(heading: Heading, table: HeadedTable) -> bool:
 def _meanings(
     heading: Heading, table: HeadedTable, place: int, pair: Pair
 ) -> Iterator[tuple[str, float, float, float]]:
-    """Every kind, factor to SI (NaN for decibels), reference resistance and sign that a heading admits."""
+    """Every kind, factor to SI, reference resistance and sign of a heading."""
     kind = heading.kind or table.owner(place) or pair.quantity.kind
     if kind not in ("impedance", "admittance", "reflection"):
         kind = "impedance"
@@ -145,7 +146,7 @@ def _quantity(kind: str, impedance: Complex, resistance: float) -> Complex:
 
 
 def _half_digits(table: Table, place: int, part: int) -> Real:
-    """Half of the last digit of every cell (n,) of a column, of one part of a complex number."""
+    """Half of the last digit of every cell (n,) of a column."""
     powers = []
     for cell in table.column(place):
         found = _DIGITS.fullmatch((complex_parts(cell) or (cell, cell))[part])

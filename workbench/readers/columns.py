@@ -1,4 +1,4 @@
-"""A table with columns named by a :class:`ColumnMap`: the columns, their units and the quantity that they hold.
+"""Tables whose columns a :class:`ColumnMap` names, with unit and quantity.
 
 Nothing is guessed: a person who knows the set-up states the map, or clear headings determine it.
 """
@@ -111,13 +111,15 @@ class ColumnMap:
         return self.frequency if self.second_frequency is None else self.second_frequency
 
     def impedance(self, values: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-        """Frequency (n,) Hz and impedance (n,) ohm from the columns of numbers, frequency, first and second."""
+        """Frequency (n,) Hz and impedance (n,) ohm of columns of numbers."""
         hertz = values[0] * UNITS["frequency"][self.frequency_unit]
         return hertz, self.quantity.impedance(values[1], values[2], hertz)
 
 
 def read_column_map(path: Path | str) -> ColumnMap:
-    """A column map from a TOML file: the fields of :class:`ColumnMap`, with ``quantity`` a table of those of Quantity.
+    """A column map from a TOML file.
+
+    Its keys are the fields of :class:`ColumnMap`, and ``quantity`` is a table of those of Quantity.
 
     ::
 
@@ -226,9 +228,9 @@ def recorded(
     table: Table, columns: ColumnMap, values: Sequence[NDArray[np.float64]], place: int, origin: Origin, *,
     scale: float = 1.0, findings: Sequence[Finding] = (),
 ) -> Reading:
-    """The spectrum of a table's `values`, (n,) each: frequency (its `place` counted from 0), first and second.
+    """The spectrum of a table's columns of numbers.
 
-    `scale` multiplies the impedance.
+    `values` are frequency (its `place` counted from 0), first and second, (n,) each. `scale` multiplies the impedance.
 
     Raises:
         InputError: as :func:`workbench.readers.sweep.in_order`.
@@ -254,7 +256,10 @@ def recorded(
 
 
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
-    """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
+    """The meaning of every column of a map, in words.
+
+    `notes` by column give reasons.
+    """
     quantity = columns.quantity
     found = []
     for name, (part, kind, unit) in zip(columns.named, columns.meanings, strict=True):
@@ -292,8 +297,7 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A ``heading`` against the map that names it: their meanings in words; ``unit`` if they differ in the unit alone.
-    """
+    """A heading against a map, in words; ``unit`` if only units differ."""
 
     heading: str
     mapped: str
@@ -302,7 +306,7 @@ class Contradiction:
 
 
 def contradiction(columns: ColumnMap) -> Contradiction | None:
-    """The first heading that contradicts the map that names it; None if there is none.
+    """The first heading that contradicts the map, or None.
 
     A counted column cannot contradict, so counting overrules a heading. Signs are not compared, since headings are
     often wrong about them.
@@ -343,7 +347,7 @@ def _fits(heading: Heading, part: str, kind: str) -> bool:
 
 
 def _mapped(text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]) -> tuple[Table, list[int]]:
-    """The first table with the columns `wanted`, the frequency first, and their places (from 0)."""
+    """The first table with the columns `wanted`, and their places (from 0)."""
     split = [cells(uncommented(line), columns.delimiter) for line in text.lines]
     headings = [name for name in wanted if isinstance(name, str)]
     if headings:

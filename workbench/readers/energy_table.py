@@ -1,4 +1,4 @@
-"""Tables of focusing over frequency: a column of frequencies beside one of focusing times, rates or energy densities.
+"""Tables of focusing over frequency: times, rates or energy densities.
 
 The headings state the columns and their units; a voltage and an uncertainty may stand beside. A table with an impedance
 is none. Commas, semicolons or tabs divide the columns, and decimal commas are read with the latter two.
@@ -78,7 +78,7 @@ _ZERO = re.compile(r"[+-]?[0.,]+(?:[eE].*)?")
 
 @dataclass(frozen=True)
 class _Meaning:
-    """The meaning of a heading: its role (a key of `_NAMES`), its unit, and whether its words leave no doubt."""
+    """The role, the unit and the certainty that a heading states."""
 
     role: str
     unit: str
@@ -88,7 +88,7 @@ class _Meaning:
 
 @dataclass(frozen=True)
 class _Headed:
-    """The place of a table, and the meaning of its columns by their place."""
+    """A table, and the meaning of its columns by place."""
 
     table: Table
     columns: Mapping[int, _Meaning]
@@ -98,7 +98,7 @@ class _Headed:
         return self.table.text.error(self.table.line + 1, place + 1, self.table.headings[place], expected)
 
     def only(self, *roles: str) -> int | None:
-        """The column (from 0) of one of the `roles`; of several, the one whose words are certain."""
+        """The one column (from 0) of the `roles`, or the certain one."""
         places = [place for place, each in self.columns.items() if each.role in roles]
         certain = [place for place in places if self.columns[place].is_certain]
         if len(places) > 1 and len(certain) != 1:
@@ -117,12 +117,12 @@ class _Headed:
 
 
 def recognises_energy(text: RecordingText) -> bool:
-    """Whether the headings of a text are those of a table of focusing over frequency."""
+    """Whether a text is a table of focusing over frequency."""
     return _find(text) is not None
 
 
 def read_energy_recording(path: Path | str) -> EnergyRecording:
-    """Read a table of focusing times, rates of focusing or energy densities over frequency.
+    """Read a table of focusing times, rates or energy densities.
 
     A column "U (Vpp)" is the voltage at the electrodes, by whose square the rate is divided. An uncertainty column
     holds standard deviations, in "%" or in the unit of the values. Rows without focusing ("inf", "no focus", an empty
@@ -175,7 +175,7 @@ def read_energy_recording(path: Path | str) -> EnergyRecording:
 def _rows(
     found: _Headed, factors: Mapping[int, float], frequency: int, value: int
 ) -> tuple[dict[int, Real], list[str], list[str]]:
-    """The numbers (n,) in SI of the columns of `factors` in which particles focus, and the rows left out, in words."""
+    """The columns (n,) in SI of rows with focusing, and other rows."""
     table, decimal = found.table, found.table.decimal_mark()
     rows, unfocused, skipped = list[list[float]](), list[str](), list[str]()
     for line, content, short in table.content:
@@ -206,7 +206,7 @@ def _rows(
 
 
 def _find(text: RecordingText) -> _Headed | None:
-    """The headings of a table of focusing over frequency, if the text has any."""
+    """The headings of a table of focusing, if the text has any."""
     for index, line in enumerate(text.lines[:HEADED_WITHIN]):
         tables = [_with_units(Table(text, tuple(names), index, index + 1, delimiter, len(names)))
                   for delimiter in "\t;," if len(names := cells(uncommented(line), delimiter)) > 1]
@@ -226,7 +226,7 @@ def _is_energy(found: _Headed) -> bool:
 
 
 def _with_units(table: Table) -> _Headed:
-    """The meaning of the columns, with the units from a line below the headings."""
+    """The columns, with the units from a line below the headings."""
     own = _Headed(table, _meanings(table.headings))
     below = cells(uncommented(table.text.lines[table.start]), table.delimiter) if (
         table.start < len(table.text.lines)) else []
@@ -270,7 +270,7 @@ def _meaning(heading: str) -> _Meaning | None:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """The words of a heading and its unit: in brackets, or a known one behind a slash, "in", a blank or a line."""
+    """The words of a heading and its unit."""
     bracketed = _BRACKETED.fullmatch(text)
     if bracketed is not None and bracketed[1]:
         return bracketed[1], _unit(bracketed[2])

@@ -37,7 +37,7 @@ FAULTY = 0.05
 def parse_headed(
     text: RecordingText, *, instrument: str = "", date: str = "", how: str = "by its headings"
 ) -> Reading:
-    """Read the file; the origin's setting ``columns.READ_AS`` states the meaning of each column, with reasons.
+    """Read the file; the origin states the meaning of each column.
 
     Raises:
         InputError: no table, a faulty row, or headings that leave a doubt; the message ends with a column map.
@@ -101,7 +101,7 @@ def parse_headed(
 
 
 def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tuple[str, str]:
-    """The unit of a frequency and its reason; "" and the reason of the doubt if it is not clear."""
+    """The unit of a frequency ("": in doubt) and the reason."""
     assert heading is not None
     if heading.unit:
         return heading.unit, ""
@@ -116,7 +116,7 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
 
 
 def _lacking(headed: HeadedTable) -> str:
-    """The halves of a pair that are present, and a note that the others are missing."""
+    """The halves of a pair that are present, in words."""
     names = {"magnitude": "a magnitude", "whole": "a magnitude", "phase": "a phase", "real": "a real part",
              "imaginary": "an imaginary part", "element": "{} of an equivalent circuit",
              "scalar": "a ratio or loss without a phase, from which no impedance follows: save S11 as real and "

@@ -62,7 +62,7 @@ class Heading:
 
 
 class _Word(NamedTuple):
-    """A word of the vocabulary: the ``part`` and ``kind`` that it names, and its ``role`` beside that."""
+    """A word of the vocabulary: ``part``, ``kind``, and its ``role`` beside those."""
 
     part: str = ""
     kind: str = ""
@@ -94,7 +94,10 @@ def _vocabulary() -> _Vocabulary:
 
 
 def understand(heading: str) -> Heading | None:
-    """Meaning of a heading; None unless it names one part of a quantity, one element, or a frequency."""
+    """Meaning of a heading with one part of one quantity, or None.
+
+    A frequency and an element of a circuit are quantities too.
+    """
     text = _plain(heading)
     found = _understood(text)
     if found is None or found.strange_unit:
@@ -106,7 +109,7 @@ def understand(heading: str) -> Heading | None:
 
 
 def hint(heading: str) -> Heading | None:
-    """Apparent meaning of a heading that is not understood; None if it names nothing.
+    """Apparent meaning of a heading that is not understood, or None.
 
     It is the meaning of its known words and of its unit, if they name one part of one quantity.
     """
@@ -141,7 +144,7 @@ def is_series(heading: str) -> bool:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is the unit of any quantity that a column may hold."""
+    """Whether a text is a unit of any known quantity."""
     return bool(units_of(text))
 
 
@@ -151,8 +154,7 @@ def units_of(text: str) -> set[str]:
 
 
 def find_unit(text: str, bare: Heading) -> Heading | None:
-    """The heading with its unit, which may settle an open question of its words; None if the unit does not suit them.
-    """
+    """The heading with its unit, None if the words contradict."""
     lost = _vocabulary().lost_ohm.search(text) is not None
     if lost and bare.part == "phase":
         return bare
@@ -162,7 +164,7 @@ def find_unit(text: str, bare: Heading) -> Heading | None:
 
 
 def _suited(bare: Heading, quantity: str, unit: str) -> Heading | None:
-    """The heading with the `unit` of a `quantity`; None if it does not suit the words."""
+    """The heading with the `unit` of a `quantity`, None if unsuited."""
     part, kind = bare.part, bare.kind
     sized = part not in ("frequency", "phase")
     if part == "scalar":
@@ -230,7 +232,7 @@ def _scattering(text: str, ports: re.Match[str]) -> Heading | None:
 
 
 def _plain(text: str) -> str:
-    """One spelling of signs and words: Ohm and micro as Greek letters, and those of the table ``spellings``."""
+    """One spelling of signs and words, by the table ``spellings``."""
     text = re.sub("[−–]", "-", unicodedata.normalize("NFKC", text.translate(_SIGNS))).replace("''", '"').strip()
     for pattern, spelling in _vocabulary().spellings:
         text = pattern.sub(spelling, text)
@@ -254,7 +256,7 @@ def _split(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _meaning(text: str) -> Heading | None:
-    """The part and the quantity that the words name, if they name at most one of each and nothing else."""
+    """The part and the quantity that the words name, and nothing else."""
     words: list[_Word] = []
     for token in _TOKEN.findall(text.casefold()):
         word = _word(token)
@@ -283,7 +285,10 @@ def _meaning(text: str) -> Heading | None:
 
 
 def _joined(parts: set[str], kinds: set[str], connection: str = "") -> Heading | None:
-    """The one part of one quantity, or the element of a circuit in series (s) or parallel (p), that words name."""
+    """The one part of one quantity, or element, that words name.
+
+    `connection` is that of an element: in series (s) or parallel (p).
+    """
     if "element" in parts:
         # "Capacitance Cp" names it twice; the magnitude of a capacitance is no element.
         kinds = kinds - {"C", "L"} or kinds
@@ -301,7 +306,7 @@ def _joined(parts: set[str], kinds: set[str], connection: str = "") -> Heading |
 
 
 def _word(token: str) -> _Word | None:
-    """The meaning of one word, or of one that a Z or Y is joined to."""
+    """The meaning of a word, or one joined to Z or Y."""
     words = _vocabulary().words
     if token in words:
         return words[token]

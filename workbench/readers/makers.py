@@ -26,11 +26,11 @@ from workbench.readers.text import RecordingText, cells, holds_no_value, is_cell
 
 @dataclass(frozen=True)
 class Maker:
-    """A maker's file: its ``name``, a pattern ``sign`` of one of its first ``lines``, and the place of its tables.
+    """A maker's file: how to recognise it, and where its tables are.
 
-    A table stands below a line with the pattern ``above`` (of which one is ``such_as``), and above the line ``end``
-    ("": it goes to the end of the file). Without ``above`` it is found by its headings. Lines with an exclamation mark
-    name the instrument and the date.
+    The pattern ``sign`` is on one of its first ``lines``. A table stands below a line with the pattern ``above`` (of
+    which one is ``such_as``), and above the line ``end`` ("": it goes to the end of the file). Without ``above`` it is
+    found by its headings. Lines with an exclamation mark name the instrument and the date.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Maker:
             bool(self.end) or find_table(text) is not None)
 
     def parse(self, text: RecordingText) -> Reading:
-        """Read the first table that holds an impedance; a finding names the others.
+        """Read the first table with an impedance; a finding compares the others.
 
         Raises:
             InputError: no table of this maker, one that is cut short, or headings that leave a doubt.
@@ -83,7 +83,7 @@ MAKERS: Mapping[str, Maker] = {
 
 
 def _tried(parse: Callable[..., Reading], *arguments: object) -> Reading | InputError:
-    """The recording that a function reads, or the reason why it does not."""
+    """The recording that a function reads, or its error."""
     try:
         return parse(*arguments)
     except InputError as error:
@@ -91,7 +91,9 @@ def _tried(parse: Callable[..., Reading], *arguments: object) -> Reading | Input
 
 
 def first_of(word: str, read: Sequence[tuple[str, Reading | InputError]]) -> Reading:
-    """The first recording of a file that could be read; a finding compares the others, each called a `word`, with it.
+    """The first recording of a file that could be read.
+
+    A finding compares the others, each called a `word`, with it.
 
     Raises:
         InputError: none could be read.
@@ -168,7 +170,7 @@ def _spelling(parameter: str) -> str:
 
 
 def _trace(text: RecordingText, bare: Sequence[str], name: str, declared: int) -> Table:
-    """The table of trace `name`, checked against the number of points in the header."""
+    """The table of trace `name`, with as many points as `declared`."""
     if f"TRACE: {name}" not in bare:
         raise text.error(len(bare), None, bare[-1], f'"TRACE: {name}"; the file is cut short')
     place = bare.index(f"TRACE: {name}")
@@ -189,7 +191,7 @@ def _trace(text: RecordingText, bare: Sequence[str], name: str, declared: int) -
 
 
 def _real(trace: Table) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency and value (n,) of a trace; an imaginary part would mean a trace this reader does not know."""
+    """Frequency and value (n,) of a trace, whose imaginary part is zero."""
     frequency, real, imaginary = trace.numbers((0, 1, 2))
     wrong = np.nan_to_num(imaginary) != 0.0
     if np.any(wrong):
@@ -212,7 +214,7 @@ FIELDS: Mapping[tuple[str, str], RecordedQuantity] = {
 
 
 def _labone_delimiter(text: RecordingText) -> str:
-    """The delimiter of the cells of a LabOne file; "" for any other file."""
+    """The delimiter of a LabOne file; "" for any other file."""
     head = next((line for line in text.lines if line.strip()), "").casefold().replace(" ", "")
     return next((mark for mark in ";,\t" if head.startswith(f"chunk{mark}timestamp{mark}size{mark}fieldname")), "")
 
@@ -223,7 +225,7 @@ def recognises_labone(text: RecordingText) -> bool:
 
 
 def parse_labone(text: RecordingText) -> Reading:
-    """Read the first sweep of the file; a finding states the differences of the others.
+    """Read the first sweep; a finding compares the others.
 
     Raises:
         InputError: no LabOne file; fields that are no impedance against frequency, or are of different length.
@@ -270,7 +272,7 @@ def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[
 
 
 def recognises_lines(text: RecordingText) -> bool:
-    """Whether the lines of a table are its columns: a frequency and more, each a heading and then numbers."""
+    """Whether the lines are columns: each a heading and then numbers."""
     return _turned(text) is not None
 
 
@@ -294,7 +296,7 @@ def parse_lines(text: RecordingText) -> Reading:
 
 
 def _turned(text: RecordingText) -> RecordingText | None:
-    """The text with its lines as columns divided by tabs; None if its lines are no columns."""
+    """The text with its lines as columns, None if they are none."""
     for delimiter in ("\t", ";", ","):
         rows = [row for row in (cells(line, delimiter) for line in text.lines[:200]) if len(row) > 3]
         known = [(heading, row) for row in rows if (heading := understand(row[0])) is not None

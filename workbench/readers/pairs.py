@@ -1,4 +1,4 @@
-"""The columns of a table that make up one impedance, from their headings and values, and the open questions on them."""
+"""The columns that make up one impedance, and open questions on them."""
 
 from __future__ import annotations
 
@@ -35,20 +35,22 @@ _SIZES = ("magnitude", "whole", "scalar")
 
 @dataclass(frozen=True, eq=False)
 class HeadedTable:
-    """A table with the meaning of its columns, ``known`` by heading (None: not understood), and the ``reference``
-    resistance (ohm) that the lines above state."""
+    """A table with the meaning of its columns, ``known`` by heading.
+
+    ``reference`` is the resistance (ohm) that the lines above state.
+    """
 
     table: Table
     known: Sequence[Heading | None]
     reference: float | None = None
 
     def columns(self, part: str, kind: str) -> list[int]:
-        """The columns of that part of that quantity, at port 1 if it has ports."""
+        """The columns of a part of a quantity, at port 1."""
         return [place for place, heading in enumerate(self.known) if heading and (heading.part, heading.kind) == (
             part, kind) and (heading.port == 1 or kind == "transmission")]
 
     def owner(self, place: int) -> str:
-        """The quantity whose size stands before a column, or else behind it; "" if there is none."""
+        """The quantity whose size stands before a column, or behind it."""
         sizes = [(other > place, abs(other - place), heading.kind) for other, heading in enumerate(self.known)
                  if heading and heading.part in _SIZES]
         return min(sizes)[2] if sizes else ""
@@ -56,7 +58,7 @@ class HeadedTable:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two columns (from 0) that hold an impedance, their meaning, and the open questions on them.
+    """Two columns (from 0) that hold an impedance, and open questions.
 
     ``doubts`` by key of a column map; ``notes`` by column, the reasons for their units. A complex number in one cell is
     both columns.
@@ -70,7 +72,7 @@ class Pair:
     primed: bool = False
 
     def values(self, table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The two numbers (n,) of every row, NaN for none; of one column the parts of its complex numbers."""
+        """The two numbers (n,) of every row, NaN for none."""
         return table.parts(self.first) if self.first == self.second else (
             table.values[:, self.first], table.values[:, self.second])
 
@@ -82,19 +84,19 @@ class Pair:
 
 @dataclass
 class _Remarks:
-    """The doubts and notes on a pair of columns of a table, while its meaning is settled."""
+    """The doubts and notes on a pair of columns."""
 
     table: HeadedTable
     doubts: dict[str, str] = field(default_factory=dict)
     notes: dict[int, str] = field(default_factory=dict)
 
     def doubt(self, key: str, place: int, choices: str, why: str) -> None:
-        """Leave the entry `key` of a column map open between `choices`, since a column is not clear."""
+        """Leave the entry `key` of a column map open between `choices`."""
         self.doubts[key] = choices
         self.notes[place] = f"{self.table.table.name(place)}: {why}"
 
     def unit(self, key: str, place: int, heading: Heading, allowed: Sequence[str], *, has_default: bool) -> str:
-        """The unit of a column: its own, or the first of those allowed."""
+        """The unit of a column: its own, or the first `allowed`."""
         if heading.strange_unit or (heading.unit and heading.unit not in allowed):
             given = heading.strange_unit or heading.unit
             self.doubt(key, place, ", ".join(allowed), f"its unit {given!r} is not known")
@@ -103,7 +105,7 @@ class _Remarks:
         return heading.unit if heading.unit in allowed else allowed[0]
 
     def phase_unit(self, place: int, heading: Heading) -> str:
-        """The unit of a phase: its own, or degrees if the values are beyond radians."""
+        """The unit of a phase: its own, or degrees beyond radians."""
         largest = float(np.nanmax(np.abs(self.table.table.values[:, place]), initial=0.0))
         if heading.strange_unit:
             self.doubt("phase_unit", place, ", ".join(PHASE_UNITS), f"its unit {heading.strange_unit!r} is not known")
@@ -120,8 +122,10 @@ class _Remarks:
 
 
 def find_pairs(table: HeadedTable) -> list[Pair]:
-    """Every two columns that may hold the impedance, pairs of the first columns first. Pairs of elements of an
-    equivalent circuit are included only if there is no other."""
+    """Every two columns that may hold the impedance, first columns first.
+
+    Pairs of elements of an equivalent circuit are included only if there is no other.
+    """
     found = []
     for kind in SYMBOLS:
         whole = table.columns("whole", kind)
@@ -139,8 +143,10 @@ def find_pairs(table: HeadedTable) -> list[Pair]:
 
 
 def _unstated(table: HeadedTable, kind: str) -> list[int]:
-    """The phases that do not say of which quantity: the only one is that of the only quantity, others are those of the
-    columns before them."""
+    """The phases that do not state their quantity.
+
+    The only one is that of the only quantity, others are those of the columns before them.
+    """
     phases = table.columns("phase", "")
     if len(phases) > 1:
         return [place for place in phases if place and (before := table.known[place - 1]) is not None
@@ -156,7 +162,7 @@ def reference_of(table: Table) -> float | None:
 
 
 def stated_ports(kind: str, reference: float | None) -> tuple[dict[str, object], str]:
-    """Entries of a quantity of ports besides its unit, and the reason for them."""
+    """Entries of a quantity of ports besides its unit, and their reason."""
     if kind not in ("reflection", "transmission"):
         return {}, ""
     more: dict[str, object] = {"reference_resistance": REFERENCE_OHM if reference is None else reference}
@@ -167,7 +173,7 @@ def stated_ports(kind: str, reference: float | None) -> tuple[dict[str, object],
 
 
 def _pair(table: HeadedTable, kind: str, form: str, first: int, second: int) -> Pair:
-    """Two columns (or one of complex numbers) with their units, as far as these are clear."""
+    """Two columns (or one of complex numbers) with their units."""
     one, two = table.known[first], table.known[second]
     assert one is not None
     assert two is not None
@@ -207,7 +213,7 @@ def _pair(table: HeadedTable, kind: str, form: str, first: int, second: int) -> 
 
 
 def _through(table: HeadedTable) -> int | None:
-    """The column of a transmission that is not small: its device is one between two ports."""
+    """The column of a transmission that is not small, or None."""
     for place in (place for part in ("magnitude", "real", "imaginary", "whole")
                   for place in table.columns(part, "transmission") if place not in table.table.complexes):
         values, heading = table.table.values[:, place], table.known[place]
@@ -241,7 +247,7 @@ def _circuits(table: HeadedTable) -> list[Pair]:
 
 
 def _circuit(table: HeadedTable, circuit: str, places: tuple[int, int], *, doubted: bool) -> Pair:
-    """A pair of elements with their units, in the order of their columns."""
+    """A pair of elements with units, in the order of columns."""
     remarks = _Remarks(table)
     (one, symbol), (other, second) = sorted(zip(places, circuit.split("-"), strict=True))
     own = []

@@ -1,4 +1,4 @@
-"""The refusal of a table whose headings leave a doubt, and the column map that it proposes.
+"""The refusal of headings in doubt, and its proposal of a map.
 
 No heading is contradicted: one that names a part or a quantity is proposed as that, or not at all.
 """
@@ -32,7 +32,7 @@ def headings_in_doubt(
     headed: HeadedTable, why: str, pair: Pair | None = None, doubts: Mapping[str, str] = MappingProxyType({}),
     select: Mapping[str, str] = MappingProxyType({}),
 ) -> InputError:
-    """The error about headings that leave a doubt, with the column map to be looked through."""
+    """The error about headings that leave a doubt, with a column map."""
     table = headed.table
     text_of_map = proposal(headed, pair, doubts, select)
     line = (table.line if table.headings else table.start) + 1
@@ -44,9 +44,10 @@ def headings_in_doubt(
 
 
 def proposal(headed: HeadedTable, pair: Pair | None, doubts: Mapping[str, str], select: Mapping[str, str]) -> str:
-    """The text of the most likely column map; "" if any map would contradict a heading.
+    """The text of the most likely column map, or "".
 
-    Headings that are not understood count by their apparent meaning (:func:`hint`). `select` asks for one state.
+    No map contradicts a heading. Headings that are not understood count by their apparent meaning (:func:`hint`).
+    `select` is the entry for one state.
     """
     table, known, second_file = headed.table, headed.known, ""
     seen = replace(headed, known=[heading or (hint(table.headings[place]) if table.headings else None)
@@ -89,7 +90,7 @@ def proposal(headed: HeadedTable, pair: Pair | None, doubts: Mapping[str, str], 
 
 
 def _frequency(headed: HeadedTable, seen: HeadedTable) -> int:
-    """The column of the frequency: by its heading, or else the first one that no heading explains.
+    """The column of the frequency: by heading, or the first stranger.
 
     Without any heading it is the first column that rises or falls throughout, as a frequency does.
     """
@@ -106,7 +107,7 @@ def _frequency(headed: HeadedTable, seen: HeadedTable) -> int:
 
 
 def _first_half(seen: HeadedTable, place: int) -> Pair | None:
-    """One column beside the frequency at `place`: the other half may be in a file of its own."""
+    """One column beside the frequency; a second file has the other half."""
     heading = seen.known[1 - place]
     if heading is not None and heading.part in ("scalar", "element"):
         return None
@@ -126,8 +127,10 @@ def _quantity(heading: Heading | None, form: str, **more: object) -> RecordedQua
 
 
 def _guess(table: HeadedTable, frequency: int) -> Pair | None:
-    """The proposal if no pair was found: a gain if one is named, else the existing halves of pairs; None if too few
-    columns are left."""
+    """A pair of halves by their parts and places, or None.
+
+    A gain comes first if one is named.
+    """
     headings, seen = table.table.headings, table.known
     asked = {"first": "magnitude or real part", "second": "phase or imaginary part",
              "kind": "impedance, admittance, reflection, circuit or gain", "form": "polar or rectangular",
@@ -175,7 +178,7 @@ def _guess(table: HeadedTable, frequency: int) -> Pair | None:
 
 
 def _beside(table: Table, seen: Sequence[Heading | None], places: Sequence[int], part: str) -> int | None:
-    """The first of `places` whose heading is not known to be something else than `part`."""
+    """The first of `places` that may be that `part`."""
     for place in places:
         heading = seen[place]
         if (heading is None and not (table.headings and _FOREIGN.search(table.headings[place]))) or (

@@ -1,4 +1,4 @@
-"""From the two numbers an instrument writes for each frequency to one complex impedance, e^{+j w t}."""
+"""From two numbers a frequency to one complex impedance, e^{+j w t}."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ THROUGH = 0.05
 
 
 def units(part: str, kind: str) -> Mapping[str, float]:
-    """Factor to SI of every unit of a part of a quantity, as a heading names both; NaN for decibels.
+    """Factor to SI of every unit of a part of a quantity.
 
-    The kind of an element of a circuit is its symbol.
+    It is NaN for decibels. The kind of an element of a circuit is its symbol.
     """
     if part in ("element", "phase"):
         return ELEMENT_UNITS[kind] if part == "element" else PHASE_UNITS
@@ -119,7 +119,7 @@ class RecordedQuantity:
 
     @property
     def columns(self) -> tuple[tuple[str, str, str], ...]:
-        """Part, kind and unit of every column, as a heading states them; the kind of an element is its symbol."""
+        """Part, kind and unit of every column, as a heading states them."""
         if self.kind == "circuit":
             one, _, two = self.form.partition("-")
             return ("element", one, self.unit), ("element", two, self.second_unit)
@@ -133,7 +133,9 @@ class RecordedQuantity:
     def impedance(
         self, first: NDArray[np.float64], second: NDArray[np.float64], frequency: NDArray[np.float64] | None = None
     ) -> NDArray[np.complex128]:
-        """Impedance Z (n,) ohm from the two columns; infinite for an admittance of zero.
+        """Impedance Z (n,) ohm from the two columns.
+
+        It is infinite for an admittance of zero.
 
         Raises:
             ValueError: a circuit without its `frequency` (n,) Hz.
@@ -163,7 +165,7 @@ class RecordedQuantity:
         raise AssertionError(self.kind)  # held by __post_init__
 
     def unsigned_losses(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-        """Whether D or Q is written without the sign of the reactance, as some meters do.
+        """Whether D or Q is written without the sign of the reactance.
 
         It is if D or Q is positive at most of the points (n,) at which the reactive element is negative, and there are
         such points.
@@ -185,7 +187,7 @@ class RecordedQuantity:
     def _elements(
         self, first: NDArray[np.float64], second: NDArray[np.float64]
     ) -> tuple[tuple[str, NDArray[np.float64]], tuple[str, NDArray[np.float64]]]:
-        """Symbol and SI values of the reactive element and of the lossy one."""
+        """Symbol and SI values of the reactive and of the lossy element."""
         one, _, two = self.form.partition("-")
         pair = tuple(zip((one, two), self._si(first, second), strict=True))
         return (pair[0], pair[1]) if self.form in CIRCUITS else (pair[1], pair[0])

@@ -1,4 +1,4 @@
-"""Columns that tell devices, temperatures or other states apart in one long table."""
+"""Columns that tell devices, temperatures or other states apart."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _TOGETHER = 3
 def telling_columns(
     table: Table, used: Sequence[int], frequency: NDArray[np.float64], impedance: NDArray[np.complex128]
 ) -> dict[int, list[str]]:
-    """The fewest columns (from 0), beside those `used`, that divide a table into sweeps of different states.
+    """The fewest columns (from 0) that divide a table into states.
 
-    They come with their values. Each group of rows is a sweep of its own, over a range that the others share, and the
-    impedances (n,) differ by more than repeated readings do. Empty if there are none.
+    They come with their values and are not among the `used`. Each group of rows is a sweep of its own, over a range
+    that the others share, and the impedances (n,) differ by more than repeated readings do. Empty if there are none.
     """
     steps = np.diff(frequency)
     if np.all(steps > 0.0) or np.all(steps < 0.0):
@@ -49,7 +49,7 @@ def telling_columns(
 def _apart(
     sweeps: Sequence[NDArray[np.intp]], frequency: NDArray[np.float64], impedance: NDArray[np.complex128]
 ) -> float:
-    """Largest relative difference of any sweep from the first one; zero where most of it lies beside the first one."""
+    """Largest relative difference of any sweep from the first one."""
     first = sweeps[0][np.argsort(frequency[sweeps[0]])]
     apart = 0.0
     for sweep in sweeps[1:]:
@@ -67,5 +67,5 @@ def values_in_words(telling: Mapping[int, Sequence[str]], table: Table) -> str:
 
 
 def select_of(telling: Mapping[int, Sequence[str]], table: Table) -> dict[str, str]:
-    """The entry ``select`` of a column map that asks for the first state."""
+    """The entry ``select`` of a column map for the first state."""
     return {str(table.handle(place)): values[0] for place, values in telling.items()}

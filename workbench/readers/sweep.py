@@ -1,4 +1,4 @@
-"""From the points of a file, in any order, to a spectrum: the order of a sweep carries no physics."""
+"""From the points of a file, in any order, to a spectrum."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reading(Shown):
-    """A spectrum as recorded, the findings on it, and the rows of the file that its points stand in, if known."""
+    """A spectrum as recorded, its findings, and its rows of the file."""
 
     spectrum: Spectrum
     findings: tuple[Finding, ...]
@@ -57,7 +57,7 @@ class Reading(Shown):
 
     @property
     def read_as(self) -> str:
-        """Meaning of every column according to headings or a column map; otherwise empty."""
+        """Meaning of every column, as headings or a map state it."""
         return self.spectrum.origin.settings.get(READ_AS, "")
 
     def summary(self) -> Summary:
@@ -74,9 +74,10 @@ class Reading(Shown):
     def examined(
         self, spectrum: Spectrum, *more: Finding, rows: Rows | None = None, shunt_gain: bool = False
     ) -> Reading:
-        """The reading with another `spectrum`, in other `rows` of the file if given, and the findings on it.
+        """The reading with another `spectrum` and the findings on that.
 
-        `more` findings stand before those; `shunt_gain` if the recording is the gain of a shunt divider.
+        `more` findings stand before those; `rows` are the rows of the new points, if they are others; `shunt_gain` if
+        the recording is the gain of a shunt divider.
         """
         rows = self.rows if rows is None else rows
         kept = (finding for finding in self.findings if finding.code not in _EXAMINED)
@@ -90,7 +91,9 @@ class Reading(Shown):
         return self.examined(corrected(self.spectrum, correction))
 
     def without_outliers(self) -> Reading:
-        """The reading without the points in the ``rows`` of its findings, noted in the origin and in a finding.
+        """The reading without the points in the ``rows`` of its findings.
+
+        The origin and a finding state them.
 
         Raises:
             InputError: they are half of the points or more.
@@ -110,7 +113,7 @@ class Reading(Shown):
                              rows=Rows(rows.of(np.flatnonzero(kept)), rows.word))
 
     def share_apart(self, other: Reading) -> float:
-        """Rms difference of another spectrum from this one, as a share of its rms; infinite at other frequencies."""
+        """Relative rms difference of another spectrum; infinite at other frequencies."""
         if not np.array_equal(self.spectrum.frequency, other.spectrum.frequency):
             return np.inf
         apart = np.abs(other.spectrum.impedance - self.spectrum.impedance)
@@ -121,13 +124,14 @@ def in_order(
     table: Table, frequency: Real, impedance: Complex, *, values: Sequence[Real], column: int, origin: Origin,
     uncertainty: Real | None = None, shared_uncertainty: float = 0.0, findings: Sequence[Finding] = (),
 ) -> Reading:
-    """The spectrum of the rows of a table, whose `frequency` (n,) Hz stands in the `column` (from one).
+    """The spectrum of the rows of a table, in order of frequency.
 
-    `values` are the columns of numbers, (n,) each, behind the `impedance` (n,) ohm; points with NaN in one, which
-    stands for no value (:data:`workbench.readers.text.NO_VALUE`), are left out, as are those without a frequency (zero:
-    idle rows, direct current). A falling sweep is turned round, overlapping ones are merged, points of one frequency
-    are joined: equal values to one, different ones to their mean. Without a stated noise, repeated readings give it.
-    Findings report this, after `findings`, and the origin's setting :data:`PUT_IN_ORDER` holds their words.
+    The `frequency` (n,) Hz stands in the `column` (from one). `values` are the columns of numbers, (n,) each, behind
+    the `impedance` (n,) ohm; points with NaN in one, which stands for no value
+    (:data:`workbench.readers.text.NO_VALUE`), are left out, as are those without a frequency (zero: idle rows, direct
+    current). A falling sweep is turned round, overlapping ones are merged, points of one frequency are joined: equal
+    values to one, different ones to their mean. Without a stated noise, repeated readings give it. Findings report
+    this, after `findings`, and the origin's setting :data:`PUT_IN_ORDER` holds their words.
 
     Raises:
         InputError: fewer than two frequencies, a negative one, none beside values, an impedance that is zero or not
@@ -183,7 +187,7 @@ def in_order(
 def _with_values(
     table: Table, frequency: Real, values: Sequence[Real], column: int
 ) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Mask (n,) of the points that have values and a frequency, and the findings on the others.
+    """Mask (n,) of the points with values, and findings on the others.
 
     Raises:
         InputError: fewer than two points with values, a frequency that is negative, or none beside values.
@@ -210,11 +214,11 @@ def _with_values(
 
 
 def _cut_off(table: Table) -> list[Finding]:
-    """The finding, if any, that the file ends within a number: its last cell is shorter than all those above.
+    """The finding, if any, that the file ends within a number.
 
     Some programs write no end of the last line, so that a missing end alone is no sign. Where all cells above have the
-    same number of decimals, the last one has too; where they differ, only a cell with fewer digits than all others in
-    a line without an end is a sign, in a short table fewer by three than usual.
+    same number of decimals, the last one has too; where they differ, only a cell with fewer digits than all others in a
+    line without an end is a sign, in a short table fewer by three than usual.
     """
     text, lines = table.text, table.lines
     last = max((line for line, content in enumerate(text.lines, 1) if content.strip()), default=0)
@@ -239,7 +243,7 @@ def _cut_off(table: Table) -> list[Finding]:
 
 
 def _last_cell(content: str) -> tuple[tuple[int, int], int]:
-    """Decimals and characters of the exponent of the last number of a line, and its digits before the exponent."""
+    """Decimals, exponent's length and digits of a line's last number."""
     content = content.replace(",", ".") if re.search("[;\t]", content) else content
     found = _LAST_NUMBER.search(content.partition("!")[0].rstrip(' \t.;")jiJI'))
     whole, decimals, exponent = (found[1], found[2] or "", found[3] or "") if found else ("", "", "")
@@ -247,7 +251,7 @@ def _last_cell(content: str) -> tuple[tuple[int, int], int]:
 
 
 def _order(steps: Real, lines: Sequence[int], word: str) -> str:
-    """The order in the file of frequencies that neither rise nor fall throughout, in words."""
+    """The order of frequencies that neither rise nor fall throughout, in words."""
     signs = np.sign(steps)
     moves = signs[signs != 0.0]
     if np.count_nonzero(np.diff(moves)) == 1:
@@ -266,7 +270,7 @@ def _order(steps: Real, lines: Sequence[int], word: str) -> str:
 def _joined(
     frequency: Real, impedance: Complex, mean: Complex, groups: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> Finding:
-    """The finding on frequencies that occur more than once: `frequency` and `mean` of every group."""
+    """The finding on frequencies that occur more than once."""
     size, apart = np.abs(mean), np.zeros(len(mean))
     np.maximum.at(apart, groups, np.abs(impedance - mean[groups]) / np.maximum(size[groups], 1e-300))
     many = counts > 1

@@ -1,4 +1,4 @@
-"""A table in a text: its place, its headings, its rows of cells, and its columns of numbers."""
+"""A table in a text: headings, rows of cells, columns of numbers."""
 
 from __future__ import annotations
 
@@ -60,35 +60,37 @@ class Table:
 
     @cached_property
     def content(self) -> tuple[tuple[int, str, list[str]], ...]:
-        """Number (from one), text and cells of every line from the first row on, but empty ones and comments."""
+        """Number (from one), text and cells of lines below the headings."""
         return tuple((line, content, cells(content, self.delimiter)) for line, content
                      in enumerate(self.text.lines[self.start:], self.start + 1)
                      if content.strip() and not content.startswith(self.comments))
 
     @cached_property
     def values(self) -> NDArray[np.float64]:
-        """The numbers (n, width) of the rows, NaN for a cell that is no real number."""
+        """The numbers (n, width) of the rows, NaN for any other cell."""
         columns = [[value_of(cell, self.decimal) for cell in self.column(place)] for place in range(self.width)]
         return np.array(columns, dtype=float).T
 
     @cached_property
     def complexes(self) -> frozenset[int]:
-        """The columns (from 0) that hold complex numbers in more than half of the rows."""
+        """The columns (from 0) that hold complex numbers in most rows."""
         return frozenset(place for place in range(self.width) if 2 * sum(
             complex_parts(cell) is not None for cell in self.column(place)) > len(self.cells))
 
     def column(self, place: int) -> list[str]:
-        """The cells of a column (from 0), empty where a row ends before it."""
+        """The cells of a column (from 0), empty in a shorter row."""
         return [row[place] if place < len(row) else "" for row in self.cells]
 
     def parts(self, place: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Real and imaginary part (n,) of a column of complex numbers, NaN for a cell that is none."""
+        """Real and imaginary part (n,) of a column of complex numbers."""
         parts = [complex_parts(cell) or (cell, "0") for cell in self.column(place)]
         real, imaginary = np.array([[value_of(cell, ",") for cell in pair] for pair in parts], dtype=float).T
         return real, imaginary
 
     def numbers(self, places: Sequence[int], *, last_is_complex: bool = False) -> list[NDArray[np.float64]]:
-        """The numbers (n,) of the columns `places` (from 0); of a last one of complex numbers, both parts.
+        """The numbers (n,) of the columns `places` (from 0).
+
+        A last column of complex numbers gives both parts.
 
         Raises:
             InputError: a row that ends before a column, or a cell that is no number.
@@ -108,7 +110,7 @@ class Table:
         return cell_number(self.text, line, place + 1, cell=cell, decimal=self.decimal)
 
     def wrong_width(self, line: int, content: str, row: Sequence[str], remedy: str = "") -> InputError:
-        """The error about a row of another number of cells; `remedy` is that for decimal commas."""
+        """The error about a row of another number of cells."""
         divided = f", as if its decimal commas divided it{remedy}" if len(row) > self.width and (
             self.delimiter == ",") else ""
         return self.text.error(line, None, content, f"{self.width} columns; this row has {len(row)}{divided}")
@@ -118,7 +120,7 @@ class Table:
         return f'column {place + 1} "{self.headings[place] if place < len(self.headings) else ""}"'
 
     def handle(self, place: int) -> str | int:
-        """The name of a column in a column map: its heading if that is unique, otherwise its number."""
+        """The name of a column in a column map: heading or number."""
         name = self.headings[place] if self.plain and place < len(self.headings) else ""
         return name if name and self.headings.count(name) == 1 else place + 1
 
@@ -143,7 +145,7 @@ class Table:
         return "," if "commas" in first else "."
 
     def with_rows(self, frequency: int, decimal: str = "", *, strict: bool = False) -> Table:
-        """The table with its rows, lines with a number in the column `frequency` (from 0).
+        """The table with its rows, which have a number as frequency.
 
         Other lines are no rows: units, END, totals, remarks, and a lone number that counts the rows. A line of other
         headings begins another table, which is not read. In a `strict` table every line is a row. Without a `decimal`
@@ -194,7 +196,7 @@ class Table:
                        next_table=next_table)
 
     def where(self, select: Mapping[str, object]) -> Table:
-        """The table with only the rows that hold values in columns, `select` (by heading, or counted from 1).
+        """The table with the rows that hold the values `select`, by column.
 
         Raises:
             InputError: a column or a value that is not there.
@@ -219,7 +221,7 @@ class Table:
 
 
 def _is_row(row: Sequence[str], first: str, others: int, decimal: str) -> bool:
-    """Whether a line is a row: its frequency `first` is a number, or lost beside `others` that are."""
+    """Whether a line with the frequency `first` and `others` is a row."""
     # A frequency is not lost alone; lines of dashes and remarks such as "over 20" are no rows.
     lost = holds_no_value(first) and (others > 1 or (first[-1:].casefold() in ("n", "f", "y") and (
         others > 0 or all(map(holds_no_value, row)))))
@@ -227,7 +229,7 @@ def _is_row(row: Sequence[str], first: str, others: int, decimal: str) -> bool:
 
 
 def _same(cell: str, value: object) -> bool:
-    """Whether a cell holds a value, as a text or as a number with either decimal mark."""
+    """Whether a cell holds a value, as a text or number."""
     number = value_of(str(value))
     return cell == str(value) or (number is not None and value_of(cell, ",") == number)
 
@@ -243,9 +245,9 @@ def values_listed(values: Sequence[str]) -> str:
 
 
 def find_table(text: RecordingText) -> Table | None:
-    """The first table of three columns or more, by its headings or, if none are understood, by its numbers.
+    """The first table of three columns or more, without its rows.
 
-    Its rows are not read yet.
+    Its headings determine the place or, if none are understood, its numbers.
     """
     numbered = _by_numbers(text)
     headed: Table | None = None
@@ -259,7 +261,7 @@ def find_table(text: RecordingText) -> Table | None:
 
 
 def _by_headings(text: RecordingText, index: int) -> Table | None:
-    """The table below the line `index` if it is understood as headings; of several delimiters, the best."""
+    """The table below the line `index`, if that holds headings."""
     line = uncommented(text.lines[index]).strip(" ")
     if line.count('"') == 2 and line.startswith('"') and line.endswith('"'):
         line = line[1:-1]
@@ -281,8 +283,7 @@ def _by_headings(text: RecordingText, index: int) -> Table | None:
 
 
 def _divisions(line: str, delimiter: str) -> Iterator[tuple[bool, list[str]]]:
-    """Every way to divide a line of headings: at the delimiter (True), at runs of blanks, before any word but a unit in
-    brackets, and behind such units."""
+    """Every way to divide headings: at the delimiter (True), or at blanks."""
     yield True, cells(line, delimiter)
     yield False, re.split(r"\s{2,}", line.strip())
     if delimiter == " ":
@@ -308,9 +309,9 @@ def _with_units(table: Table) -> Table:
 
 
 def _by_numbers(text: RecordingText) -> Table | None:
-    """The table of the first two rows of three numbers or more, with the line above them as headings.
+    """The table of the first two rows of three numbers or more.
 
-    A complex number counts as two; a table of two columns is ambiguous.
+    The line above may hold its headings. A complex number counts as two; a table of two columns is ambiguous.
     """
     lines = [(index, line) for index, line in enumerate(text.lines) if line.strip()]
     bare = [(index, line) for index, line in lines if not line.startswith(COMMENTS)]

@@ -1,4 +1,4 @@
-"""The text of a recording: loaded once, with its digest, and divided into cells and numbers."""
+"""The text of a recording, and its cells and numbers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _COMMA_OF_PORTS = "\ue000"
 
 @dataclass(frozen=True)
 class RecordingText:
-    """The lines of a recording (without their ends), the path as given and the SHA-256 of the bytes.
+    """The lines of a recording, its path, the SHA-256 of its bytes.
 
     ``ended`` if the last line has an end; ``row`` is the word for a line, which in a table turned over is a column.
     """
@@ -77,7 +77,7 @@ class RecordingText:
         self, instrument: str = "", date: str = "", *, read_as: str = "",
         settings: Mapping[str, str] = MappingProxyType({}),
     ) -> Origin:
-        """The origin of a measured spectrum; `read_as` states the meaning of the columns."""
+        """The origin of a measured spectrum; `read_as` explains its columns."""
         meaning = {READ_AS: " ".join(read_as.split())} if read_as else {}
         return Origin("measured", self.path, self.sha256, instrument, date, {**meaning, **settings})
 
@@ -112,7 +112,7 @@ def load_text(path: Path) -> RecordingText:
 
 
 def _is_binary(data: bytes) -> bool:
-    """Whether the bytes hold control characters that no text of one byte a letter has."""
+    """Whether the bytes hold control characters that no text has."""
     return any(byte < 32 and byte not in b"\t\n\r\f" for byte in data[:65536])
 
 
@@ -140,13 +140,13 @@ def _decoded(data: bytes) -> str | None:
 
 
 def _is_expected(letter: str) -> bool:
-    """Whether a letter is one that recordings hold, rather than one of a wrong encoding."""
+    """Whether a letter is one that recordings hold."""
     latin = unicodedata.name(letter, "").startswith("LATIN") and letter not in _STRANGE_LATIN
     return letter.isascii() or letter in _EXPECTED or latin or ord(letter) >= _EAST_ASIAN
 
 
 def refuse_waveform(text: RecordingText) -> None:
-    """Raise if the file is a Tektronix oscilloscope waveform: voltage against time, not a spectrum."""
+    """Raise if the file is a waveform of an oscilloscope, no spectrum."""
     if maker := recognised(text.lines):
         raise InputError(text.path, "format", maker, "an impedance spectrum; `workbench import FILE ... --resistance "
                          "R` makes one of a capture at every frequency, R being the resistor in series with the device "
@@ -171,7 +171,7 @@ def uncommented(line: str) -> str:
 
 
 def cells(line: str, delimiter: str) -> list[str]:
-    """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave.
+    """The cells of a line, without blanks, quotes and empty last ones.
 
     A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of it,
     and any number of blanks is one delimiter. A complex number is one cell, however it is written: "3.3-52.6j",
@@ -206,7 +206,7 @@ def _unquoted(cell: str) -> str:
 
 
 def complex_parts(cell: str) -> tuple[str, str] | None:
-    """Real and imaginary part of a complex number as :func:`cells` writes it; None if the cell is no such number."""
+    """Both parts of a complex number as :func:`cells` writes it, or None."""
     found = _WRITTEN.fullmatch(cell)
     return None if found is None else (found[1], found[2])
 
@@ -221,14 +221,14 @@ def is_number(cell: str, decimal: str = ".") -> bool:
 
 
 def is_cell(cell: str) -> bool:
-    """Whether a cell holds a real or complex number, with either decimal mark."""
+    """Whether a cell holds a number, real or complex."""
     return is_number(cell, ",") or complex_parts(cell) is not None
 
 
 def value_of(cell: str, decimal: str = ".") -> float | None:
-    """The number in a cell, NaN for a code of no value, None for any other text.
+    """The number in a cell, NaN for no value, None for text.
 
-    A code is a word, or a number of :data:`NO_VALUE` or more.
+    A code for no value is a word, or a number of :data:`NO_VALUE` or more.
     """
     if is_number(cell, decimal):
         number = float(_plain(cell, decimal))

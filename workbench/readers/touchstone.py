@@ -1,9 +1,9 @@
-"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1; network analysers use e^{+j w t}, like a
-spectrum.
+"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1.
 
-The IBIS Open Forum's specification, versions 1.1 and 2.0 (2009) and 2.1 (2024), rules: options of the line ``#`` stand
-in any order and default to GHz, S, MA and R 50; in version 1 all parameters are normalised to R, so that z = Z / R and
-y = Y R; in version 2 Z is in ohm and Y in siemens. scikit-rf 1.x multiplies y by R where it must divide.
+Network analysers use e^{+j w t}, like a spectrum. The IBIS Open Forum's specification, versions 1.1 and 2.0 (2009) and
+2.1 (2024), rules: options of the line ``#`` stand in any order and default to GHz, S, MA and R 50; in version 1 all
+parameters are normalised to R, so that z = Z / R and y = Y R; in version 2 Z is in ohm and Y in siemens. scikit-rf 1.x
+multiplies y by R where it must divide.
 """
 
 from __future__ import annotations
@@ -41,8 +41,11 @@ _NO_ANALYSER_HZ = 3e12
 
 @dataclass
 class Options:
-    """Content of the line ``#`` and of the keywords: factor to hertz, parameter, format, reference resistance of every
-    port (ohm), ``version`` (1 or 2), number of ``ports`` (0: not stated), and whether a line ``#`` ``stands`` there."""
+    """Content of the line ``#`` and of the keywords.
+
+    Factor to hertz, parameter, format, reference resistance of every port (ohm), ``version`` (1 or 2), number of
+    ``ports`` (0: not stated), and whether a line ``#`` ``stands`` there.
+    """
 
     unit: float = 1e9
     parameter: str = "s"
@@ -61,7 +64,7 @@ class Options:
 
 
 def recognises_touchstone(text: RecordingText) -> bool:
-    """Whether the name of a file, or its first line that is no comment, is that of a Touchstone file."""
+    """Whether a file is of Touchstone, by name or first line."""
     first = next((line.strip() for line in text.lines if line.strip() and not line.strip().startswith("!")), "")
     if _SUFFIX.fullmatch(Path(text.path).suffix.casefold()) or first.casefold().startswith("[version]"):
         return True
@@ -159,7 +162,7 @@ def _content(text: RecordingText) -> tuple[Options, list[tuple[int, list[str]]]]
 
 
 def _keyword(text: RecordingText, line: int, options: Options, name: str, value: str) -> None:
-    """Update the options by a keyword of version 2; others change no number, and S11 stands first in either order."""
+    """Update the options by a keyword of version 2, if it matters."""
     match name:
         case "version":
             if not value.startswith(("1", "2")):
@@ -178,7 +181,7 @@ def _keyword(text: RecordingText, line: int, options: Options, name: str, value:
 
 
 def _option_line(text: RecordingText, line: int, options: Options, words: Sequence[str]) -> None:
-    """Update the options by a line ``#``, in which they stand in any order."""
+    """Update the options by a line ``#``, in any order."""
     options.stands = True
     resistances: list[str] | None = None
     for word in words:
@@ -213,7 +216,7 @@ def _resistances(text: RecordingText, line: int, words: Sequence[str]) -> tuple[
 def _records(
     text: RecordingText, data: Sequence[tuple[int, list[str]]], options: Options, ports: int
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Rows (n, 1 + 2 entries) of frequency and parameters, and the line each begins on."""
+    """Rows (n, 1 + 2 entries) of numbers, and their lines."""
     width = 1 + 2 * (ports * ports if options.matrix == "full" else ports * (ports + 1) // 2)
     wraps = ports > 2 or options.version == 2
     rows: list[list[float]] = []

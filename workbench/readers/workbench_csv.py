@@ -18,7 +18,7 @@ _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
 
 def recognises_workbench_csv(text: RecordingText) -> bool:
-    """Whether the first line that is no comment holds the names of the columns."""
+    """Whether the first line without ``#`` holds the names of the columns."""
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
     names = cells(header, ",")
     # Another program may use this name for its frequency; its other columns tell.
