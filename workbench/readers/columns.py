@@ -131,15 +131,8 @@ def read_column_map(path: Path | str) -> ColumnMap:
         decimal = "."               # or ","
         quantity = { kind = "impedance", form = "polar", unit = "ohm", phase_unit = "deg" }
 
-    ``negated = true`` in the quantity: the second column is minus the phase or imaginary part, as in -Im(Z). Other
-    quantities, one a line::
-
-        { kind = "reflection", form = "polar", unit = "dB", phase_unit = "deg", reference_resistance = 50 }
-        { kind = "transmission", form = "rectangular", unit = "1", configuration = "shunt" }   # or "series"
-        { kind = "circuit", form = "Cp-D", unit = "pF", second_unit = "1" }
-        { kind = "gain", form = "polar", unit = "dB", phase_unit = "deg", reference_resistance = 100 }
-        { kind = "impedance", form = "complex", unit = "ohm" }    # both parts in the column first; no second
-
+    ``negated = true`` in the quantity: the second column is minus the phase or imaginary part, as in -Im(Z). The page
+    on recordings lists the quantities (``kind``, ``form`` and their units).
     ``select = { DUT = "1" }`` reads the rows of one device alone.
 
     Raises:

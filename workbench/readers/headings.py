@@ -292,7 +292,7 @@ def _joined(parts: set[str], kinds: set[str], connection: str = "") -> Heading |
     if "element" in parts:
         # "Capacitance Cp" names it twice; the magnitude of a capacitance is no element.
         kinds = kinds - {"C", "L"} or kinds
-        if parts != {"element"} or len(kinds) != 1:
+        if parts != {"element"} or len(kinds) != 1 or not kinds <= {"C", "L", *ELEMENT_UNITS}:
             return None
         (symbol,) = kinds
         if symbol in ("C", "L"):

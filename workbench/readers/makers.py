@@ -187,7 +187,7 @@ def _trace(text: RecordingText, bare: Sequence[str], name: str, declared: int) -
         raise text.error(end, None, f"{end - start - 1} rows in trace {name}",
                          f"the {declared} points the header declares")
     alone = replace(text, lines=text.lines[:end])
-    return Table(alone, names, start, start + 1, "\t", len(names)).with_rows(0, ".", strict=True)
+    return Table(alone, names, start, start + 1, "\t", len(names), comments=()).with_rows(0, ".", strict=True)
 
 
 def _real(trace: Table) -> tuple[np.ndarray, np.ndarray]:

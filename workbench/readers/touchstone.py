@@ -183,7 +183,7 @@ def _keyword(text: RecordingText, line: int, options: Options, name: str, value:
 def _option_line(text: RecordingText, line: int, options: Options, words: Sequence[str]) -> None:
     """Update the options by a line ``#``, in any order."""
     options.stands = True
-    resistances: list[str] | None = None
+    resistances: list[list[str]] = []
     for word in words:
         plain = word.casefold()
         if plain in _FREQUENCIES:
@@ -193,16 +193,16 @@ def _option_line(text: RecordingText, line: int, options: Options, words: Sequen
         elif plain in _FORMS:
             options.form = plain
         elif plain == "r" or (plain.startswith("r") and is_number(plain[1:])):
-            resistances = [plain[1:]] if plain != "r" else []
-        elif resistances is not None and is_number(plain):
-            resistances.append(plain)
+            resistances.append([plain[1:]] if plain != "r" else [])
+        elif resistances and is_number(plain):
+            resistances[-1].append(plain)
         else:
             raise text.error(line, None, word, "options: a unit (Hz, kHz, MHz, GHz), a parameter (S, Y, Z), a format "
                              "(RI, MA, DB) and R with a resistance in ohm")
-    if resistances is not None:
-        options.reference = _resistances(text, line, resistances)
-        if not resistances:
-            raise text.error(line, None, " ".join(words), "a resistance in ohm behind R")
+    if not all(resistances):
+        raise text.error(line, None, " ".join(words), "a resistance in ohm behind R")
+    if resistances:
+        options.reference = _resistances(text, line, resistances[-1])
 
 
 def _resistances(text: RecordingText, line: int, words: Sequence[str]) -> tuple[float, ...]:
