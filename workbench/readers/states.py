@@ -56,7 +56,8 @@ def _apart(
         inside = sweep[(frequency[sweep] >= frequency[first[0]]) & (frequency[sweep] <= frequency[first[-1]])]
         if 2 * len(inside) >= min(len(sweep), len(first)):
             expected = np.interp(frequency[inside], frequency[first], impedance[first])
-            away = np.abs(impedance[inside] - expected) / np.abs(expected)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                away = np.abs(impedance[inside] - expected) / np.abs(expected)
             apart = max(apart, float(np.max(away, initial=0.0, where=np.isfinite(away))))
     return apart
 
