@@ -13,8 +13,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 CLEAN = (
     "workbench", "workbench/app", "workbench/bench", "workbench/campaign", "workbench/catalogue", "workbench/commands",
     "workbench/diagnosis", "workbench/files", "workbench/fitting", "workbench/instruments", "workbench/jobs",
-    "workbench/render", "workbench/report", "workbench/reproduction", "workbench/results", "workbench/search",
-    "workbench/simulation",
+    "workbench/readers", "workbench/render", "workbench/report", "workbench/reproduction", "workbench/results",
+    "workbench/search", "workbench/simulation",
 )
 #: Times per thousand words, over all pages. Manuals of this field have 0.1 and 0.0.
 MOST_WHAT, MOST_SAID = 1.0, 0.5

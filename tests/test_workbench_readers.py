@@ -149,7 +149,7 @@ def changed(tmp_path: Path, name: str, old: Any, new: Any, count: int = 1) -> An
     ("workbench.csv", "frequency_hz", "# kind: measured\n# kind: measured\nfrequency_hz", "line 2", "only once"),
     ("e4990a_z_theta.csv", "END\r\n", "", "line 10", "cut short"),
     ("e4990a_z_theta.csv", "theta-z(deg)-data", "Cp(F)-data", "line 5", "is Cp of an equivalent circuit"),
-    ("e4990a_z_theta.csv", "Frequency(Hz)", "Time(s)", "line 5, column 1", "Frequency(Hz)"),
+    ("e4990a_z_theta.csv", "Frequency(Hz)", "Time(s)", "line 5", "none of them is a frequency"),
     ("e4990a_z_theta.csv", "BEGIN CH1_DATA", "BEGIN", "line 11", "BEGIN CH1_DATA"),
     ("4294a_admittance.txt", "POINTS: 5", "POINTS: 6", "line 26", "the 6 points"),
     ("4294a_admittance.txt", "POINTS: 5", "POINTS: five", "line 8", "a whole number"),

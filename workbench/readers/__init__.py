@@ -1,4 +1,4 @@
-"""Recordings of impedance: find out the format, read it, and report what looks wrong.
+"""Recordings of impedance in many formats: a spectrum, and findings on it.
 
     reading = read_recording(Path("disc.csv"))
     reading.spectrum, reading.findings
@@ -12,26 +12,19 @@ and is corrected only on request. Rows without a value are left out with a findi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from workbench.files.errors import InputError, choose
 from workbench.readers import columns as _columns
-from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
-from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
-from workbench.readers.findings import Finding, Rows, examine
+from workbench.readers import headed, makers, touchstone, workbench_csv
+from workbench.readers.columns import ColumnMap, read_column_map
+from workbench.readers.findings import Finding
 from workbench.readers.proposals import OPTION
 from workbench.readers.quantities import RecordedQuantity
-from workbench.readers.sweep import Recorded
-from workbench.readers.text import RecordingText, load_text, refuse_waveform
-from workbench.results.notebook import Shown, Summary
-from workbench.results.spectrum import Spectrum, corrected
-
-if TYPE_CHECKING:
-    import xarray
+from workbench.readers.sweep import Reading
+from workbench.readers.tables import find_table
+from workbench.readers.text import READ_AS, RecordingText, load_text, refuse_waveform
 
 __all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Reading", "RecordedQuantity", "detect", "read_column_map",
            "read_recording"]
@@ -39,90 +32,27 @@ __all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Reading", "RecordedQua
 
 @dataclass(frozen=True)
 class Format:
-    """One file format: a test of the text, its parser, and a description for messages."""
+    """One file format: a description, a test of the text, a parser."""
 
     description: str
     recognises: Callable[[RecordingText], bool]
-    parse: Callable[[RecordingText], Recorded]
+    parse: Callable[[RecordingText], Reading]
 
 
+_MAKERS = {name: Format(f"{maker.name} table", maker.recognises, maker.parse) for name, maker in makers.MAKERS.items()}
 FORMATS: Mapping[str, Format] = {
     "workbench": Format("the workbench's own CSV", workbench_csv.recognises_workbench_csv,
                         workbench_csv.parse_workbench_csv),
-    "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises_e4990a, e4990a.parse_e4990a),
-    "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises_hp4294a, hp4294a.parse_hp4294a),
+    "e4990a": _MAKERS["e4990a"],
+    "4294a": Format("HP/Agilent 4294A ASCII", makers.recognises_hp4294a, makers.parse_hp4294a),
     "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises_touchstone, touchstone.parse_touchstone),
-    "labone": Format("Zurich Instruments LabOne sweep", labone.recognises_labone, labone.parse_labone),
-    **{name: Format(f"{instrument.name} table", instrument.recognises, instrument.parse)
-       for name, instrument in instruments.INSTRUMENTS.items()},
-    "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
+    "labone": Format("Zurich Instruments LabOne sweep", makers.recognises_labone, makers.parse_labone),
+    **_MAKERS,
+    "lines": Format("a table with one quantity a line", makers.recognises_lines, makers.parse_lines),
     # The last one, since it takes any file with three columns of numbers.
-    "table": Format("a table whose headings say what its columns are", headed.recognises_headed, headed.parse_headed),
+    "table": Format("a table whose headings say what its columns are", lambda text: find_table(text) is not None,
+                    headed.parse_headed),
 }
-
-#: Findings on the spectrum itself, which are found anew after a correction.
-_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "unsigned", "stretch", "magnitude",
-                       "frequency", "outlier", "spacing"})
-#: The setting of an origin that lists the points left out on request.
-LEFT_OUT = "left out"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Reading(Shown):
-    """A spectrum as recorded, the findings on it, and the rows of the file that its points stand in, if known."""
-
-    spectrum: Spectrum
-    findings: tuple[Finding, ...]
-    rows: Rows | None = None
-
-    @property
-    def read_as(self) -> str:
-        """Meaning of every column according to headings or a column map; otherwise empty."""
-        return self.spectrum.origin.settings.get(READ_AS, "")
-
-    def summary(self) -> Summary:
-        """The spectrum and its findings, for a notebook."""
-        own = self.spectrum.summary()
-        found = [("read as", self.read_as)] if self.read_as else []
-        rows = (*own.rows, *found, *(("finding", str(finding.message)) for finding in self.findings))
-        return Summary("Recording", rows, {"measured": self.spectrum}, ("measured",))
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The spectrum as a dataset, see :meth:`Spectrum.to_xarray`."""
-        return self.spectrum.to_xarray()
-
-    def corrected(self, correction: str) -> Reading:
-        """The reading with its spectrum corrected, noted in the origin, and re-examined.
-
-        `correction` is "negate", "conjugate" or "signs", see :func:`workbench.results.spectrum.corrected`.
-        """
-        spectrum = corrected(self.spectrum, correction)
-        kept = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
-        return Reading(spectrum, (*kept, *examine(spectrum, rows=self.rows)), self.rows)
-
-    def without_outliers(self) -> Reading:
-        """The reading without the points in the ``rows`` of its findings, noted in the origin and in a finding.
-
-        Raises:
-            InputError: they are half of the points or more.
-        """
-        rows = self.rows or Rows(tuple(range(1, self.spectrum.frequency.size + 1)), "point")
-        out = {row for finding in self.findings for row in finding.rows}
-        kept = np.array([row not in out for row in rows.numbers])
-        points = np.flatnonzero(~kept)
-        if not len(points):
-            return self
-        words = f"{len(points)} of {len(kept)} points as outliers: {rows.named(points, self.spectrum.frequency)}"
-        if 2 * len(points) >= len(kept):
-            raise InputError(self.spectrum.origin.source or "recording", "without_outliers", words,
-                             "fewer than half of the points; the recording as a whole is in doubt")
-        spectrum = self.spectrum.at(kept)
-        spectrum = replace(spectrum, origin=replace(spectrum.origin, settings={
-            **spectrum.origin.settings, LEFT_OUT: words}))
-        rest = Rows(rows.of(np.flatnonzero(kept)), rows.word)
-        others = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
-        said = Finding("left_out", f"left out {words}")
-        return Reading(spectrum, (*others, said, *examine(spectrum, rows=rest)), rest)
 
 
 def detect(path: Path | str) -> str:
@@ -159,9 +89,7 @@ def read_recording(
     else:
         name = _detect(text) if format is None else choose(format, FORMATS, source=text.path, field="format")
         found = FORMATS[name].parse(text)
-    gain = columns is not None and columns.quantity.kind == "gain"
-    reading = Reading(found.spectrum, (*found.findings, *examine(found.spectrum, rows=found.rows, shunt_gain=gain)),
-                      found.rows)
+    reading = found.examined(found.spectrum, shunt_gain=columns is not None and columns.quantity.kind == "gain")
     reading = reading if correction is None else reading.corrected(correction)
     return reading.without_outliers() if without_outliers else reading
 

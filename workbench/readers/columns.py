@@ -1,7 +1,6 @@
-"""Any other table of text, with columns named by a :class:`ColumnMap`.
+"""Tables whose columns a :class:`ColumnMap` names, with unit and quantity.
 
-Nothing is guessed: a person who knows the set-up states the columns, their units and, for a gain, the reference
-resistor and which way up the ratio is.
+Nothing is guessed: a person who knows the set-up states the map, or clear headings determine it.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,42 +20,30 @@ from workbench.files.toml import toml_lines
 from workbench.readers.findings import Finding
 from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, hint, understand, units_of
 from workbench.readers.quantities import RecordedQuantity
-from workbench.readers.states import select_of, selected, telling_columns, values_in_words
-from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
+from workbench.readers.states import select_of, telling_columns, values_in_words
+from workbench.readers.sweep import ONE_FREQUENCY, Reading, in_order
+from workbench.readers.tables import Table
 from workbench.readers.text import (
     COMMENTS,
     RecordingText,
-    RowCells,
-    cell_number,
     cells,
     complex_parts,
-    holds_no_value,
     is_number,
     load_text,
-    row_cells,
+    uncommented,
+    value_of,
 )
 from workbench.results.spectrum import Origin
 
-#: The setting of an origin that states the meaning of the columns of a table.
-READ_AS = "read as"
-
 #: The beginning of a comment in a proposed column map that asks for a decision.
 UNCLEAR = "UNCLEAR:"
-
 #: Symbol or name of every quantity, for messages.
 QUANTITY_WORDS: Mapping[str, str] = {**SYMBOLS, "gain": "the gain"}
-
 #: Every part of a quantity, for messages.
 PART_WORDS: Mapping[str, str] = {
     "frequency": "the frequency", "magnitude": "the magnitude", "phase": "the phase", "real": "the real part",
     "imaginary": "the imaginary part", "whole": "a complex number",
 }
-
-#: A column map as an example for messages: its own keys, and its table `quantity`.
-EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
-    {"frequency": "Freq", "first": "|Z|", "second": "angle", "frequency_unit": "kHz"},
-    {"kind": "impedance", "form": "polar", "unit": "ohm", "phase_unit": "deg"},
-)
 
 
 @dataclass(frozen=True)
@@ -103,10 +89,8 @@ class ColumnMap:
             raise ValueError(f'select {self.select!r} must be a table of values by column, such as {{ DUT = "1" }}')
         if self.second_frequency is not None and not self.second_file:
             raise ValueError("second_frequency is the frequency of a second_file, which is not given")
-        for pair in ((self.frequency, self.first), (self.frequency_of_second, self.second)):
-            if pair[0] == pair[1]:
-                raise ValueError(f"frequency, first and second must be three columns, received {self.named}")
-        if not self.second_file and self.first == self.second:
+        if self.frequency == self.first or self.frequency_of_second == self.second or (
+                not self.second_file and self.first == self.second):
             raise ValueError(f"frequency, first and second must be three columns, received {self.named}")
         if any(isinstance(name, int) and name < 1 for name in self.named):
             raise ValueError(f"columns are counted from 1, received {self.named}")
@@ -117,13 +101,25 @@ class ColumnMap:
         return tuple(name for name in (self.frequency, self.first, self.second) if name is not None)
 
     @property
+    def meanings(self) -> tuple[tuple[str, str, str], ...]:
+        """Part, kind and unit of every column that the map names."""
+        return ("frequency", "", self.frequency_unit), *self.quantity.columns
+
+    @property
     def frequency_of_second(self) -> str | int:
         """The column of the frequency in the file of the second column."""
         return self.frequency if self.second_frequency is None else self.second_frequency
 
+    def impedance(self, values: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+        """Frequency (n,) Hz and impedance (n,) ohm of columns of numbers."""
+        hertz = values[0] * UNITS["frequency"][self.frequency_unit]
+        return hertz, self.quantity.impedance(values[1], values[2], hertz)
+
 
 def read_column_map(path: Path | str) -> ColumnMap:
-    """A column map from a TOML file: the fields of :class:`ColumnMap`, with ``quantity`` a table of those of Quantity.
+    """A column map from a TOML file.
+
+    Its keys are the fields of :class:`ColumnMap`, and ``quantity`` is a table of those of Quantity.
 
     ::
 
@@ -135,15 +131,8 @@ def read_column_map(path: Path | str) -> ColumnMap:
         decimal = "."               # or ","
         quantity = { kind = "impedance", form = "polar", unit = "ohm", phase_unit = "deg" }
 
-    ``negated = true`` in the quantity: the second column is minus the phase or imaginary part, as in -Im(Z). Other
-    quantities, one a line::
-
-        { kind = "reflection", form = "polar", unit = "dB", phase_unit = "deg", reference_resistance = 50 }
-        { kind = "transmission", form = "rectangular", unit = "1", configuration = "shunt" }   # or "series"
-        { kind = "circuit", form = "Cp-D", unit = "pF", second_unit = "1" }
-        { kind = "gain", form = "polar", unit = "dB", phase_unit = "deg", reference_resistance = 100 }
-        { kind = "impedance", form = "complex", unit = "ohm" }    # both parts in the column first; no second
-
+    ``negated = true`` in the quantity: the second column is minus the phase or imaginary part, as in -Im(Z). The page
+    on recordings lists the quantities (``kind``, ``form`` and their units).
     ``select = { DUT = "1" }`` reads the rows of one device alone.
 
     Raises:
@@ -161,18 +150,40 @@ def read_column_map(path: Path | str) -> ColumnMap:
     try:
         return ColumnMap(**{"second": None, **table.content, "quantity": RecordedQuantity(**quantity.content)})
     except (TypeError, ValueError) as error:
-        expected = f"a map such as\n\n{map_text(*EXAMPLE, {})}\n"
-        raise InputError(str(path), "column map", str(error), expected) from error
+        example = ColumnMap("Freq", "|Z|", "angle", RecordedQuantity("impedance", "polar", "ohm"), "kHz")
+        raise InputError(str(path), "column map", str(error), f"a map such as\n\n{map_text(example)}\n") from error
 
 
-def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
+def map_text(columns: ColumnMap, doubts: Mapping[str, str] = MappingProxyType({})) -> str:
+    """The text of a column map for :func:`read_column_map`.
+
+    `doubts`, choices by key, become comments beside it that begin with :data:`UNCLEAR`. A resistance or selection in
+    doubt has a value that is refused until it is replaced.
+    """
+    lines = []
+    shown = {"frequency_unit", "delimiter", "decimal", *(["phase_unit"] if columns.quantity.form == "polar" else []),
+             *doubts}
+    for of, head in ((columns, ""), (columns.quantity, "[quantity]")):
+        lines += [head] if head else []
+        for each in fields(of):
+            value = getattr(of, each.name)
+            if each.name == "quantity" or value is None or not (
+                    each.name in shown or value != ({} if each.default is MISSING else each.default)):
+                continue
+            value = 0.0 if each.name == "reference_resistance" and each.name in doubts else value
+            line = toml_lines({each.name: value})[0]
+            lines.append(f"{line:<35} # {UNCLEAR} {doubts[each.name]}" if each.name in doubts else line)
+    return "\n".join(lines)
+
+
+def parse_columns(text: RecordingText, columns: ColumnMap) -> Reading:
     """Read the file.
 
     Columns given by heading: the heading line is the first that holds all of them (a leading %, # or ! is ignored).
     Columns given by number: the lines in which all of them are numbers, those of the commonest width. Lines below that
-    are no rows (:func:`~workbench.readers.text.row_cells`) are left out.
+    are no rows (:meth:`~workbench.readers.tables.Table.with_rows`) are left out.
 
-    The origin's setting :data:`READ_AS` states the meaning of each column.
+    The origin's setting :data:`~workbench.readers.text.READ_AS` states the meaning of each column.
 
     Raises:
         InputError: headings not found, a faulty row; sweeps of several states; a second file that is missing or has
@@ -183,116 +194,103 @@ def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
         raise InputError(text.path, "column map", against.heading, f"a column that is what the map says, "
                          f"{against.mapped}; the heading says {against.said}: mend the map (kind, form, unit), or "
                          "count the columns (first = 2) to overrule the heading")
-    whole = columns.quantity.form == "complex"
-    rows, places, headings = _find(text, columns, columns.named[:2] if columns.second_file else columns.named)
-    values = rows.numbers(places, last_is_complex=whole)
-    notes: dict[str, str] = {}
+    table, places = _mapped(text, columns, columns.named[:2] if columns.second_file else columns.named)
+    values = table.numbers(places, last_is_complex=columns.quantity.form == "complex")
+    settings: dict[str, str] = {}
     if columns.second_file:
-        values.append(_second(text, columns, values[0]))
-        other = Path(text.path).parent / columns.second_file
-        notes["second file"] = f"{columns.second_file}, sha256 {load_text(other).sha256}"
+        assert columns.second is not None  # held by ColumnMap
+        other = load_text(Path(text.path).parent / columns.second_file)
+        beside, both = _mapped(other, columns, (columns.frequency_of_second, columns.second))
+        own, second = beside.numbers(both)
+        if len(own) != len(values[0]) or np.any(np.abs(own - values[0]) > ONE_FREQUENCY * np.abs(values[0])):
+            raise InputError(other.path, "frequency", f"{len(own)} frequencies", f"the {len(values[0])} frequencies of "
+                             f"{text.path}, in the same order")
+        values.append(second)
+        settings["second file"] = f"{columns.second_file}, sha256 {other.sha256}"
     else:
-        hertz = values[0] * UNITS["frequency"][columns.frequency_unit]
-        impedance = columns.quantity.impedance(values[1], values[2], hertz)
-        telling = telling_columns(rows, headings, places, values[0], impedance)
+        telling = telling_columns(table, places, *columns.impedance(values))
         if telling:
-            line = toml_lines({"select": {**columns.select, **select_of(telling, headings)}})[0]
-            raise InputError(text.path, "rows", values_in_words(telling, headings), "the sweep of one device or "
-                             f"state: choose one by a line such as {line} in the column map")
-    return recorded(rows, columns, values=values, column=places[0] + 1,
-                    read_as=f"by a column map, {column_map_text(columns)}", settings=notes)
-
-
-def uncommented(line: str) -> str:
-    """A line without a leading comment sign."""
-    return line.lstrip("%#! ") if line.startswith(COMMENTS) else line
+            line = toml_lines({"select": {**columns.select, **select_of(telling, table)}})[0]
+            raise InputError(text.path, "rows", values_in_words(telling, table), "the sweep of one device or state: "
+                             f"choose one by a line such as {line} in the column map")
+    return recorded(table, columns, values, places[0], text.origin(
+        read_as=f"by a column map, {column_map_text(columns)}", settings=settings))
 
 
 def recorded(
-    rows: RowCells, columns: ColumnMap, *, values: Sequence[NDArray[np.float64]], column: int, read_as: str,
-    settings: Mapping[str, str] = MappingProxyType({}), instrument: str = "",
-) -> Recorded:
-    """The spectrum of a table's `values`: frequency (its column counted from one), first and second.
+    table: Table, columns: ColumnMap, values: Sequence[NDArray[np.float64]], place: int, origin: Origin, *,
+    scale: float = 1.0, findings: Sequence[Finding] = (),
+) -> Reading:
+    """The spectrum of a table's columns of numbers.
+
+    `values` are frequency (its `place` counted from 0), first and second, (n,) each. `scale` multiplies the impedance.
 
     Raises:
-        InputError: fewer than two frequencies, an impedance that is zero or infinite.
+        InputError: as :func:`workbench.readers.sweep.in_order`.
     """
-    text, quantity = rows.text, columns.quantity
-    frequency = values[0] * UNITS["frequency"][columns.frequency_unit]
-    impedance = quantity.impedance(values[1], values[2], frequency)
-    found = []
-    if rows.skipped:
-        said = "; ".join(f"line {line} {text.lines[line - 1].strip()[:40]!r}" for line in rows.skipped[:3])
-        many = f"{len(rows.skipped)} lines" if len(rows.skipped) > 1 else "one line"
+    text, found = table.text, list(findings)
+    if table.skipped:
+        said = "; ".join(f"line {line} {text.lines[line - 1].strip()[:40]!r}" for line in table.skipped[:3])
+        many = f"{len(table.skipped)} lines" if len(table.skipped) > 1 else "one line"
         found.append(Finding("no_rows", f"{many} below the first row left out as no rows: {said}"
-                             + (" ..." if len(rows.skipped) > 3 else "")))
-    if rows.next_table is not None:
-        found.append(Finding("another_table", f"line {rows.next_table} "
-                             f"{text.lines[rows.next_table - 1].strip()[:60]!r} begins another table, "
+                             + (" ..." if len(table.skipped) > 3 else "")))
+    if table.next_table is not None:
+        found.append(Finding("another_table", f"line {table.next_table} "
+                             f"{text.lines[table.next_table - 1].strip()[:60]!r} begins another table, "
                              "which is not read"))
-    if quantity.unsigned_losses(values[1], values[2]):
-        found.append(Finding("unsigned_losses", f"{quantity.form}: D or Q is positive where the reactive element is "
-                             "negative, hence taken to be written without its sign"))
-    noted = {READ_AS: " ".join(read_as.split()), **settings}
-    origin = Origin("measured", text.path, text.sha256, instrument, settings=noted)
-    return in_order(text, frequency, impedance, lines=rows.lines, column=column, origin=origin,
-                    cells=values[1:], findings=found)
+    if columns.quantity.unsigned_losses(values[1], values[2]):
+        found.append(Finding("unsigned_losses", f"{columns.quantity.form}: D or Q is positive where the reactive "
+                             "element is negative, hence taken to be written without its sign"))
+    frequency, impedance = columns.impedance(values)
+    with np.errstate(invalid="ignore"):
+        impedance = scale * impedance
+    return in_order(table, frequency, impedance, values=values[1:], column=place + 1, origin=origin,
+                    findings=found)
 
 
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
-    """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
+    """The meaning of every column of a map, in words.
+
+    `notes` by column give reasons.
+    """
     quantity = columns.quantity
     found = []
-    for name, (part, kind, unit) in zip(columns.named, (
-            ("frequency", "", columns.frequency_unit), *quantity.columns), strict=True):
-        meaning = kind if part == "element" else PART_WORDS[part] + (
-            f" of {QUANTITY_WORDS[kind]}" if part not in ("frequency", "whole") else "")
+    for name, (part, kind, unit) in zip(columns.named, columns.meanings, strict=True):
+        minus = quantity.negated and name is columns.second
+        meaning = ("minus " if minus else "") + (kind if part == "element" else PART_WORDS[part] + (
+            f" of {QUANTITY_WORDS[kind]}" if part != "frequency" else ""))
         if part == "whole":
             meaning = f"{QUANTITY_WORDS[kind]} as complex numbers" + (
                 " whose imaginary part is negated" if quantity.negated else "")
-        elif quantity.negated and name is columns.second:
-            meaning = f"minus {meaning}"
         called = f'"{name}"' if isinstance(name, str) else f"column {name}"
         if name is columns.second and columns.second_file:
             called += f" of {columns.second_file}"
-        unit = {"1": "no unit", "dB": "dB" + {"impedance": " of one ohm", "admittance": " of one siemens"}.get(
-            kind, "")}.get(unit, unit)
+        of = {"impedance": " of one ohm", "admittance": " of one siemens"}.get(kind, "")
+        unit = {"1": "no unit", "dB": f"dB{of}"}.get(unit, unit)
         found.append(f"{called} is {meaning} in {unit}" + (f" ({notes[name]})" if name in notes else ""))
     resistance = f"{quantity.reference_resistance or 0.0:g} ohm"
-    match quantity.kind:
-        case "gain":
-            both, resistor = "the voltage across both", f"that across {resistance}"
-            found.append(f"the gain is {both} over {resistor}" if quantity.inverse else f"the gain is {resistor} over "
-                         f"{both}")
-        case "reflection":
-            found.append(f"reflection at one port of {resistance}")
-        case "transmission":
-            found.append(f"transmission between two ports of {resistance}, the specimen in {quantity.configuration}")
-        case "impedance" | "admittance":
-            sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
-            found.append(f"of a capacitor the {'imaginary part' if columns.second is None else 'last'} is {sign}")
+    ratio = ("the voltage across both", f"that across {resistance}")[::1 if quantity.inverse else -1]
+    sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
+    of_capacitor = f"of a capacitor the {'imaginary part' if columns.second is None else 'last'} is {sign}"
+    found += {"gain": [f"the gain is {ratio[0]} over {ratio[1]}"],
+              "reflection": [f"reflection at one port of {resistance}"],
+              "transmission": [f"transmission between two ports of {resistance}, the specimen in "
+                               f"{quantity.configuration}"],
+              "impedance": [of_capacitor], "admittance": [of_capacitor]}.get(quantity.kind, [])
     found += [f"rows with {name} {value} alone" for name, value in columns.select.items()]
-    delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}.get(
-        columns.delimiter, repr(columns.delimiter))
-    found.append(f"columns divided by {delimiter}, decimal {'comma' if columns.decimal == ',' else 'point'}")
+    delimiters = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
+    found.append(f"columns divided by {delimiters.get(columns.delimiter, repr(columns.delimiter))}, decimal "
+                 f"{'comma' if columns.decimal == ',' else 'point'}")
     return "; ".join(found)
 
 
-def map_text(fields_: Mapping[str, Any], quantity: Mapping[str, Any], doubts: Mapping[str, str]) -> str:
-    """The text of a column map for :func:`read_column_map`; `doubts`, choices by key, become
-    comments beside it that begin with :data:`UNCLEAR`."""
-    lines = []
-    for content, head in ((fields_, ""), (quantity, "[quantity]")):
-        lines += [head] if head else []
-        for key, line in zip(content, toml_lines(content), strict=True):
-            lines.append(f"{line:<35} # {UNCLEAR} {doubts[key]}" if key in doubts else line)
-    return "\n".join(lines)
+# --------------------------------------------------------------------------------------------------------------------
+# Headings against a map, and the place of its columns.
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A ``heading`` against the map that names it: their meanings in words; ``unit`` if they differ in the unit alone.
-    """
+    """A heading against a map, in words; ``unit`` if only units differ."""
 
     heading: str
     mapped: str
@@ -301,13 +299,12 @@ class Contradiction:
 
 
 def contradiction(columns: ColumnMap) -> Contradiction | None:
-    """The first heading that contradicts the map that names it; None if there is none.
+    """The first heading that contradicts the map, or None.
 
     A counted column cannot contradict, so counting overrules a heading. Signs are not compared, since headings are
     often wrong about them.
     """
-    wanted = (("frequency", "", columns.frequency_unit), *columns.quantity.columns)
-    for name, (part, kind, unit) in zip(columns.named, wanted, strict=True):
+    for name, (part, kind, unit) in zip(columns.named, columns.meanings, strict=True):
         # One small letter may be anybody's name for anything.
         if isinstance(name, int) or (len(name) == 1 and name.islower()):
             continue
@@ -319,13 +316,13 @@ def contradiction(columns: ColumnMap) -> Contradiction | None:
         if heading is None or heading.part == "scalar":
             continue
         if not _fits(heading, part, kind):
-            what = f"{heading.kind} {heading.part if heading.part not in ('element', 'whole') else ''}".strip()
-            what += f" in {heading.unit}" if heading.unit else ""
-            return Contradiction(str(name), f"{part} of {kind}" if part not in ("element", "frequency") else
-                                 kind or part, what, unit=False)
+            said = f"{heading.kind} {heading.part if heading.part not in ('element', 'whole') else ''}".strip()
+            said += f" in {heading.unit}" if heading.unit else ""
+            mapped = f"{part} of {kind}" if part not in ("element", "frequency") else kind or part
+            return Contradiction(name, mapped, said, unit=False)
         stated = {heading.unit} if heading.unit else units_of(heading.strange_unit)
         if stated and unit not in stated:
-            return Contradiction(str(name), f"in {unit}", heading.unit or heading.strange_unit, unit=True)
+            return Contradiction(name, f"in {unit}", heading.unit or heading.strange_unit, unit=True)
     return None
 
 
@@ -342,84 +339,45 @@ def _fits(heading: Heading, part: str, kind: str) -> bool:
         heading.part != "phase" and not heading.kind)
 
 
-def _find(
-    text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]
-) -> tuple[RowCells, tuple[int, ...], Sequence[str]]:
-    """The rows of the first table with the columns `wanted`, the frequency first; their places, and the headings."""
+def _mapped(text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int]) -> tuple[Table, list[int]]:
+    """The first table with the columns `wanted`, and their places (from 0)."""
     split = [cells(uncommented(line), columns.delimiter) for line in text.lines]
-    places, width, start, headings = _locate(text, columns, wanted, split)
-    rows = row_cells(text, start, width=width, delimiter=columns.delimiter, decimal=columns.decimal,
-                     frequency=places[0], headings=headings)
-    return selected(text.path, rows, headings, columns.select), tuple(places), headings
-
-
-def _second(text: RecordingText, columns: ColumnMap, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The second column (n,), from its own file, at the `frequency` (n,) of the first."""
-    other = load_text(Path(text.path).parent / columns.second_file)
-    assert columns.second is not None  # held by ColumnMap
-    rows, places, _ = _find(other, columns, (columns.frequency_of_second, columns.second))
-    own, values = rows.numbers(places)
-    if len(own) != len(frequency) or np.any(np.abs(own - frequency) > ONE_FREQUENCY * np.abs(frequency)):
-        raise InputError(other.path, "frequency", f"{len(own)} frequencies", f"the {len(frequency)} frequencies of "
-                         f"{text.path}, in the same order")
-    return values
-
-
-def _locate(
-    text: RecordingText, columns: ColumnMap, wanted: Sequence[str | int], split: Sequence[list[str]]
-) -> tuple[list[int], int, int, Sequence[str]]:
-    """Places of the columns (from 0), number of columns, index of the line at or above the first row, and the headings.
-    """
     headings = [name for name in wanted if isinstance(name, str)]
-    names: Sequence[str] = ()
     if headings:
-        found = next((index for index, row in enumerate(split) if all(name in row for name in headings)), None)
-        if found is None:
-            missing = next(name for name in headings if not any(name in row for row in split)) if any(
-                not any(name in row for row in split) for name in headings) else headings[0]
-            seen = [cell for row in split[:50] for cell in row if cell]
+        index = next((index for index, row in enumerate(split) if set(headings) <= set(row)), None)
+        if index is None:
+            missing = next((name for name in headings if not any(name in row for row in split)), headings[0])
             raise InputError(text.path, "column headings", missing, "a line holding " + ", ".join(map(repr, headings)),
-                             nearest_names(missing, seen))
-        for name in headings:
-            if split[found].count(name) > 1:
-                raise text.error(found + 1, None, name, "a heading that occurs once; count the columns instead")
-        names = split[found]
+                             nearest_names(missing, [cell for row in split[:50] for cell in row if cell]))
+        names = split[index]
+        twice = next((name for name in headings if names.count(name) > 1), None)
+        if twice is not None:
+            raise text.error(index + 1, None, twice, "a heading that occurs once; count the columns instead")
         places = [names.index(name) if isinstance(name, str) else name - 1 for name in wanted]
-        width, start = len(names), found + 1
+        table = Table(text, tuple(names), index, index + 1, columns.delimiter, len(names))
     else:
         places = [int(name) - 1 for name in wanted]
-        whole = [(index, len(row)) for index, row in enumerate(split) if _holds_numbers(row, places, columns.decimal)
-                 and not text.lines[index].startswith(COMMENTS)]
-        if not whole:
-            _refuse_columns(text, columns, places, split)
+        numbered = [index for index, row in enumerate(split) if _holds_numbers(row, places, columns.decimal)
+                    and not text.lines[index].startswith(COMMENTS)]
+        # Rows that a decimal mark or a missing column spoils are refused with their place.
+        numbered = numbered or [index for index, row in enumerate(split) if len(row) > 1 and all(
+            cell.lstrip("+-.")[:1].isdigit() for cell in row)]
+        if not numbered:
+            raise InputError(text.path, "rows", text.lines[0], f"rows of numbers separated by {columns.delimiter!r}")
         # Settings and counts above a table may be numbers too, but have fewer cells than most rows.
-        widths = [count for _, count in whole]
+        widths = [len(split[index]) for index in numbered]
         width = max(widths, key=widths.count)
-        start = next(index for index, count in whole if count == width)
-        above = next((index for index in range(start - 1, -1, -1) if text.lines[index].strip()), None)
-        if above is not None and len(split[above]) == width:
-            names = split[above]
-    if max(places) >= width:
-        raise text.error(min(start + 1, len(split)), None, f"{width} columns", f"at least {max(places) + 1} columns")
-    return places, width, start, names
+        start = numbered[widths.index(width)]
+        above = next((index for index in range(start - 1, -1, -1) if text.lines[index].strip()), start)
+        names = split[above] if above < start and len(split[above]) == width else []
+        table = Table(text, tuple(names), above, start, columns.delimiter, width)
+    if max(places) >= table.width:
+        raise text.error(min(table.start + 1, len(split)), None, f"{table.width} columns",
+                         f"at least {max(places) + 1} columns")
+    return table.with_rows(places[0], columns.decimal).where(columns.select), places
 
 
 def _holds_numbers(row: Sequence[str], places: Sequence[int], decimal: str) -> bool:
     return max(places) < len(row) and is_number(row[places[0]], decimal) and all(
-        is_number(row[place], decimal) or complex_parts(row[place]) is not None or holds_no_value(row[place], decimal)
+        value_of(row[place], decimal) is not None or complex_parts(row[place]) is not None
         for place in places)
-
-
-def _refuse_columns(
-    text: RecordingText, columns: ColumnMap, places: Sequence[int], split: Sequence[Sequence[str]]
-) -> NoReturn:
-    """Raise with the reason why no line has numbers in all of the `places`."""
-    start = next((index for index, row in enumerate(split) if len(row) > 1 and all(
-        cell.lstrip("+-.")[:1].isdigit() for cell in row)), None)
-    if start is None:
-        raise InputError(text.path, "rows", text.lines[0], f"rows of numbers separated by {columns.delimiter!r}")
-    if max(places) >= len(split[start]):
-        raise text.error(start + 1, None, f"{len(split[start])} columns", f"at least {max(places) + 1} columns")
-    place = next(place for place in places if not is_number(split[start][place], columns.decimal))
-    cell_number(text, start + 1, place + 1, cell=split[start][place], decimal=columns.decimal)
-    raise AssertionError(split[start])  # number() raises

@@ -1,4 +1,4 @@
-"""Tables of focusing over frequency: a column of frequencies beside one of focusing times, rates or energy densities.
+"""Tables of focusing over frequency: times, rates or energy densities.
 
 The headings state the columns and their units; a voltage and an uncertainty may stand beside. A table with an impedance
 is none. Commas, semicolons or tabs divide the columns, and decimal commas are read with the latter two.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
-from workbench.readers.columns import uncommented
 from workbench.readers.headings import understand
-from workbench.readers.layouts import TableLayout, decimal_mark, is_cell
+from workbench.readers.tables import Table
 from workbench.readers.text import (
-    COMMENTS,
     RecordingText,
-    cell_number,
     cells,
     holds_no_value,
+    is_cell,
     is_number,
     load_text,
+    uncommented,
+    value_of,
 )
 from workbench.results.energy_recording import ENERGY_DENSITY, FOCUSING_TIME, EnergyRecording
 
@@ -38,8 +38,6 @@ Real = NDArray[np.float64]
 
 #: The end of the message about a cell that holds no time or energy density.
 REMEDY = '; where particles did not focus, leave the cell empty, or write inf or "no focus"'
-
-_DELIMITERS = ("\t", ";", ",")
 
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 #: Factors to SI of the units of every column, in the spelling of :func:`_unit`.
@@ -57,7 +55,8 @@ _NAMES: Mapping[str, tuple[str, str]] = {
     "energy": ("energy density", "J/m^3, mJ/m^3, kJ/m^3 or Pa, or one of these per Vpp^2"),
     "voltage": ("voltage", "Vpp or mVpp, peak to peak at the electrodes"), "uncertainty": ("uncertainty", "%"),
 }
-
+#: The columns that hold focusing, of which a table has one.
+_FOCUS = ("time", "rate", "energy")
 _FOCUSING = (r"t ?\*|t ?foc(?:us(?:s?ing)?)?|focus(?:s?ing)?(?: time| duration)?(?: t ?\*?)?|"
              r"time (?:to|of|for) focus(?:s?ing)?|fokussier(?:ungs)?zeit")
 #: Words of a column by its role. The second pattern counts with a unit of the role, beside columns that are all known.
@@ -74,11 +73,12 @@ _UNIT_PER_SQUARE_VOLT = re.compile("(.*?)(?:/|per)?Vpp-?2")
 _BRACKETED = re.compile(r"(.*?)\s*[(\[{](.*)[)\]}]\s*")
 _UNIT_BEHIND = re.compile(r"\s*/\s*|\s+in\s+|[\s_,]+")
 _NO_FOCUS = re.compile(r"(?:no|not|none|never|kein)\b.*|[-–]*", re.IGNORECASE)
+_ZERO = re.compile(r"[+-]?[0.,]+(?:[eE].*)?")
 
 
 @dataclass(frozen=True)
-class _Column:
-    """The meaning of a heading: its role (a key of `_NAMES`), its unit, and whether its words leave no doubt."""
+class _Meaning:
+    """The role, the unit and the certainty that a heading states."""
 
     role: str
     unit: str
@@ -88,22 +88,41 @@ class _Column:
 
 @dataclass(frozen=True)
 class _Headed:
-    """The place of a table, and the meaning of its columns, None where it has none."""
+    """A table, and the meaning of its columns by place."""
 
-    layout: TableLayout
-    columns: tuple[_Column | None, ...]
+    table: Table
+    columns: Mapping[int, _Meaning]
 
-    def places(self, *roles: str) -> list[int]:
-        return [place for place, each in enumerate(self.columns) if each is not None and each.role in roles]
+    def refused(self, place: int, expected: str) -> InputError:
+        """The error about a heading."""
+        return self.table.text.error(self.table.line + 1, place + 1, self.table.headings[place], expected)
+
+    def only(self, *roles: str) -> int | None:
+        """The one column (from 0) of the `roles`, or the certain one."""
+        places = [place for place, each in self.columns.items() if each.role in roles]
+        certain = [place for place in places if self.columns[place].is_certain]
+        if len(places) > 1 and len(certain) != 1:
+            others = ", ".join(f'"{self.table.headings[place]}"' for place in places[1:])
+            raise self.refused(places[0], f"one column of {' or '.join(_NAMES[role][0] for role in roles)}, not "
+                               f"{others} besides: delete the others")
+        return next(iter(certain or places), None)
+
+    def factor(self, place: int) -> float:
+        """The factor of a column to SI."""
+        column = self.columns[place]
+        if column.unit not in UNITS_OF[column.role]:
+            name, units = _NAMES[column.role]
+            raise self.refused(place, f"the unit of the {name} in brackets: {units}")
+        return UNITS_OF[column.role][column.unit]
 
 
 def recognises_energy(text: RecordingText) -> bool:
-    """Whether the headings of a text are those of a table of focusing over frequency."""
+    """Whether a text is a table of focusing over frequency."""
     return _find(text) is not None
 
 
 def read_energy_recording(path: Path | str) -> EnergyRecording:
-    """Read a table of focusing times, rates of focusing or energy densities over frequency.
+    """Read a table of focusing times, rates or energy densities.
 
     A column "U (Vpp)" is the voltage at the electrodes, by whose square the rate is divided. An uncertainty column
     holds standard deviations, in "%" or in the unit of the values. Rows without focusing ("inf", "no focus", an empty
@@ -114,85 +133,126 @@ def read_energy_recording(path: Path | str) -> EnergyRecording:
     """
     text = load_text(Path(path))
     found = _find(text)
-    frequency, value = (None, None) if found is None else (
-        _only(text, found, "frequency"), _only(text, found, "time", "rate", "energy"))
+    frequency, value = (None, None) if found is None else (found.only("frequency"), found.only(*_FOCUS))
     if found is None or frequency is None or value is None:
         first = [line[:80] for line in text.lines if line.strip()][:2]
         raise InputError(text.path, "headings", first, "a frequency and a focusing time or energy density with their "
                          'units, such as "frequency (MHz), focusing time (s)" or "f (MHz); E_ac (J/m^3); U (Vpp)"')
-    voltage, uncertainty, meant = _only(text, found, "voltage"), _only(text, found, "uncertainty"), found.columns[value]
-    assert meant is not None
+    voltage, uncertainty, meant = found.only("voltage"), found.only("uncertainty"), found.columns[value]
     if meant.per_square_volt and voltage is not None:
-        raise _refused(text, found, voltage, "no voltage beside an energy density per Vpp^2, or E_ac itself in J/m^3")
-    factor = {place: _factor(text, found, place) for place in (frequency, value, voltage) if place is not None}
-    share, of_spread = (False, 1.0) if uncertainty is None else _relative(text, found, uncertainty, value)
-    rows = _rows(text, found, frequency=frequency, value=value,
-                 others=[place for place in (voltage, uncertainty) if place is not None])
-    values, spread = rows.numbers[value] * factor[value], None
+        raise found.refused(voltage, "no voltage beside an energy density per Vpp^2, or E_ac itself in J/m^3")
+    factors = {place: found.factor(place) for place in (frequency, value, voltage) if place is not None}
+    is_share = False
     if uncertainty is not None:
-        spread = rows.numbers[uncertainty] * of_spread * (values if share else 1.0)
+        unit = found.columns[uncertainty].unit
+        density = _UNIT_PER_SQUARE_VOLT.fullmatch(unit)
+        # Without a unit of its own it has that of the values.
+        unit = (density[1] if density is not None and meant.per_square_volt else unit) or meant.unit
+        is_share = unit == "%"
+        if not is_share and unit not in UNITS_OF[meant.role]:
+            raise found.refused(uncertainty, f"the unit of the uncertainty in brackets: %, or {_NAMES[meant.role][1]}")
+        factors[uncertainty] = 1e-2 if is_share else UNITS_OF[meant.role][unit]
+    numbers, unfocused, skipped = _rows(found, factors, frequency, value)
+    values, spread = numbers[value], None if uncertainty is None else numbers[uncertainty]
+    if spread is not None and is_share:
+        spread = spread * values
     if meant.role == "rate":
         values, spread = 1.0 / values, None if spread is None else spread / values**2
-    volts = np.ones(values.size) if meant.per_square_volt else None
-    if voltage is not None:
-        volts = rows.numbers[voltage] * factor[voltage]
-    findings = [] if not rows.unfocused else [
-        f"left out {len(rows.unfocused)} of {len(rows.unfocused) + values.size} points, at which particles did not "
-        f"focus: {', '.join(rows.unfocused)}"]
-    findings += [] if not rows.skipped else [f"left out {', '.join(rows.skipped)}, without a number"]
+    volts = np.ones(values.size) if meant.per_square_volt else None if voltage is None else numbers[voltage]
+    findings = [] if not unfocused else [
+        f"left out {len(unfocused)} of {len(unfocused) + values.size} points, at which particles did not focus: "
+        f"{', '.join(unfocused)}"]
+    findings += [] if not skipped else [f"left out {', '.join(skipped)}, without a number"]
+    used = [place for place in (frequency, value, voltage, uncertainty) if place is not None]
+    meanings = [f'"{found.table.headings[place]}" is the {_NAMES[found.columns[place].role][0]}' for place in used]
+    rest = [f'"{name}"' for place, name in enumerate(found.table.headings) if place not in used and name]
     return EnergyRecording(
-        rows.numbers[frequency] * factor[frequency], values,
-        ENERGY_DENSITY if meant.role == "energy" else FOCUSING_TIME, spread, volts, text.path,
-        _read_as(found, (frequency, value, voltage, uncertainty)), tuple(findings))
+        numbers[frequency], values, ENERGY_DENSITY if meant.role == "energy" else FOCUSING_TIME, spread, volts,
+        text.path, f"by its headings: {', '.join(meanings)}" + (f"; not used: {', '.join(rest)}" if rest else ""),
+        tuple(findings))
+
+
+def _rows(
+    found: _Headed, factors: Mapping[int, float], frequency: int, value: int
+) -> tuple[dict[int, Real], list[str], list[str]]:
+    """The columns (n,) in SI of rows with focusing, and other rows."""
+    table, decimal = found.table, found.table.decimal_mark()
+    rows, unfocused, skipped = list[list[float]](), list[str](), list[str]()
+    for line, content, short in table.content:
+        row = short + [""] * (table.width - len(short))
+        if len(row) > table.width:
+            raise table.wrong_width(line, content, row, ": divide the columns by semicolons")
+        if not any(is_number(cell, decimal) for cell in row):
+            skipped.append(f"line {line}")
+        elif _NO_FOCUS.fullmatch(row[value]) or holds_no_value(row[value], decimal) or (
+                is_number(row[value], decimal) and _ZERO.fullmatch(row[value])
+                and found.columns[value].role != "time"):
+            unfocused.append(f"line {line} ({row[frequency]})")
+        else:
+            rows.append([])
+            for place in factors:
+                number = value_of(row[place], decimal)
+                if number is None or not number > 0.0:
+                    raise table.text.error(line, place + 1, row[place],
+                                           f"a positive number{REMEDY if place == value else ''}")
+                rows[-1].append(number)
+    columns = np.array(rows).reshape(len(rows), len(factors)).T
+    return {place: column * factor for (place, factor), column in zip(factors.items(), columns, strict=True)}, \
+        unfocused, skipped
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Headings.
 
 
 def _find(text: RecordingText) -> _Headed | None:
-    """The headings of a table of focusing over frequency, if the text has any."""
+    """The headings of a table of focusing, if the text has any."""
     for index, line in enumerate(text.lines[:HEADED_WITHIN]):
-        best: _Headed | None = None
-        for delimiter in _DELIMITERS:
-            names = cells(uncommented(line), delimiter) if delimiter in line else []
-            if len(names) > 1:
-                layout = TableLayout(tuple(names), index, index + 1, delimiter, len(names), plain=True)
-                found = _with_units(text, layout)
-                best = found if _is_energy(found) and (best is None or len(names) > best.layout.width) else best
-        if best is not None:
-            return best
+        tables = [_with_units(Table(text, tuple(names), index, index + 1, delimiter, len(names)))
+                  for delimiter in "\t;," if len(names := cells(uncommented(line), delimiter)) > 1]
+        found = max(filter(_is_energy, tables), key=lambda each: each.table.width, default=None)
+        if found is not None:
+            return found
     return None
 
 
 def _is_energy(found: _Headed) -> bool:
-    values = [found.columns[place] for place in found.places("time", "rate", "energy")]
-    strangers = [name for name, column in zip(found.layout.headings, found.columns, strict=True) if column is None]
+    values = [each for each in found.columns.values() if each.role in _FOCUS]
+    strangers = [name for place, name in enumerate(found.table.headings) if place not in found.columns]
     # An impedance beside a time is one that changes.
-    if not found.places("frequency") or any(understand(name) is not None for name in strangers):
+    if not any(each.role == "frequency" for each in found.columns.values()) or any(map(understand, strangers)):
         return False
-    return any(each is not None and each.is_certain for each in values) or (bool(values) and not strangers)
+    return any(each.is_certain for each in values) or (bool(values) and not strangers)
 
 
-def _with_units(text: RecordingText, layout: TableLayout) -> _Headed:
-    """The meaning of the columns, with the units from a line below the headings."""
-    below = cells(uncommented(text.lines[layout.start]), layout.delimiter) if layout.start < len(text.lines) else []
-    own = _Headed(layout, tuple(map(_column, layout.headings)))
-    if len(below) != layout.width or any(map(is_cell, below)):
+def _with_units(table: Table) -> _Headed:
+    """The columns, with the units from a line below the headings."""
+    own = _Headed(table, _meanings(table.headings))
+    below = cells(uncommented(table.text.lines[table.start]), table.delimiter) if (
+        table.start < len(table.text.lines)) else []
+    if len(below) != table.width or any(map(is_cell, below)):
         return own
-    names = tuple(name if (column is not None and column.unit) or not unit else f"{name} ({unit.strip('()[]')})"
-                  for name, column, unit in zip(layout.headings, own.columns, below, strict=True))
-    under = TableLayout(names, layout.line, layout.start + 1, layout.delimiter, layout.width, plain=True)
-    found = _Headed(under, tuple(map(_column, names)))
-    return found if any(each is not None and each.unit for each in found.columns) else own
+    names = tuple(name if not unit or (place in own.columns and own.columns[place].unit) else
+                  f"{name} ({unit.strip('()[]')})" for place, (name, unit) in enumerate(zip(
+                      table.headings, below, strict=True)))
+    found = _Headed(replace(table, headings=names, start=table.start + 1), _meanings(names))
+    return found if any(each.unit for each in found.columns.values()) else own
 
 
-def _column(heading: str) -> _Column | None:
+def _meanings(headings: tuple[str, ...]) -> dict[int, _Meaning]:
+    return {place: meaning for place, name in enumerate(headings) if (meaning := _meaning(name)) is not None}
+
+
+def _meaning(heading: str) -> _Meaning | None:
     """The meaning of a heading."""
     known = understand(heading)
     if known is not None and known.part == "frequency":
-        return _Column("frequency", known.unit or known.strange_unit)
+        return _Meaning("frequency", known.unit or known.strange_unit)
     text = unicodedata.normalize("NFKC", heading).replace("−", "-").strip()
     words, unit = _split(re.sub(r"^u\s*\([^()]*\)", "uncertainty", text))
     words = " ".join(re.sub(r"[_^]", " ", words).split()).casefold()
     if _UNCERTAIN.search(words):
-        return _Column("uncertainty", unit)
+        return _Meaning("uncertainty", unit)
     bare = _PER_SQUARE_VOLT.sub("", words)
     density = _UNIT_PER_SQUARE_VOLT.fullmatch(unit)
     if density is None and bare != words and "pp" not in words[len(bare):]:
@@ -205,12 +265,12 @@ def _column(heading: str) -> _Column | None:
             of_role = f"{of_role or ('V' if name.startswith('v') else '')}pp"
         is_certain = re.fullmatch(certain, name) is not None
         if is_certain or (of_role in UNITS_OF[role] and re.fullmatch(perhaps, name)):
-            return _Column(role, of_role, is_certain, role == "energy" and (bare != words or density is not None))
+            return _Meaning(role, of_role, is_certain, role == "energy" and (bare != words or density is not None))
     return None
 
 
 def _split(text: str) -> tuple[str, str]:
-    """The words of a heading and its unit: in brackets, or a known one behind a slash, "in", a blank or a line."""
+    """The words of a heading and its unit."""
     bracketed = _BRACKETED.fullmatch(text)
     if bracketed is not None and bracketed[1]:
         return bracketed[1], _unit(bracketed[2])
@@ -225,111 +285,3 @@ def _split(text: str) -> tuple[str, str]:
 def _unit(text: str) -> str:
     """One spelling of a unit."""
     return re.sub(r"[\s^*·_()\[\]]", "", text).replace("μ", "u").replace("Vp-p", "Vpp").replace("Vpk-pk", "Vpp")
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# Columns and rows.
-
-
-def _name(found: _Headed, place: int) -> str:
-    column = found.columns[place]
-    assert column is not None
-    return _NAMES[column.role][0]
-
-
-def _refused(text: RecordingText, found: _Headed, place: int, expected: str) -> InputError:
-    """The error about a heading."""
-    return text.error(found.layout.line + 1, place + 1, found.layout.headings[place], expected)
-
-
-def _only(text: RecordingText, found: _Headed, *roles: str) -> int | None:
-    """The column (from 0) of one of the `roles`; of several, the one whose words are certain."""
-    places = found.places(*roles)
-    certain = [place for place in places if (column := found.columns[place]) and column.is_certain]
-    if len(places) > 1 and len(certain) != 1:
-        others = ", ".join(f'"{found.layout.headings[place]}"' for place in places[1:])
-        raise _refused(text, found, places[0], f"one column of {' or '.join(_NAMES[role][0] for role in roles)}, not "
-                       f"{others} besides: delete the others")
-    best = certain or places
-    return best[0] if best else None
-
-
-def _factor(text: RecordingText, found: _Headed, place: int) -> float:
-    """The factor of a column to SI."""
-    column = found.columns[place]
-    assert column is not None
-    if column.unit not in UNITS_OF[column.role]:
-        name, units = _NAMES[column.role]
-        raise _refused(text, found, place, f"the unit of the {name} in brackets: {units}")
-    return UNITS_OF[column.role][column.unit]
-
-
-def _relative(text: RecordingText, found: _Headed, place: int, value: int) -> tuple[bool, float]:
-    """Whether an uncertainty is a share of the value, and its factor to SI or to 1."""
-    column, of = found.columns[place], found.columns[value]
-    assert column is not None
-    assert of is not None
-    density = _UNIT_PER_SQUARE_VOLT.fullmatch(column.unit)
-    unit = density[1] if density is not None and of.per_square_volt else column.unit
-    if unit == "%":
-        return True, 1e-2
-    # Without a unit of its own it has that of the values.
-    if (unit or of.unit) not in UNITS_OF[of.role]:
-        raise _refused(text, found, place, f"the unit of the uncertainty in brackets: %, or {_NAMES[of.role][1]}")
-    return False, UNITS_OF[of.role][unit or of.unit]
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """The rows of a table: the numbers of each column (n,) by its place, and the rows left out, in words."""
-
-    numbers: Mapping[int, Real]
-    unfocused: tuple[str, ...]
-    skipped: tuple[str, ...]
-
-
-def _rows(text: RecordingText, found: _Headed, *, frequency: int, value: int, others: list[int]) -> _Rows:
-    """The rows in which particles focus."""
-    layout, decimal = found.layout, decimal_mark(text, found.layout)
-    rows, unfocused, skipped = list[dict[int, float]](), list[str](), list[str]()
-    for line, content in enumerate(text.lines[layout.start:], layout.start + 1):
-        if not content.strip() or content.startswith(COMMENTS):
-            continue
-        row = cells(content, layout.delimiter)
-        if len(row) > layout.width:
-            raise text.error(line, None, content, f"{layout.width} columns; this row has {len(row)}" + (
-                ", as if its decimal commas divided it: divide the columns by semicolons"
-                if layout.delimiter == "," else ""))
-        row += [""] * (layout.width - len(row))
-        if not any(is_number(cell, decimal) for cell in row):
-            skipped.append(f"line {line}")
-            continue
-        cell = row[value]
-        no_focus = _NO_FOCUS.fullmatch(cell) is not None or holds_no_value(cell, decimal)
-        if no_focus or (is_number(cell, decimal) and _is_zero(cell) and found.places("rate", "energy")):
-            unfocused.append(f"line {line} ({row[frequency]})")
-            continue
-        rows.append({place: _number(text, line, place, row[place], decimal=decimal, remedy=REMEDY if place == value
-                                    else "") for place in (frequency, value, *others)})
-    return _Rows({place: np.array([row[place] for row in rows]) for place in (frequency, value, *others)},
-                 tuple(unfocused), tuple(skipped))
-
-
-def _is_zero(cell: str) -> bool:
-    return re.fullmatch(r"[+-]?[0.,]+(?:[eE].*)?", cell) is not None
-
-
-def _number(text: RecordingText, line: int, place: int, cell: str, *, decimal: str, remedy: str) -> float:
-    """The positive number in a cell."""
-    no_value = holds_no_value(cell, decimal) or not is_number(cell, decimal)
-    number = np.nan if no_value else cell_number(text, line, place + 1, cell=cell, decimal=decimal)
-    if not number > 0.0:
-        raise text.error(line, place + 1, cell, f"a positive number{remedy}")
-    return number
-
-
-def _read_as(found: _Headed, places: tuple[int | None, ...]) -> str:
-    """The meaning of the columns, in words."""
-    meant = [f'"{found.layout.headings[place]}" is the {_name(found, place)}' for place in places if place is not None]
-    rest = [f'"{name}"' for place, name in enumerate(found.layout.headings) if place not in places and name]
-    return f"by its headings: {', '.join(meant)}" + (f"; not used: {', '.join(rest)}" if rest else "")

@@ -35,8 +35,10 @@ NAMED = 8
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding. ``code`` is a key of this module's rules, ``message`` describes it and the possible remedy;
-    ``rows`` of the file hold points that :meth:`workbench.readers.Reading.without_outliers` leaves out."""
+    """One finding: its ``code``, and a ``message`` with the possible remedy.
+
+    ``rows`` of the file hold points that :meth:`workbench.readers.Reading.without_outliers` leaves out.
+    """
 
     code: str
     message: str
@@ -45,7 +47,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rows:
-    """The row of the file of every point of a spectrum, ``numbers`` (n,) from one, and the ``word`` for a row."""
+    """The row ``numbers`` (n,) of every point, and the ``word`` for one."""
 
     numbers: tuple[int, ...]
     word: str = "line"
@@ -55,7 +57,7 @@ class Rows:
         return tuple(self.numbers[int(point)] for point in points)
 
     def named(self, points: NDArray[np.intp], frequency: NDArray[np.float64]) -> str:
-        """Some points in words: their rows, and with one point its `frequency` (n,) Hz."""
+        """Some points in words; one point with its `frequency` (n,) Hz."""
         words = rows_in_words(self.of(points), self.word)
         return f"{words} ({frequency[points[0]]:.9g} Hz)" if len(points) == 1 else words
 
@@ -80,9 +82,10 @@ LEAVE_OUT = "--without-outliers (without_outliers=True) leaves {it} out"
 
 
 def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = False) -> tuple[Finding, ...]:
-    """All findings on `spectrum`; `shunt_gain` if it was computed from the gain of a shunt divider.
+    """All findings on a spectrum.
 
-    Without the `rows` of the file points are counted from one.
+    Without the `rows` of the file points are counted from one; `shunt_gain` if the spectrum was computed from the gain
+    of a shunt divider.
 
     - ``inverse_ratio`` or ``negated``: Re Z < 0 at nine points in ten or more, which a passive device never shows.
     - ``active``: Re Z < 0 at fewer points.
@@ -153,8 +156,11 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
 def _odd_points(
     spectrum: Spectrum, odd: Mapping[int, float], rows: Rows, turned: NDArray[np.intp]
 ) -> list[Finding]:
-    """The findings on points apart from the rest, other than those in a stretch that is `turned`; `odd` are those that
-    leave their neighbours, with their deviations."""
+    """The findings on points apart from the rest.
+
+    `odd` are those that leave their neighbours, with their deviations; points in a stretch that is `turned` have a
+    finding of their own.
+    """
     frequency, size, found = spectrum.frequency, spectrum.magnitude, dict(odd)
     low, high = PLAUSIBLE_OHM[0] / BEYOND, PLAUSIBLE_OHM[1] * BEYOND
     typical = float(np.median(size))
@@ -182,7 +188,10 @@ def _odd_points(
 
 
 def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Finding]:
-    """The finding on points with Re Z < 0; its rows are those beyond the noise of the `whole` points."""
+    """The finding on points with Re Z < 0.
+
+    Its rows are those beyond the noise of the `whole` points.
+    """
     share = spectrum.impedance.real / spectrum.magnitude
     active = np.flatnonzero(share < 0.0)
     if not len(active):
@@ -199,11 +208,12 @@ def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Fi
 
 
 def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:
-    """Stretches of points (index of the first, index after the last) that a mirror image would join to the rest.
+    """Stretches of points that a mirror image would join to the rest.
 
-    The mirror images are those of a sign that is turned in an instrument: of Im S or Im Z, of Re S, of S, of Re Z and
-    of Z. Between smooth data and such an image the second difference of the reflection coefficient breaks at both ends
-    of the stretch, and is small there once the stretch is mirrored back.
+    Each is the index of the first and the index after the last. The mirror images are those of a sign that is turned in
+    an instrument: of Im S or Im Z, of Re S, of S, of Re Z and of Z. Between smooth data and such an image the second
+    difference of the reflection coefficient breaks at both ends of the stretch, and is small there once the stretch is
+    mirrored back.
     """
     points = len(spectrum.frequency)
     if points < 6:
@@ -228,12 +238,12 @@ def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:
 
 
 def _turned(value: NDArray[np.complex128], image: NDArray[np.complex128]) -> tuple[list[tuple[int, int]], float]:
-    """The stretches of `value` (n,) that `image` (n,) would join to the rest, and the roughness left then."""
+    """The stretches that `image` (n,) would join, and the remaining roughness."""
     points = len(value)
     usual = float(np.median(np.abs(np.diff(value, 2)) ** 2))
 
     def misfit(left: NDArray[np.complex128], right: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """Squares of the second differences across every step between `left` and `right`, (n - 3,)."""
+        """Squares (n - 3,) of the second differences across every step."""
         return np.asarray(np.abs(left[:-3] - 2.0 * left[1:-2] + right[2:-1]) ** 2
                           + np.abs(left[1:-2] - 2.0 * right[2:-1] + right[3:]) ** 2)
 

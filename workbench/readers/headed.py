@@ -15,107 +15,93 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
-from workbench.readers.agreement import FAULTY, disagreement, impedance_of
-from workbench.readers.columns import ColumnMap, column_map_text, recorded
-from workbench.readers.findings import PLAUSIBLE_HZ, Finding, examine
+from workbench.readers.agreement import disagreement
+from workbench.readers.columns import column_map_text, recorded
+from workbench.readers.findings import PLAUSIBLE_HZ, examine
 from workbench.readers.headings import Heading, understand
-from workbench.readers.layouts import body_of, find_layout, handle
-from workbench.readers.pairs import HeadedTable, Pair, find_pairs, reference_of
+from workbench.readers.pairs import HeadedTable, find_pairs, reference_of
 from workbench.readers.proposals import OPTION, headings_in_doubt
 from workbench.readers.states import select_of, telling_columns, values_in_words
-from workbench.readers.sweep import Recorded
+from workbench.readers.sweep import Reading
+from workbench.readers.tables import find_table
 from workbench.readers.text import RecordingText
 
 #: Highest frequency (Hz) of bench analysers of this kind (E4990A data sheet: 120 MHz): a unit that takes a sweep beyond
 #: is wrong.
 ANALYSERS_UP_TO_HZ = 120e6
+#: Share of the rows that may differ as faulty readings do, with a finding. Doubled, a sign lost within a narrow
+#: resonance is a finding where it should be refused.
+FAULTY = 0.05
 
 
-def recognises_headed(text: RecordingText) -> bool:
-    """Whether the file holds a table of columns, understood or not."""
-    return find_layout(text) is not None
-
-
-def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
-    """Read the file; the origin's setting ``columns.READ_AS`` states the meaning of each column, with reasons.
+def parse_headed(
+    text: RecordingText, *, instrument: str = "", date: str = "", how: str = "by its headings"
+) -> Reading:
+    """Read the file; the origin states the meaning of each column.
 
     Raises:
         InputError: no table, a faulty row, or headings that leave a doubt; the message ends with a column map.
     """
-    layout = find_layout(text)
-    if layout is None:
+    table = find_table(text)
+    if table is None:
         raise InputError(text.path, "rows", text.lines[0][:80],
                          f"a table of three columns or more; {OPTION} names them")
-    known = [understand(heading) for heading in layout.headings] or [None] * layout.width
+    known = [understand(heading) for heading in table.headings] or [None] * table.width
     frequencies = [place for place, heading in enumerate(known) if heading and heading.part == "frequency"]
-    body = body_of(text, layout, frequencies[0] if frequencies else 0)
-    table = HeadedTable(layout, body, known, reference_of(text, layout))
-
-    refused = partial(headings_in_doubt, text, table)
-    if not layout.headings:
+    table = table.with_rows(frequencies[0] if frequencies else 0)
+    if len(table.lines) < 2:
+        raise text.error(table.start, None, f"{len(table.lines)} rows of numbers", "at least 2; the file may be cut "
+                         "short")
+    headed = HeadedTable(table, known, reference_of(table))
+    refused = partial(headings_in_doubt, headed)
+    if not table.headings:
         raise refused("there are none above the numbers")
     if len(frequencies) != 1:
         raise refused(f"{len(frequencies) or 'none'} of them {'are frequencies' if frequencies else 'is a frequency'}")
-    place = frequencies[0]
-    unit, note = _frequency_unit(known[place], body.values[:, place])
-    pairs = find_pairs(table)
+    place, pairs = frequencies[0], find_pairs(headed)
+    unit, note = _frequency_unit(known[place], table.values[:, place])
     if not unit:
         raise refused(f"{table.name(place)}: {note}", next(iter(pairs), None),
                       {"frequency_unit": "Hz, kHz, MHz or GHz"})
     clear = [pair for pair in pairs if not pair.doubts]
-    hertz = body.values[:, place] * UNITS["frequency"][unit]
+    hertz = table.values[:, place] * UNITS["frequency"][unit]
     if not clear:
         # The pair that is nearest to being clear is proposed.
         best = min(pairs, key=lambda pair: len(pair.doubts), default=None)
-        why = "; ".join(best.notes[place] for place in best.notes) if best else _lacking(table)
-        raise refused(why, best)
+        raise refused("; ".join(best.notes.values()) if best else _lacking(headed), best)
     pair = clear[0]
-    against = disagreement(table, pair, hertz)
-    if against is not None and against.share > FAULTY:
-        other = clear[1] if against.unsigned and len(clear) > 1 else pair
-        raise refused(f"its columns hold different impedances: {against.words}", other, {
-            "first": "of which pair?"})
-    telling = telling_columns(body.rows, layout.headings, (place, pair.first, pair.second), hertz,
-                              impedance_of(body, pair, hertz))
+    against = disagreement(headed, pair, hertz)
+    if against is not None and len(against[0].rows) > FAULTY * len(table.lines):
+        other = clear[1] if against[1] and len(clear) > 1 else pair
+        raise refused(f"its columns hold different impedances: {against[0].message}", other,
+                      {"first": "of which pair?"})
+    telling = telling_columns(table, (place, pair.first, pair.second), hertz,
+                              pair.quantity.impedance(*pair.values(table), hertz))
     if telling:
-        raise refused("it holds sweeps of several devices or states, told apart by "
-                      f"{values_in_words(telling, layout.headings)}", pair, {
-                          "select": "which of them?"}, select_of(telling, layout.headings))
-    found = _read(table, pair, frequency=(place, unit, note), instrument=instrument)
-    if against is not None:
-        rows = tuple(body.rows.lines[int(row)] for row in against.rows)
-        found = replace(found, findings=(*found.findings, Finding("columns", against.words, rows)))
+        raise refused(f"it holds sweeps of several devices or states, told apart by {values_in_words(telling, table)}",
+                      pair, {"select": "which of them?"}, select_of(telling, table))
+    columns = pair.column_map(table, place, unit)
+    places = [place, pair.first, *([pair.second] if columns.second is not None else [])]
+    notes = {}
+    for one in places:
+        called = f'heading "{table.headings[one]}"' if isinstance(table.handle(one), int) else ""
+        if why := ", ".join(filter(None, (called, note if one == place else pair.notes.get(one, "")))):
+            notes[table.handle(one)] = why
+    rest = [f'"{heading}"' for other, heading in enumerate(table.headings) if other not in places and heading]
+    read_as = f"{how}, {column_map_text(columns, notes)}" + (f"; not used: {', '.join(rest)}" if rest else "")
+    found = recorded(table, columns, table.numbers(places, last_is_complex=columns.second is None), place,
+                     text.origin(instrument, date, read_as=read_as))
     if pair.primed and any(finding.code == "conjugated" for finding in examine(found.spectrum)):
         # Foster's theorem contradicts the sign, and the sign of Z'' varies between authors.
-        other = replace(pair, quantity=replace(pair.quantity, negated=not pair.quantity.negated),
-                        doubts={"negated": "true if the column is minus the imaginary part"})
+        turned = replace(pair, quantity=replace(pair.quantity, negated=not pair.quantity.negated),
+                         doubts={"negated": "true if the column is minus the imaginary part"})
         raise refused(f"{table.name(pair.second)} as it is written would be the reactance of nothing passive: "
-                      "is it of the other sign?", other)
-    return found
-
-
-def _read(table: HeadedTable, pair: Pair, *, frequency: tuple[int, str, str], instrument: str) -> Recorded:
-    """The spectrum in a pair of columns; `frequency` is its column (from 0), its unit and the reason for the unit."""
-    layout, body = table.layout, table.body
-    place, unit, note = frequency
-    whole = pair.quantity.form == "complex"
-    places = (place, pair.first) if whole else (place, pair.first, pair.second)
-    columns = ColumnMap(handle(layout, place), handle(layout, pair.first),
-                        None if whole else handle(layout, pair.second), pair.quantity, unit, layout.delimiter,
-                        body.decimal)
-    notes = {handle(layout, one): why for one, why in {place: note, **pair.notes}.items() if why}
-    called = {handle(layout, one): f'heading "{layout.headings[one]}"' for one in places
-              if isinstance(handle(layout, one), int)}
-    read_as = column_map_text(columns, {name: ", ".join(filter(None, (called.get(name), notes.get(name))))
-                                        for name in {**called, **notes}})
-    rest = [f'"{heading}"' for other, heading in enumerate(layout.headings) if other not in places and heading]
-    read_as += f"; not used: {', '.join(rest)}" if rest else ""
-    return recorded(body.rows, columns, values=body.rows.numbers(places, last_is_complex=whole), column=place + 1,
-                    instrument=instrument, read_as=f"by its headings, {read_as}")
+                      "is it of the other sign?", turned)
+    return found if against is None else replace(found, findings=(*found.findings, against[0]))
 
 
 def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tuple[str, str]:
-    """The unit of a frequency and its reason; "" and the reason of the doubt if it is not clear."""
+    """The unit of a frequency ("": in doubt) and the reason."""
     assert heading is not None
     if heading.unit:
         return heading.unit, ""
@@ -129,19 +115,16 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
     return "", f"a frequency without a unit, and up to {highest:g} it may be in {' or '.join(possible) or 'none'}"
 
 
-def _lacking(table: HeadedTable) -> str:
-    """The halves of a pair that are present, and a note that the others are missing."""
+def _lacking(headed: HeadedTable) -> str:
+    """The halves of a pair that are present, in words."""
     names = {"magnitude": "a magnitude", "whole": "a magnitude", "phase": "a phase", "real": "a real part",
-             "imaginary": "an imaginary part"}
-    there = [f"{table.name(place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"
-             else " of nothing that is named") for place, heading in enumerate(table.known)
-             if heading and heading.part in names]
-    there += [f"{table.name(place)} is {heading.kind} of an equivalent circuit" for place, heading
-              in enumerate(table.known) if heading and heading.part == "element"]
-    there += [f"{table.name(place)} is a ratio or loss without a phase, from which no impedance follows: save "
-              "S11 as real and imaginary part" for place, heading in enumerate(table.known)
-              if heading and heading.part == "scalar"]
-    strangers = [table.name(place) for place, heading in enumerate(table.known) if heading is None]
+             "imaginary": "an imaginary part", "element": "{} of an equivalent circuit",
+             "scalar": "a ratio or loss without a phase, from which no impedance follows: save S11 as real and "
+                       "imaginary part"}
+    there = [f"{headed.table.name(place)} is {names[heading.part].format(heading.kind)}" + (
+        "" if heading.kind or heading.part == "phase" else " of nothing that is named")
+        for place, heading in enumerate(headed.known) if heading and heading.part in names]
+    strangers = [headed.table.name(place) for place, heading in enumerate(headed.known) if heading is None]
     return "; ".join([*there, *([f"not understood: {', '.join(strangers)}"] if strangers else []),
                       "no two columns together are one magnitude and phase, one real and imaginary part, or one "
                       "circuit, of an impedance or admittance"])

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 from workbench.readers.quantities import ELEMENT_UNITS
 
@@ -60,17 +61,15 @@ class Heading:
     port: int = 1
 
 
-@dataclass(frozen=True)
-class _Word:
-    """A word of the vocabulary: the ``part`` and ``kind`` that it names, and its ``role`` beside that."""
+class _Word(NamedTuple):
+    """A word of the vocabulary: ``part``, ``kind``, and its ``role`` beside those."""
 
     part: str = ""
     kind: str = ""
     role: str = ""
 
 
-@dataclass(frozen=True)
-class _Vocabulary:
+class _Vocabulary(NamedTuple):
     """The content of ``headings.toml``; ``units`` are (quantity, unit, pattern)."""
 
     words: Mapping[str, _Word]
@@ -95,7 +94,10 @@ def _vocabulary() -> _Vocabulary:
 
 
 def understand(heading: str) -> Heading | None:
-    """Meaning of a heading; None unless it names one part of a quantity, one element, or a frequency."""
+    """Meaning of a heading with one part of one quantity, or None.
+
+    A frequency and an element of a circuit are quantities too.
+    """
     text = _plain(heading)
     found = _understood(text)
     if found is None or found.strange_unit:
@@ -107,7 +109,7 @@ def understand(heading: str) -> Heading | None:
 
 
 def hint(heading: str) -> Heading | None:
-    """Apparent meaning of a heading that is not understood; None if it names nothing.
+    """Apparent meaning of a heading that is not understood, or None.
 
     It is the meaning of its known words and of its unit, if they name one part of one quantity.
     """
@@ -125,19 +127,15 @@ def hint(heading: str) -> Heading | None:
     named = [word for word in named if not word.role and word.part != "scalar"]
     parts = {word.part for word in named if word.part} | ({"magnitude"} if text.count("|") == 2 else set())
     kinds = {word.kind for word in named if word.kind}
-    if "element" in parts:
-        element = _element(parts, kinds, "")
-        bare = [] if element is None else [Heading("element", element)]
-    elif len(parts) > 1 or len(kinds) > 1:
+    found = _joined(parts, kinds)
+    if found is None and parts | kinds:
         return None
-    elif parts or kinds:
-        bare = [Heading(next(iter(parts), "whole"), next(iter(kinds), ""))]
-    else:
-        bare = [Heading("whole"), Heading("frequency"), Heading("element", "C"), Heading("element", "L")]
+    bare = [found] if found else [Heading("whole"), Heading("frequency"), Heading("element", "C"),
+                                  Heading("element", "L")]
     known = next((known for each in bare for unit in units if (known := find_unit(unit, each))), None)
     if known is None and any(("ratio", "dB") in _spelled(unit) for unit in units):
         known = Heading("magnitude", min(kinds, default=""), "dB")
-    return known or (bare[0] if parts or kinds else None)
+    return known or found
 
 
 def is_series(heading: str) -> bool:
@@ -146,7 +144,7 @@ def is_series(heading: str) -> bool:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is the unit of any quantity that a column may hold."""
+    """Whether a text is a unit of any known quantity."""
     return bool(units_of(text))
 
 
@@ -156,8 +154,7 @@ def units_of(text: str) -> set[str]:
 
 
 def find_unit(text: str, bare: Heading) -> Heading | None:
-    """The heading with its unit, which may settle an open question of its words; None if the unit does not suit them.
-    """
+    """The heading with its unit, None if the words contradict."""
     lost = _vocabulary().lost_ohm.search(text) is not None
     if lost and bare.part == "phase":
         return bare
@@ -167,7 +164,7 @@ def find_unit(text: str, bare: Heading) -> Heading | None:
 
 
 def _suited(bare: Heading, quantity: str, unit: str) -> Heading | None:
-    """The heading with the `unit` of a `quantity`; None if it does not suit the words."""
+    """The heading with the `unit` of a `quantity`, None if unsuited."""
     part, kind = bare.part, bare.kind
     sized = part not in ("frequency", "phase")
     if part == "scalar":
@@ -235,7 +232,7 @@ def _scattering(text: str, ports: re.Match[str]) -> Heading | None:
 
 
 def _plain(text: str) -> str:
-    """One spelling of signs and words: Ohm and micro as Greek letters, and those of the table ``spellings``."""
+    """One spelling of signs and words, by the table ``spellings``."""
     text = re.sub("[−–]", "-", unicodedata.normalize("NFKC", text.translate(_SIGNS))).replace("''", '"').strip()
     for pattern, spelling in _vocabulary().spellings:
         text = pattern.sub(spelling, text)
@@ -259,7 +256,7 @@ def _split(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _meaning(text: str) -> Heading | None:
-    """The part and the quantity that the words name, if they name at most one of each and nothing else."""
+    """The part and the quantity that the words name, and nothing else."""
     words: list[_Word] = []
     for token in _TOKEN.findall(text.casefold()):
         word = _word(token)
@@ -274,39 +271,42 @@ def _meaning(text: str) -> Heading | None:
     parts, kinds = {word.part for word in words if word.part}, {word.kind for word in words if word.kind}
     roles = [word.role for word in words]
     negated, primed, scaled = "minus" in roles, "prime" in roles, "scale" in roles
-    connection = next((role for role in reversed(roles) if role in ("s", "p")), "")
-    if "element" in parts:
-        # The magnitude or phase of a capacitance is no element of a circuit.
-        element = _element(parts, kinds, connection)
-        return None if element is None or negated or primed or scaled else Heading("element", element)
-    if connection == "p" and kinds == {"impedance"}:
-        return Heading("element", "Rp") if parts == {"real"} else None
-    if len(parts) > 1 or len(kinds) > 1 or not (parts or kinds) or roles.count("bar") % 2:
+    found = _joined(parts, kinds, next((role for role in reversed(roles) if role in ("s", "p")), ""))
+    if found is None or roles.count("bar") % 2:
         return None
-    part, kind = next(iter(parts), "whole"), next(iter(kinds), "")
+    part, kind = found.part, found.kind
     refused = (
         primed and not any(word.kind and not word.part for word in words),
         part == "frequency" and kind,
         negated and part not in ("phase", "imaginary"),
         scaled and (kind not in ("reflection", "transmission") or part not in ("magnitude", "whole")),
     )
-    return None if any(refused) else Heading(part, kind, negated=negated, primed=primed and part == "imaginary")
+    return None if any(refused) else replace(found, negated=negated, primed=primed and part == "imaginary")
 
 
-def _element(parts: set[str], kinds: set[str], connection: str) -> str | None:
-    """The symbol of an element of a circuit."""
-    # "Capacitance Cp" names it twice.
-    kinds = kinds - {"C", "L"} or kinds
-    if parts != {"element"} or len(kinds) != 1:
+def _joined(parts: set[str], kinds: set[str], connection: str = "") -> Heading | None:
+    """The one part of one quantity, or element, that words name.
+
+    `connection` is that of an element: in series (s) or parallel (p).
+    """
+    if "element" in parts:
+        # "Capacitance Cp" names it twice; the magnitude of a capacitance is no element.
+        kinds = kinds - {"C", "L"} or kinds
+        if parts != {"element"} or len(kinds) != 1 or not kinds <= {"C", "L", *ELEMENT_UNITS}:
+            return None
+        (symbol,) = kinds
+        if symbol in ("C", "L"):
+            return Heading("element", symbol + connection)
+        return Heading("element", symbol) if not connection or symbol[1:] == connection else None
+    if connection == "p" and kinds == {"impedance"}:
+        return Heading("element", "Rp") if parts == {"real"} else None
+    if len(parts) > 1 or len(kinds) > 1 or not (parts or kinds):
         return None
-    (symbol,) = kinds
-    if symbol in ("C", "L"):
-        return symbol + connection
-    return symbol if not connection or symbol[1:] == connection else None
+    return Heading(next(iter(parts), "whole"), next(iter(kinds), ""))
 
 
 def _word(token: str) -> _Word | None:
-    """The meaning of one word, or of one that a Z or Y is joined to."""
+    """The meaning of a word, or one joined to Z or Y."""
     words = _vocabulary().words
     if token in words:
         return words[token]

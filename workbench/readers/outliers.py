@@ -1,4 +1,4 @@
-"""Points of a spectrum that leave their neighbours by far more than noise and interpolation explain.
+"""Points of a spectrum that leave their neighbours by more than noise.
 
 Every point is predicted from the nearest points on either side, itself left out, by a cubic of ln Z and by continued
 fractions of Z and of Y (Thiele; four and six points), which follow a pole between two points. The smallest deviation
@@ -40,10 +40,10 @@ EVEN = 0.95
 
 
 def outliers(frequency: Real, impedance: Complex) -> dict[int, float]:
-    """The points that leave their neighbours, one at a time or two beside each other, with |ln(Z / Z_predicted)|.
+    """The points that leave their neighbours, with |ln(Z / Z_predicted)|.
 
-    `frequency` (n,) Hz rises, `impedance` (n,) ohm is nowhere zero. The points found are taken out and the rest is
-    examined again, since two wrong points hide each other.
+    `frequency` (n,) Hz rises, `impedance` (n,) ohm is nowhere zero. The points found, one at a time or two beside each
+    other, are taken out and the rest is examined again, since two wrong points hide each other.
     """
     kept, found = np.arange(len(frequency)), dict[int, float]()
     for _ in range(ROUNDS):
@@ -58,7 +58,7 @@ def outliers(frequency: Real, impedance: Complex) -> dict[int, float]:
 
 
 def _odd(frequency: Real, impedance: Complex, block: int) -> dict[int, float]:
-    """The points in blocks of that length that leave the rest, with their deviations."""
+    """The points in blocks that leave the rest, with their deviations."""
     points = len(frequency)
     if points < FEWEST[block]:
         return {}
@@ -89,10 +89,10 @@ def _odd(frequency: Real, impedance: Complex, block: int) -> dict[int, float]:
 
 
 def _deviation(frequency: Real, impedance: Complex, gone: tuple[int, ...]) -> Real:
-    """Deviations (2, interpolants, n) of every point from its prediction by points that are not `gone` (places relative
-    to it): |ln(Z / Z_predicted)| in standard deviations of one point's noise, and as it is.
+    """Deviations (2, interpolants, n) of every point from its prediction.
 
-    Infinite where there is no prediction.
+    They are |ln(Z / Z_predicted)| in standard deviations of one point's noise, and as it is. Points that are `gone`
+    (places relative to it) predict nothing; infinite where there is no prediction.
     """
     found = []
     with np.errstate(all="ignore"):
@@ -120,7 +120,7 @@ def _deviation(frequency: Real, impedance: Complex, gone: tuple[int, ...]) -> Re
 
 
 def _continued(at: Real, x: Real, value: Complex) -> Complex:
-    """Thiele's continued fraction through `value` (n, k) at `x` (n, k), `at` (n,)."""
+    """Thiele's continued fraction through `value` (n, k) at `x` (n, k)."""
     rest, terms = value, [value[:, 0]]
     for place in range(1, value.shape[1]):
         rest = (x[:, place:] - x[:, place - 1:place]) / (rest[:, 1:] - rest[:, :1])
@@ -132,8 +132,10 @@ def _continued(at: Real, x: Real, value: Complex) -> Complex:
 
 
 def _nearest(points: int, gone: tuple[int, ...], size: int) -> NDArray[np.intp]:
-    """Indices (n, size) of the points nearest to each that are not `gone`, as many on either side if there are; -1 if
-    there are too few."""
+    """Indices (n, size) of the nearest points that are not `gone`.
+
+    As many are on either side if there are; -1 if there are too few.
+    """
     span = size + len(gone)
     sides = [[step for step in sign * np.arange(1, span + 1) if step not in gone] for sign in (-1, 1)]
     found = np.full((points, size), -1, dtype=np.intp)
@@ -148,10 +150,10 @@ def _nearest(points: int, gone: tuple[int, ...], size: int) -> NDArray[np.intp]:
 
 
 def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
-    """Indices of the frequencies (n,) Hz beside the even steps (or ratios) of the others, and the step in words.
+    """Frequencies (indices) beside the even steps of the others, and the step.
 
-    An end of the sweep counts if its step is too long, but for a row or two that were left out beside it; a shorter one
-    is the rest of a band.
+    Steps of the `frequency` (n,) Hz or of its logarithm are even. An end of the sweep counts if its step is too long,
+    but for a row or two that were left out beside it; a shorter one is the rest of a band.
     """
     nothing = np.empty(0, np.intp)
     if len(frequency) < FEWEST[1]:

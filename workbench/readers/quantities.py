@@ -1,4 +1,4 @@
-"""From the two numbers an instrument writes for each frequency to one complex impedance, e^{+j w t}."""
+"""From two numbers a frequency to one complex impedance, e^{+j w t}."""
 
 from __future__ import annotations
 
@@ -43,6 +43,16 @@ REFERENCE_OHM = 50.0
 THROUGH = 0.05
 
 
+def units(part: str, kind: str) -> Mapping[str, float]:
+    """Factor to SI of every unit of a part of a quantity.
+
+    It is NaN for decibels. The kind of an element of a circuit is its symbol.
+    """
+    if part in ("element", "phase"):
+        return ELEMENT_UNITS[kind] if part == "element" else PHASE_UNITS
+    return {**MAGNITUDE_UNITS[kind], "dB": np.nan} if part == "magnitude" else MAGNITUDE_UNITS[kind]
+
+
 @dataclass(frozen=True)
 class RecordedQuantity:
     """Meaning of two columns of numbers.
@@ -78,47 +88,38 @@ class RecordedQuantity:
         if self.kind not in MAGNITUDE_UNITS:
             raise ValueError(f"quantity {self.kind!r} is not one of {', '.join(MAGNITUDE_UNITS)}")
         if self.kind == "circuit":
-            self._check_circuit()
-        else:
-            if self.form not in ("polar", "rectangular", "complex"):
-                raise ValueError(f"form {self.form!r} is not one of polar, rectangular, complex")
-            units = (*MAGNITUDE_UNITS[self.kind], *(["dB"] if self.form == "polar" else []))
-            if self.unit not in units:
-                raise ValueError(f"unit {self.unit!r} of {self.kind} ({self.form}) is not one of {', '.join(units)}")
-            if self.second_unit and (self.form != "rectangular" or self.second_unit not in units):
-                raise ValueError(f"second unit {self.second_unit!r} belongs to a circuit or to an imaginary part, and "
-                                 f"is then one of {', '.join(units)}; that of a phase is phase_unit")
-        if self.phase_unit not in PHASE_UNITS:
-            raise ValueError(f"phase unit {self.phase_unit!r} is not one of {', '.join(PHASE_UNITS)}")
-        if self.kind in ("reflection", "transmission"):
-            if self.reference_resistance is None:
-                object.__setattr__(self, "reference_resistance", REFERENCE_OHM)
-        elif (self.kind == "gain") != (self.reference_resistance is not None):
-            raise ValueError("a reference resistance (ohm) belongs to a gain, a reflection or a transmission, and to a "
-                             "gain always")
-        if self.reference_resistance is not None and not 0.0 < self.reference_resistance < np.inf:
-            raise ValueError(f"reference resistance {self.reference_resistance} ohm must be finite and positive")
-        if self.inverse and self.kind != "gain":
-            raise ValueError("only a gain can be given as the inverse ratio")
-        if (self.kind == "transmission") != (self.configuration in CONFIGURATIONS):
-            raise ValueError(f"configuration {self.configuration!r}: a transmission, and nothing else, has the "
-                             f"specimen in {' or '.join(CONFIGURATIONS)}")
-
-    def _check_circuit(self) -> None:
-        one, _, two = self.form.partition("-")
-        if self.form not in CIRCUITS and f"{two}-{one}" not in CIRCUITS:
-            raise ValueError(f"circuit {self.form!r} is not one of {', '.join(CIRCUITS)}")
-        for symbol, unit in ((one, self.unit), (two, self.second_unit or next(iter(ELEMENT_UNITS[two])))):
-            if unit not in ELEMENT_UNITS[symbol]:
-                raise ValueError(f"unit {unit!r} of {symbol} is not one of {', '.join(ELEMENT_UNITS[symbol])}")
-        if self.negated:
-            raise ValueError("an element of a circuit has no negated second column")
-        if not self.second_unit:
-            object.__setattr__(self, "second_unit", next(iter(ELEMENT_UNITS[two])))
+            one, _, two = self.form.partition("-")
+            if self.form not in CIRCUITS and f"{two}-{one}" not in CIRCUITS:
+                raise ValueError(f"circuit {self.form!r} is not one of {', '.join(CIRCUITS)}")
+            object.__setattr__(self, "second_unit", self.second_unit or next(iter(ELEMENT_UNITS[two])))
+        elif self.form not in ("polar", "rectangular", "complex"):
+            raise ValueError(f"form {self.form!r} is not one of polar, rectangular, complex")
+        elif self.second_unit and self.form != "rectangular":
+            raise ValueError(f"second unit {self.second_unit!r} belongs to a circuit or to an imaginary part; that of "
+                             "a phase is phase_unit")
+        for part, kind, unit in (*self.columns, ("phase", "", self.phase_unit)):
+            if unit not in units(part, kind):
+                raise ValueError(f"{'phase ' if part == 'phase' else ''}unit {unit!r} of {kind or self.kind} "
+                                 f"({self.form}) is not one of {', '.join(units(part, kind))}")
+        if self.kind in ("reflection", "transmission") and self.reference_resistance is None:
+            object.__setattr__(self, "reference_resistance", REFERENCE_OHM)
+        ohm = self.reference_resistance
+        for wrong, message in (
+                ((ohm is not None) != (self.kind in ("gain", "reflection", "transmission")), "a reference resistance "
+                 "(ohm) belongs to a gain, a reflection or a transmission, and to a gain always"),
+                (ohm is not None and not 0.0 < ohm < np.inf,
+                 f"reference resistance {ohm} ohm must be finite and positive"),
+                (self.inverse and self.kind != "gain", "only a gain can be given as the inverse ratio"),
+                (self.negated and self.kind == "circuit", "an element of a circuit has no negated second column"),
+                ((self.kind == "transmission") != (self.configuration in CONFIGURATIONS),
+                 f"configuration {self.configuration!r}: a transmission, and nothing else, has the specimen in "
+                 f"{' or '.join(CONFIGURATIONS)}")):
+            if wrong:
+                raise ValueError(message)
 
     @property
     def columns(self) -> tuple[tuple[str, str, str], ...]:
-        """Part, kind and unit of every column, as a heading states them; the kind of an element is its symbol."""
+        """Part, kind and unit of every column, as a heading states them."""
         if self.kind == "circuit":
             one, _, two = self.form.partition("-")
             return ("element", one, self.unit), ("element", two, self.second_unit)
@@ -132,7 +133,9 @@ class RecordedQuantity:
     def impedance(
         self, first: NDArray[np.float64], second: NDArray[np.float64], frequency: NDArray[np.float64] | None = None
     ) -> NDArray[np.complex128]:
-        """Impedance Z (n,) ohm from the two columns; infinite for an admittance of zero.
+        """Impedance Z (n,) ohm from the two columns.
+
+        It is infinite for an admittance of zero.
 
         Raises:
             ValueError: a circuit without its `frequency` (n,) Hz.
@@ -142,26 +145,27 @@ class RecordedQuantity:
                 if frequency is None:
                     raise ValueError(f"a circuit ({self.form}) is an impedance only at a frequency")
                 return self._circuit(first, second, 2.0 * np.pi * frequency)
-            value = self._value(first, second)
+            size, second = self._si(first, second)
+            second = -second if self.negated else second
+            value = np.asarray(size * np.exp(1j * second) if self.form == "polar" else size + 1j * second)
             resistance = self.reference_resistance or 0.0
-            match self.kind:
-                case "impedance":
-                    return np.asarray(value)
-                case "admittance":
+            match self.kind, self.configuration:
+                case "impedance", _:
+                    return value
+                case "admittance", _:
                     return np.asarray(1.0 / value)
-                case "gain":
-                    ratio = value if self.inverse else 1.0 / value
-                    return np.asarray(resistance * (ratio - 1.0))
-                case "reflection":
+                case "gain", _:
+                    return np.asarray(resistance * ((value if self.inverse else 1.0 / value) - 1.0))
+                case "reflection", _:
                     return np.asarray(resistance * (1.0 + value) / (1.0 - value), dtype=np.complex128)
-                case "transmission":
-                    if self.configuration == "shunt":
-                        return np.asarray(0.5 * resistance * value / (1.0 - value))
+                case "transmission", "shunt":
+                    return np.asarray(0.5 * resistance * value / (1.0 - value))
+                case "transmission", _:
                     return np.asarray(2.0 * resistance * (1.0 - value) / value)
         raise AssertionError(self.kind)  # held by __post_init__
 
     def unsigned_losses(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-        """Whether D or Q is written without the sign of the reactance, as some meters do.
+        """Whether D or Q is written without the sign of the reactance.
 
         It is if D or Q is positive at most of the points (n,) at which the reactive element is negative, and there are
         such points.
@@ -174,22 +178,19 @@ class RecordedQuantity:
         other = size < 0.0
         return 2 * int(np.count_nonzero(losses[other] > 0.0)) > max(int(np.count_nonzero(other)), 1)
 
-    def _value(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.complex128]:
-        factor = MAGNITUDE_UNITS[self.kind].get(self.unit, 1.0)
-        second = -second if self.negated else second
-        if self.form == "polar":
-            magnitude = 10.0 ** (first / 20.0) if self.unit == "dB" else first * factor
-            return np.asarray(magnitude * np.exp(1j * PHASE_UNITS[self.phase_unit] * second))
-        other = MAGNITUDE_UNITS[self.kind].get(self.second_unit, factor)
-        return np.asarray(factor * first + 1j * other * second)
+    def _si(self, *values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """The columns in SI and radians, magnitudes in place of decibels."""
+        meanings = self.columns if len(self.columns) > 1 else 2 * self.columns
+        return [10.0 ** (column / 20.0) if unit == "dB" else column * units(part, kind)[unit]
+                for column, (part, kind, unit) in zip(values, meanings, strict=True)]
 
     def _elements(
         self, first: NDArray[np.float64], second: NDArray[np.float64]
     ) -> tuple[tuple[str, NDArray[np.float64]], tuple[str, NDArray[np.float64]]]:
-        """Symbol and SI values of the reactive element and of the lossy one."""
+        """Symbol and SI values of the reactive and of the lossy element."""
         one, _, two = self.form.partition("-")
-        pair = ((one, first * ELEMENT_UNITS[one][self.unit]), (two, second * ELEMENT_UNITS[two][self.second_unit]))
-        return pair if self.form in CIRCUITS else (pair[1], pair[0])
+        pair = tuple(zip((one, two), self._si(first, second), strict=True))
+        return (pair[0], pair[1]) if self.form in CIRCUITS else (pair[1], pair[0])
 
     def _circuit(
         self, first: NDArray[np.float64], second: NDArray[np.float64], omega: NDArray[np.float64]

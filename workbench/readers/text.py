@@ -1,25 +1,24 @@
-"""The text of a recording: loaded once, with its digest, and turned into numbers, with an error for every faulty cell.
-"""
+"""The text of a recording, and its cells and numbers."""
 
 from __future__ import annotations
 
 import codecs
 import csv
 import hashlib
+import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from types import MappingProxyType
 
 from workbench.files.errors import InputError, nearest_files
 from workbench.instruments.waveform_table import recognised
+from workbench.results.spectrum import Origin
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+#: The setting of an origin that states the meaning of the columns of a table.
+READ_AS = "read as"
 
 #: Least size of a number that stands for no value: instruments write 9.9e37 (SCPI: 9.91e37, not a number) for overload
 #: and for a point that was not measured. Doubled, it is read as ohms.
@@ -27,7 +26,8 @@ NO_VALUE = 9.9e37
 #: Words that instruments, programs and spreadsheets write for the same.
 _NO_VALUE = re.compile(r"[+-]?(nan|inf|infinity|1\.#(inf|qnan|ind)|ol|ov(er)?(ld|l|f|r|load|flow|range)|over)|"
                        r"n/?a|#n/a|#num!|#div/0!|-{2,}", re.IGNORECASE)
-
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 #: Signs at the beginning of a line that is no row.
 COMMENTS = ("%", "#", "!")
 
@@ -50,11 +50,13 @@ _COMPLEX = re.compile(
 _BRACKETED = re.compile(rf"(?<![\w'\"])\(\s*([+-]?{_REAL})\s*[,;]\s*([+-]?{_REAL})\s*\)")
 _PORTS = re.compile(r"(?<=[A-Za-z])\((\d),(\d)\)")
 _WRITTEN = re.compile(rf"([+-]?{_REAL})([+-]{_REAL})j")
+#: Stands for the comma of "S(1,1)" while a line is divided (private use area of Unicode).
+_COMMA_OF_PORTS = "\ue000"
 
 
 @dataclass(frozen=True)
 class RecordingText:
-    """The lines of a recording (without their ends), the path as given and the SHA-256 of the bytes.
+    """The lines of a recording, its path, the SHA-256 of its bytes.
 
     ``ended`` if the last line has an end; ``row`` is the word for a line, which in a table turned over is a column.
     """
@@ -71,12 +73,13 @@ class RecordingText:
         return InputError(self.path, place, value, expected)
 
 
-@dataclass(frozen=True)
-class NumberRows:
-    """A table of numbers: ``values`` (n, columns) and the line of the file, from one, on which each row stands."""
-
-    values: NDArray[np.float64]
-    lines: tuple[int, ...]
+    def origin(
+        self, instrument: str = "", date: str = "", *, read_as: str = "",
+        settings: Mapping[str, str] = MappingProxyType({}),
+    ) -> Origin:
+        """The origin of a measured spectrum; `read_as` explains its columns."""
+        meaning = {READ_AS: " ".join(read_as.split())} if read_as else {}
+        return Origin("measured", self.path, self.sha256, instrument, date, {**meaning, **settings})
 
 
 def load_text(path: Path) -> RecordingText:
@@ -95,8 +98,6 @@ def load_text(path: Path) -> RecordingText:
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
     except OSError as error:
         raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
-    if not data.strip():
-        raise InputError(str(path), "file", f"{len(data)} bytes", "a recording; this file is empty")
     # A waveform in a Tektronix .ISF file is binary after a text header; it deserves its own message.
     if _is_binary(data) and data[:8].upper().startswith((b":WFMP", b"WFMP")):
         raise _waveform(str(path), data[:40].decode("latin-1"))
@@ -111,7 +112,7 @@ def load_text(path: Path) -> RecordingText:
 
 
 def _is_binary(data: bytes) -> bool:
-    """Whether the bytes hold control characters that no text of one byte a letter has."""
+    """Whether the bytes hold control characters that no text has."""
     return any(byte < 32 and byte not in b"\t\n\r\f" for byte in data[:65536])
 
 
@@ -128,28 +129,24 @@ def _decoded(data: bytes) -> str | None:
                 text = data.decode(encoding, errors="ignore")
                 return None if _is_binary(text.encode("utf-8")) else text
         return None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        pass
-    for encoding in _ENCODINGS:
+    for encoding in ("utf-8-sig", *_ENCODINGS):
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError:
             continue
-        if all(map(_is_expected, set(text))):
+        if encoding == "utf-8-sig" or all(map(_is_expected, set(text))):
             return text
     return data.decode("latin-1")
 
 
 def _is_expected(letter: str) -> bool:
-    """Whether a letter is one that recordings hold, rather than one of a wrong encoding."""
+    """Whether a letter is one that recordings hold."""
     latin = unicodedata.name(letter, "").startswith("LATIN") and letter not in _STRANGE_LATIN
     return letter.isascii() or letter in _EXPECTED or latin or ord(letter) >= _EAST_ASIAN
 
 
 def refuse_waveform(text: RecordingText) -> None:
-    """Raise if the file is a Tektronix oscilloscope waveform: voltage against time, not a spectrum."""
+    """Raise if the file is a waveform of an oscilloscope, no spectrum."""
     if maker := recognised(text.lines):
         raise InputError(text.path, "format", maker, "an impedance spectrum; `workbench import FILE ... --resistance "
                          "R` makes one of a capture at every frequency, R being the resistor in series with the device "
@@ -164,14 +161,28 @@ def _waveform(path: str, value: str) -> InputError:
                       "workbench import makes an impedance of such files")
 
 
+# --------------------------------------------------------------------------------------------------------------------
+# Cells and numbers.
+
+
+def uncommented(line: str) -> str:
+    """A line without a leading comment sign."""
+    return line.lstrip("%#! ") if line.startswith(COMMENTS) else line
+
+
 def cells(line: str, delimiter: str) -> list[str]:
-    """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave.
+    """The cells of a line, without blanks, quotes and empty last ones.
 
     A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of it,
     and any number of blanks is one delimiter. A complex number is one cell, however it is written: "3.3-52.6j",
     "(3.3,-52.6)" and "3.3 - i52.6" become "3.3-52.6j".
     """
-    line = _kept_whole(line.strip(" "))
+    line = line.strip(" ")
+    if "(" in line:
+        line = _PORTS.sub(rf"(\1{_COMMA_OF_PORTS}\2)", line)
+        line = _BRACKETED.sub(lambda found: _written(found[1], found[2]), line)
+    if re.search("[ijIJ]", line):
+        line = _COMPLEX.sub(lambda found: _written(found[1], found[2] + (found[3] or found[4])), line)
     if line.count('"') == 2 and line.startswith('"') and line.endswith('"'):
         line = line[1:-1]
     if '"' in line and line.count('"') % 2 == 0:
@@ -184,134 +195,20 @@ def cells(line: str, delimiter: str) -> list[str]:
     return found
 
 
-#: Stands for the comma of "S(1,1)" while a line is divided (private use area of Unicode).
-_COMMA_OF_PORTS = "\ue000"
-
-
-def _kept_whole(line: str) -> str:
-    """A line whose complex numbers and port numbers hold no delimiter."""
-    if "(" in line:
-        line = _PORTS.sub(rf"(\1{_COMMA_OF_PORTS}\2)", line)
-        line = _BRACKETED.sub(lambda found: _written(found[1], found[2]), line)
-    if re.search("[ijIJ]", line):
-        line = _COMPLEX.sub(lambda found: _written(found[1], found[2] + (found[3] or found[4])), line)
-    return line
-
-
 def _written(real: str, imaginary: str) -> str:
+    """A complex number in the form of :data:`_WRITTEN`."""
     imaginary = imaginary.replace(" ", "")
     return f"{real.replace(' ', '')}{imaginary if imaginary[0] in '+-' else '+' + imaginary}j"
-
-
-def complex_parts(cell: str) -> tuple[str, str] | None:
-    """Real and imaginary part of a complex number as :func:`cells` writes it; None if the cell is no such number."""
-    found = _WRITTEN.fullmatch(cell)
-    return None if found is None else (found[1], found[2])
 
 
 def _unquoted(cell: str) -> str:
     return cell[1:-1].strip() if len(cell) > 1 and cell.startswith('"') and cell.endswith('"') else cell
 
 
-def holds_no_value(cell: str, decimal: str = ".") -> bool:
-    """Whether a cell holds a code for no value: a word, or a number of :data:`NO_VALUE` or more."""
-    if is_number(cell, decimal):
-        return not abs(float(_plain(cell, decimal))) < NO_VALUE
-    return _NO_VALUE.fullmatch(cell) is not None
-
-
-def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
-    """The number in one cell, NaN if it :func:`holds_no_value`.
-
-    Raises:
-        InputError: the cell holds no number, or an undeclared decimal comma.
-    """
-    if holds_no_value(cell, decimal):
-        return np.nan
-    if is_number(cell, decimal):
-        return float(_plain(cell, decimal))
-    if _DECIMAL_COMMA.fullmatch(cell):
-        raise text.error(line, column, cell, "a number with a decimal point; this one has a decimal comma")
-    raise text.error(line, column, cell, "a number" if cell else "a number; this cell is empty")
-
-
-def numbers(
-    text: RecordingText,
-    numbered: Sequence[tuple[int, str]],
-    *,
-    delimiter: str,
-    columns: int,
-    decimal: str = ".",
-) -> NumberRows:
-    """The table in the lines `numbered` (pairs of line number and line), each with exactly `columns` cells.
-
-    Raises:
-        InputError: a row of another length, or a cell that is no number.
-    """
-    values = np.empty((len(numbered), columns))
-    for index, (line, content) in enumerate(numbered):
-        row = cells(content, delimiter)
-        if delimiter == "," and ";" in content:
-            raise text.error(line, None, content, "commas between columns and decimal points; semicolons and decimal "
-                             "commas are a spreadsheet's rewriting: use the instrument's own file, or --columns "
-                             "MAP.toml")
-        if len(row) != columns:
-            raise text.error(line, None, content, f"{columns} columns; this row has {len(row)}")
-        for column, cell in enumerate(row):
-            values[index, column] = cell_number(text, line, column + 1, cell=cell, decimal=decimal)
-    return NumberRows(values, tuple(line for line, _ in numbered))
-
-
-def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], lines: Sequence[int]) -> None:
-    """Raise if `impedance` (n,) ohm is anywhere zero or not finite."""
-    wrong = ~np.isfinite(impedance) | (impedance == 0.0)
-    if np.any(wrong):
-        index = int(np.argmax(wrong))
-        raise text.error(lines[index], None, f"{impedance[index]} ohm", "an impedance neither zero nor infinite")
-
-
-@dataclass(frozen=True)
-class RowCells:
-    """The rows of a table of a ``text``, as text, with its ``width`` in columns and its ``decimal`` mark.
-
-    ``cells`` of every row and the ``lines`` (from one) they stand on; ``skipped``, the lines below the first row that
-    are no rows; ``next_table``, the line at which another table begins (None: no other).
-    """
-
-    text: RecordingText
-    width: int
-    decimal: str
-    cells: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]
-    skipped: tuple[int, ...] = ()
-    next_table: int | None = None
-
-    def numbers(self, places: Sequence[int], *, last_is_complex: bool = False) -> list[NDArray[np.float64]]:
-        """The numbers (n,) of the columns `places` (from 0); of a last one of complex numbers, both parts.
-
-        Raises:
-            InputError: a row that ends before a column, or a cell that is no number.
-        """
-        parts = [(place, 0) for place in places] + ([(places[-1], 1)] if last_is_complex else [])
-        return [np.array([self._number(index, place, part if last_is_complex and place == places[-1] else None)
-                          for index in range(len(self.lines))]) for place, part in parts]
-
-    def loosely(self, place: int) -> NDArray[np.float64]:
-        """The numbers (n,) of a column, NaN for a cell that is none."""
-        column = [row[place] if place < len(row) else "" for row in self.cells]
-        return np.array([float(_plain(cell, self.decimal)) if is_number(cell, self.decimal) and not holds_no_value(
-            cell, self.decimal) else np.nan for cell in column])
-
-    def _number(self, index: int, place: int, part: int | None) -> float:
-        """The number in a cell, or one `part` of a complex number."""
-        row, line = self.cells[index], self.lines[index]
-        if place >= len(row):
-            raise self.text.error(line, None, self.text.lines[line - 1], f"{self.width} columns; this row has "
-                                  f"{len(row)}")
-        cell = row[place]
-        if part is not None:
-            cell = (complex_parts(cell) or (cell, "0"))[part].lstrip("+") or cell
-        return cell_number(self.text, line, place + 1, cell=cell, decimal=self.decimal)
+def complex_parts(cell: str) -> tuple[str, str] | None:
+    """Both parts of a complex number as :func:`cells` writes it, or None."""
+    found = _WRITTEN.fullmatch(cell)
+    return None if found is None else (found[1], found[2])
 
 
 def _plain(cell: str, decimal: str) -> str:
@@ -323,56 +220,37 @@ def is_number(cell: str, decimal: str = ".") -> bool:
     return _NUMBER.fullmatch(_plain(cell, decimal)) is not None
 
 
-def row_cells(
-    text: RecordingText, start: int, *, width: int, delimiter: str, decimal: str, frequency: int,
-    headings: Sequence[str] = (), commented: Sequence[str] = COMMENTS,
-) -> RowCells:
-    """The rows of `width` columns from line index `start` on; `headings` are the cells of the line above them.
+def is_cell(cell: str) -> bool:
+    """Whether a cell holds a number, real or complex."""
+    return is_number(cell, ",") or complex_parts(cell) is not None
 
-    A row is a line whose cell in the column `frequency` (from 0) is a number. Lines without one are no rows: units,
-    END, totals, remarks, and a lone number that counts the rows. A line of headings other than `headings` begins
-    another table, which is left alone.
+
+def value_of(cell: str, decimal: str = ".") -> float | None:
+    """The number in a cell, NaN for no value, None for text.
+
+    A code for no value is a word, or a number of :data:`NO_VALUE` or more.
+    """
+    if is_number(cell, decimal):
+        number = float(_plain(cell, decimal))
+        return number if abs(number) < NO_VALUE else math.nan
+    return math.nan if _NO_VALUE.fullmatch(cell) else None
+
+
+def holds_no_value(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell holds a code for no value."""
+    value = value_of(cell, decimal)
+    return value is not None and math.isnan(value)
+
+
+def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
+    """The number in one cell, NaN for a code of no value.
 
     Raises:
-        InputError: a row cut short or with more cells than `width`; a cell that should be a frequency beside numbers.
+        InputError: the cell holds no number, or an undeclared decimal comma.
     """
-    found: list[tuple[str, ...]] = []
-    lines: list[int] = []
-    skipped: list[int] = []
-    for index in range(start, len(text.lines)):
-        content, line = text.lines[index], index + 1
-        if not content.strip() or content.startswith(tuple(commented)):
-            continue
-        row = cells(content, delimiter)
-        first = row[frequency] if frequency < len(row) else ""
-        others = sum(is_number(cell, decimal) or complex_parts(cell) is not None for place, cell in enumerate(row)
-                     if place != frequency)
-        # A frequency is not lost alone; lines of dashes and remarks such as "over 20" are no rows.
-        lost = holds_no_value(first) and (others > 1 or (first[-1:].casefold() in ("n", "f", "y") and (
-            others or all(map(holds_no_value, row)))))
-        if is_number(first, decimal) or (not first and others > 1) or lost:
-            lone = sum(bool(cell) for cell in row) == 1
-            if lone and width > 1 and (not found or _plain(row[-1], decimal) == str(len(found))):
-                skipped += [line] if found else []
-                continue
-            # Some programs end a row with a remark.
-            row = row[:width] if len(row) > width and row[width].startswith(tuple(COMMENTS)) else row
-            if len(row) > width or (len(row) != width and delimiter == " ") or lone:
-                raise text.error(line, None, content, f"{width} columns; this row has {len(row)}" + (
-                    ", as if its decimal commas divided it" if len(row) > width and delimiter == "," else ""))
-            if not first:
-                cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
-            found.append(tuple(row))
-            lines.append(line)
-            continue
-        if others > 1 and not first[:1].isalpha():
-            cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
-        if found and not others and len(row) == width > 1 and all(row) and tuple(row) != tuple(headings):
-            return RowCells(text, width, decimal, tuple(found), tuple(lines), tuple(skipped), line)
-        if found and tuple(row) != tuple(headings) and content.strip(" ,;\t").casefold() != "end":
-            skipped.append(line)
-        elif delimiter == "," and ";" in content and not found and re.match(r"\s*[+-]?[\d.]", content):
-            raise text.error(line, None, content, "commas between columns and decimal points; semicolons and decimal "
-                             "commas are a spreadsheet's rewriting: use the instrument's own file, or --columns "
-                             'MAP.toml with delimiter = ";"')
-    return RowCells(text, width, decimal, tuple(found), tuple(lines), tuple(skipped))
+    value = value_of(cell, decimal)
+    if value is not None:
+        return value
+    if _DECIMAL_COMMA.fullmatch(cell):
+        raise text.error(line, column, cell, "a number with a decimal point; this one has a decimal comma")
+    raise text.error(line, column, cell, "a number" if cell else "a number; this cell is empty")
