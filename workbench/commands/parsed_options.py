@@ -117,7 +117,7 @@ def accuracy_option(options: argparse.Namespace) -> float:
 
 @contextmanager
 def executor_option(options: argparse.Namespace) -> Iterator[tuple[Executor | None, int]]:
-    """The executor of the cluster, if any, and the number of parallel tasks.
+    """The executor of the cluster, if any, and the number of tasks.
 
     Raises:
         InputError, RuntimeError, WorkerEnded: see `workbench.jobs.cluster`.
