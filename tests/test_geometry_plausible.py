@@ -57,8 +57,8 @@ def test_a_chip_file_of_metres_is_asked_about_and_may_insist(tmp_path: Path) -> 
     content = read_toml(PATH)
     layer = next(each for each in content["layers"] if each["role"] == "couplant")
     layer["thickness"] = "20 mm"
-    asked = (r"couplant\.thickness: received '20 mm'; expected 1 um to 500 um, which is what a film of gel or glue "
-             r"has; this is 40 times the most; .*did you mean '20 um'\?")
+    asked = (r"couplant\.thickness: received '20 mm'; expected 1 um to 500 um, the usual range of a film of gel "
+             r"or glue; this is 40 times the most; .*did you mean '20 um'\?")
     with pytest.raises(InputError, match=asked):
         parse_chip(content, source="chip.toml")
     content["chip"]["unusual"] = ["couplant.thickness"]

@@ -75,7 +75,7 @@ def test_how_a_body_stands_is_named_and_the_key_mends_it(name: str, tmp_path: Pa
         read_chip(described(tmp_path))
     said = str(failed.value)
     assert words in said, said
-    advice = re.search(r"in the profile (.*) says how this one stands", said)
+    advice = re.search(r"in the profile (.*) states the axis of this one", said)
     assert advice is not None, said
     assert advice[1].startswith(key), said
     chip = read_chip(described(tmp_path, f", {advice[1]}"))
