@@ -188,7 +188,7 @@ def _section(
         raise InputError(source, field, type(made).__name__, "a CadQuery solid, face or closed wire")
     solids = [solid for each in shapes for solid in each.Solids()]
     if len(solids) > 1:
-        raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins what touches")
+        raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins solids that touch")
     if solids and isinstance(measure, Straight):
         raise InputError(source, field, "a solid", "the cross-section of a straight chip: a face, or a closed wire, in "
                          'the plane y = 0, as of Workplane("XZ")')

@@ -110,7 +110,7 @@ def _check_contact(section: FreeSection, layers: Sequence[str], source: str) -> 
     touching = [{section.faces[face].region for face in faces} for faces in section.beside if len(faces) == 2]
     for k, layer in enumerate(layers[1:], start=1):
         if not any(layer in both and both & set(layers[:k]) for both in touching):
-            raise InputError(source, f"layer {layer}", "a contact in points alone with what is below it",
+            raise InputError(source, f"layer {layer}", "a contact in points alone with the layers below",
                              "a layer that lies on one below it, along a line of the section")
 
 

@@ -69,7 +69,7 @@ class Fate(IntEnum):
     def words(self) -> str:
         """The fate in words."""
         return ("still moving", "levitated", "in a trap", "at a wall", "settled on the floor, lid or surface",
-                "focused across the channel", "held at the lid")[self]
+                "focused across the channel", "pressed to the lid")[self]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

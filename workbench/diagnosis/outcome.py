@@ -258,7 +258,7 @@ class Diagnosis(Shown):
             case "below_detection":
                 name = max((each for each in decision.log_odds if each != self.found.base.hypothesis.name),
                            key=lambda each: decision.log_odds[each])
-                text = (f"something may be missing, {plain_words(name)} most likely, at odds of "
+                text = (f"something may be missing, {plain_words(name)} most likely, with odds of "
                         f"{odds_text(decision.log_odds[name])}: not enough to name a cause")
             case "not_finished":
                 text = f"not finished: {self._not_looked_at()}"
@@ -297,7 +297,7 @@ class Diagnosis(Shown):
             effects = "; ".join(each.in_words for each in self.provisional.established)
             best = f"best so far is {effects}. The missing steps may explain as much, or more" if effects else (
                 "nothing explains it so far")
-            yield f"Provisional: of what was tried ({', '.join(map(plain_words, self.tried))}), {best}."
+            yield f"Provisional: of the tried hypotheses ({', '.join(map(plain_words, self.tried))}), {best}."
         every = dict.fromkeys(map(plain_words, self.found.undone))
         if len(every) > NAMED:
             yield f"Not looked at: {', '.join(every)}."
