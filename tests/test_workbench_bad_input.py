@@ -142,7 +142,7 @@ CHIP_MISTAKES = {
     "particle in a vacuum": ('cavity = "water"\ntemperature = "20 degC"', 'cavity = "vacuum"',
                              ["states.filled.particle", "'polystyrene'", "no particle without a fluid"]),
     "one material of two densities": ('thickness = "0.72 mm"', 'thickness = "0.72 mm"\ndensity = "1000 kg/m^3"',
-                                      ["density of sidewall", "1000.0", "that substrate gives the same material"]),
+                                      ["density of sidewall", "1000.0", "of the same material"]),
     "syntax": ('thickness = "0.85 mm"', "thickness = 0.85 mm", ["TOML syntax", "line 17"]),
 }
 

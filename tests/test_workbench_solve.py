@@ -162,7 +162,7 @@ def test_a_sloppy_factor_is_refined_and_a_useless_one_refused() -> None:
     found, residual = sloppy.solve(right)
     assert found == pytest.approx(inverse @ right, rel=1e-12)
     assert residual < 1e-14
-    with pytest.raises(NotConverged, match=r"1e\+06 Hz left a scaled residual of 1\.00e\+00, above 1e-10") as caught:
+    with pytest.raises(NotConverged, match=r"1e\+06 Hz has a scaled residual of 1\.00e\+00, above 1e-10") as caught:
         Factor(1e6, triangle, np.ones(2), np.zeros_like).solve(right)
     assert caught.value.iterate.tolist() == [0, 0]
 
