@@ -109,8 +109,8 @@ def check_straight(
                              "sides")
         for key, offset in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset)):
             if offset and measure.planes:
-                raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset beside a plane of "
-                                 'symmetry; symmetry = "none" under [chip] meshes both sides')
+                raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset in a chip with a "
+                                 'plane of symmetry; symmetry = "none" under [chip] meshes both sides')
     for i, (below, layer) in enumerate(itertools.pairwise(layers), 1):
         if min(layer.sides[1], below.sides[1]) < max(layer.sides[0], below.sides[0]) + SAME_LENGTH:
             left, right = map(millimetres, below.sides)

@@ -167,7 +167,7 @@ eps33 = { value = 663.2, unit = "1", loss = 0.02 }
     ('q = "75"', "a number without unit"),
     ('loss = "0.05"', "a percentage of it such as"),
     ("loss = 50", "a number not above zero"),
-    ('loss_tangent = 0.02, frequency = "1 kHz"', "constant over the band"),
+    ('loss_tangent = 0.02, frequency = "1 kHz"', "only an attenuation has one"),
     ("loss_tangents = 0.02", "did you mean 'loss_tangent'"),
 ])  # fmt: skip
 def test_losses_that_are_refused(tmp_path: Path, stated: str, message: str) -> None:

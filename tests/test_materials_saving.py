@@ -147,7 +147,7 @@ def test_what_is_no_fit_is_not_saved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("found", "message"), [
     (lambda: fitted(_start(), {"c33": Value(121e9 + 1e9j, "", "")}, fit=FIT), "not saved.*c33.*imaginary part <= 0"),
     (lambda: fitted(_start(), {"c33": Value(121e9, "", "", uncertainty=math.nan)}, fit=FIT), "c33.uncertainty.*nan"),
-    (lambda: fitted(_start(), {"c33": Value(121e9, "", "", low=122e9)}, fit=FIT), "c33.low.*holds the value, 1.21e"),
+    (lambda: fitted(_start(), {"c33": Value(121e9, "", "", low=122e9)}, fit=FIT), "c33.low.*1.21e"),
     (lambda: fitted(_start(), {"c33": Value(121e9, "", "", loss_high=-1.0)}, fit=FIT), "c33.loss_high"),
     (lambda: fitted(_start(), {"c33": Value(121e9, "", "", status="good")}, fit=FIT), "c33.status.*'good'"),
     (lambda: _found(fit=replace(FIT, recordings=())), "fit.recordings.*at least one"),

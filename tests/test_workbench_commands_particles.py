@@ -216,7 +216,7 @@ def test_another_voltage_labels_its_results(shot: wb.Snapshot) -> None:
     assert half.description == "5 Vpp at the electrodes"
     assert (half.voltage, half.energy_density) == pytest.approx((0.5 * once.voltage, 0.25 * once.energy_density))
     assert "5 Vpp at the electrodes" in str(found)
-    with pytest.raises(InputError, match=r"voltage_factor: received 300\.0; expected at most 200, which makes 2000"):
+    with pytest.raises(InputError, match=r"voltage_factor: received 300\.0; expected at most 200, .* 2000"):
         wb.trajectories(shot, 1.0, voltage_factor=300.0)
 
 

@@ -199,7 +199,7 @@ def test_the_error_falls_with_the_order_of_the_elements() -> None:
 
 def test_heat_needs_a_way_out() -> None:
     mesh = disc_mesh(2, 1.0)
-    for cooling, words in (({"": 0.0}, "a way for the heat to leave"), ({"": -1.0}, "0 W/\\(m\\^2 K\\) or more"),
+    for cooling, words in (({"": 0.0}, "a heat transfer coefficient above"), ({"": -1.0}, "0 W/\\(m\\^2 K\\) or more"),
                            ({"transduce|outside": 1.0}, "did you mean 'transducer|outside'")):
         with pytest.raises(InputError, match=words.replace("|", "\\|")):
             conduction(mesh, {"transducer": CONSTANTS}, cooling=cooling)

@@ -74,7 +74,7 @@ def test_the_causes_add_up(flow: Streaming) -> None:
     np.testing.assert_allclose(sum(flow.causes.values()), flow.carrier_velocity, atol=1e-15)
     np.testing.assert_allclose(flow.velocity + flow.drift, flow.carrier_velocity, atol=1e-15)
     assert 0.0 < flow.rms_speed < flow.largest_speed
-    assert flow.assumptions == ("The temperature is taken as even: no force of sound or gravity on warmer liquid.",)
+    assert flow.assumptions == ("The temperature is assumed uniform: no force of sound or gravity on warmer liquid.",)
 
 
 def test_the_slip_is_that_of_the_flow_at_the_walls(flow: Streaming) -> None:
