@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ROUND_TOLERANCE = 1e-9
 
 
-#: The same for shaped layers: the kernel integrates their surfaces numerically, to 1e-9 in trials.
+#: Tolerance for shaped layers: the kernel integrates their surfaces numerically, to 1e-9 in trials.
 SHAPED_TOLERANCE = 1e-7
 
 

@@ -613,7 +613,7 @@ def test_two_entries_without_one_default(tmp_path: Path) -> None:
 
 
 def test_a_folder_cannot_shadow_the_package(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a name of its own"):
+    with pytest.raises(InputError, match="a unique name"):
         _folder(tmp_path, SOLID, name="pla/acevedo_2026").names()
 
 

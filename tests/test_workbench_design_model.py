@@ -227,7 +227,7 @@ def test_bad_questions(chip: Chip, model: DesignModel) -> None:
         full_evaluation(chip, "filled", {"sidewal.thickness": 1e-3}, figures=("f0",))
     with pytest.raises(InputError, match="did you mean"):
         full_evaluation(chip, "filled", {f"{PLA}.sheer_modulus": 1e9}, figures=("f0",), accuracy=COARSE)
-    with pytest.raises(OutOfRange, match="the model was made for"):
+    with pytest.raises(OutOfRange, match="the range of the model is"):
         model({"cavity.radius": 5e-3})
     with pytest.raises(KeyError, match="no range for"):
         model({"cavity.height": 3e-3})
