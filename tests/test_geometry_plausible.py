@@ -114,5 +114,5 @@ def test_temperatures_particles_and_densities_are_asked_about(chip: Chip) -> Non
 
 @pytest.mark.parametrize("text", ["100000 Vpp", "0.01 mVpp", "10 Vpp @ 5e7 ohm", "10000 W"])
 def test_a_drive_that_no_amplifier_gives_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="a plausible .* of an amplifier"):
+    with pytest.raises(InputError, match=r"a plausible .* of an amplifier"):
         parse_drive(text)
