@@ -195,7 +195,7 @@ def _section(
     if solids:
         return DrawnLayer(*cut(solids[0], placement, asymmetry, source, field))
     if placement != Placement():
-        raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile place solids alone")
+        raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile are for solids")
     faces = [face for each in shapes for face in each.Faces()]
     if not faces:
         faces = [_closed(wire, source, field) for each in shapes for wire in each.Wires()]

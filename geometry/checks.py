@@ -120,7 +120,7 @@ def check_cavity(
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].{key}", _hole(layer), "no cavity in the transducer; of a ring state the "
+                file, f"layers[{i}].{key}", _hole(layer), "no cavity in the transducer; for a ring, state "
                 f"inner_{measure.across}"
             )
         if layer.bore is not None:
@@ -221,7 +221,7 @@ def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXI
                              f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}")
         if layer.bore is not None and any(each.profile is not None for each in layers):
             raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
-                             "no empty ring in a chip of which a layer has a profile: draw it as an outline")
+                             "no empty ring in a chip in which a layer has a profile: draw it as an outline")
         if layer.role != TRANSDUCER:
             if layer.poled != "up" or layer.live is not None:
                 raise InputError(file, f"layers[{i}].poled", layer.poled, "no poling of a layer that is no transducer")

@@ -154,7 +154,7 @@ def _opening(faces: Mapping[str, cadquery.Shape]) -> str:
         if distance > cad.SAME_POINT:
             found.append((distance, f"an opening between {one} and {other}, {distance:.4g} mm wide at "
                           f"{cad.place(points[0])}"))
-    return min(found)[1] if found else "no room that the layers enclose"
+    return min(found)[1] if found else "no empty space between the layers"
 
 
 # --------------------------------------------------------------------------------------------------------------------

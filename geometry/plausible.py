@@ -197,7 +197,7 @@ def moved_beyond(name: str, old: float, new: float) -> bool:
 
 
 def _how(name: str) -> str:
-    return f'if it is meant, write unusual = ["{name}"] under [chip]'
+    return f'if it is intended, write unusual = ["{name}"] under [chip]'
 
 
 def _stated(

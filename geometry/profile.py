@@ -149,7 +149,7 @@ def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS, *, scripts: bo
         source = StepPart(path, table.text("part", expected="the name of a solid in the file"),
                           table.quantity("scale", "length", 1e-3), content)
         if parameters:
-            raise table.error("parameters", "none: a STEP file is as it is")
+            raise table.error("parameters", "none: a STEP file has no parameters")
     return Profile(source, parameters, angles, asymmetry, placement)
 
 
@@ -189,7 +189,7 @@ def _parameters(
     found, angles = [], set()
     for name in table:
         if not name.isidentifier() or name in {*of_layer, *SHAPES, *RESERVED}:
-            raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
+            raise table.error(name, "a name of letters, digits and underscores that is no key of the layer")
         inner = table.table(name) if isinstance(table.content[name], Mapping) else None
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]
         kind = "angle" if isinstance(value, str) and value.strip().endswith(("deg", "rad")) else "length"
@@ -226,7 +226,7 @@ def _outline(table: FileTable, names: set[str], angles: frozenset[str]) -> Outli
         inner.required("at", 'a point ["1 mm", "0 mm"]: r and z')
         through = inner.content.get("through", [])
         if not isinstance(through, list) or ("arc" in inner and through):
-            raise inner.error("through", "a list of points, and no arc besides")
+            raise inner.error("through", "a list of points, without an arc")
         corners.append(Corner(
             point(inner.content["at"], f"{place}.at"),
             size(inner.content["fillet"], f"{place}.fillet") if "fillet" in inner else None,

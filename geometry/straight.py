@@ -204,8 +204,8 @@ def _check_channels(layer: Layer, layers: Sequence[Layer], place: int, file: str
         raise InputError(file, f"layers[{place}].channels", f"{layer.channels}, {millimetres(pitch)} apart",
                          f"{first.channels}, {millimetres(first.pitch)} apart, as in {first.region!r}")
     if layer.channels > 1 and any(each.profile is not None for each in layers):
-        raise InputError(file, f"layers[{place}].channels", layer.channels, "one channel in a chip of which a layer "
-                         "has a profile; of several, state draft where their walls slope")
+        raise InputError(file, f"layers[{place}].channels", layer.channels, "one channel in a chip in which a layer "
+                         "has a profile; for several channels, state the draft of their walls")
 
 
 def head_keys(measure: Measure) -> Mapping[str, str]:

@@ -50,7 +50,7 @@ def test_a_length_of_no_such_part_is_asked_about(
         assert name in ("cavity.radius", "transducer.radius")
         return
     assert (error.value, error.nearest) == (received, (meant,))
-    assert f'if it is meant, write unusual = ["{name}"] under [chip]' in error.expected
+    assert f'if it is intended, write unusual = ["{name}"] under [chip]' in error.expected
 
 
 def test_a_chip_file_of_metres_is_asked_about_and_may_insist(tmp_path: Path) -> None:

@@ -177,7 +177,7 @@ def written(folder: Path, profile: str) -> Chip:
     ('script = "rings.py", function = "ring", points = []', r"received \['points', 'script'\]; expected one of points"),
     ('parameters = { a = "1 mm" }', r"profile: received None; expected one of points, script, step"),
     ('scrip = "rings.py"', r"profile.scrip.*did you mean 'script'"),
-    ('script = "rings.py", function = "ring", parameters = { radius = "1 mm" }', r"parameters.radius.*has not itself"),
+    ('script = "rings.py", function = "ring", parameters = { radius = "1 mm" }', r"parameters.radius.*no key of"),
     ('script = "rings.py", function = "ring", parameters = { fill = "1 mm" }', r"expected one called 'fill'"),
     ('script = "ring.py", function = "ring"', r"profile.script: received 'ring.py'.*did you mean 'rings.py'"),
     ('script = "rings.py", function = "rings"', r"rings.py: function: received 'rings'.*did you mean 'ring'"),

@@ -229,6 +229,6 @@ def test_a_second_and_an_open_channel_are_refused_in_words_of_straight_chips() -
     with pytest.raises(InputError, match='inner_half_width and filling = "water"') as caught:
         chip(CHIP.replace(lid, lid.replace("superstrate", "substrate") + wall + lid))
     assert "axisymmetric" not in str(caught.value)
-    with pytest.raises(InputError, match="of an open well or channel state open = true") as caught:
+    with pytest.raises(InputError, match="for an open well or channel, state open = true") as caught:
         chip(CHIP.replace(lid, ""))
     assert "cavity_half_width" in str(caught.value)
