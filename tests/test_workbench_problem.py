@@ -84,7 +84,7 @@ def with_material(chip: Chip, region: str, material: str, density: float | None 
     ("region", "material", "density", "message"),
     [
         ("transducer", "pla/acevedo_2026", None, "material of transducer.*pla/acevedo_2026.*a piezoelectric material"),
-        ("sidewall", "pla/acevedo_2026", 1000.0, "density of sidewall.*1000.*1131.*substrate.*pla/acevedo_2026"),
+        ("sidewall", "pla/acevedo_2026", 1000.0, "density of sidewall.*1000.*1131.*pla/acevedo_2026.*substrate"),
         ("bond", "epoxi", None, "epoxi.*epoxy"),
     ],
 )
