@@ -185,7 +185,7 @@ def written(folder: Path, profile: str) -> Chip:
     ('script = "rings.py", function = "listed"', r"rings.py: listed: received 'list'; expected a CadQuery solid"),
     ('script = "rings.py", function = "twice"', r"twice: received '2 solids'; expected one solid"),
     ('script = "rings.py", function = "beside"', r"beside: received 'a body of revolution about z through x = 1 mm'; "
-     r'.*origin = \["1 mm", "0 mm", "0 mm"\] says'),
+     r'.*origin = \["1 mm", "0 mm", "0 mm"\]'),
     ('script = "rings.py", function = "square"',
      r"square: received '19.8 % of its volume.*axisymmetric only: .* a disc of its thickness and area"),
     ('script = "rings.py", function = "metres"', r"metres: received 'a solid 0.026 mm wide'; .*are in millimetres"),
