@@ -1,4 +1,4 @@
-"""Shapes: a chip described in words and millimetres, its axisymmetric section, its mesh, its solids.
+"""A chip in words and millimetres, its section, mesh and solids.
 
-A chip knows a material only as a name; this package imports neither ``materials`` nor ``workbench``.
+A chip knows materials only by name; this package imports neither ``materials`` nor ``workbench``.
 """

@@ -1,6 +1,6 @@
-"""A function answered by a process of its own, because a library that it calls may crash, or never end.
+"""Function calls in a separate process, for libraries that crash or hang.
 
-Requests and answers are JSON: nothing that the process sends is executed.
+Requests and answers are JSON, so data from that process are never executed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,23 @@ PR_SET_PDEATHSIG = 1
 
 
 class NoAnswer(RuntimeError):
-    """The process ended without an answer; the message says how."""
+    """The process ended without an answer; the message states how."""
 
 
 def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
-    """The answer (JSON) of a function, ``module:name``, to a request (JSON), which may take so many `seconds`.
+    """Call a function, ``module:name``, in a separate process; return its answer (JSON).
+
+    Args:
+        request: the argument (JSON).
+        seconds: time limit of the call.
 
     Raises:
-        NoAnswer: the process crashed, failed, or took longer.
+        NoAnswer: the process crashed, failed or exceeded the time limit.
     """
-    # It ends without destructors: those of a library may crash yet.
+    # The process exits without destructors, because those of a library may crash.
     code = (f"import os, sys; sys.path[:] = {sys.path!r}; from geometry.apart import answer_request; "
             f"answer_request({function!r}, {seconds}); os._exit(0)")
-    # In a session of its own Ctrl-C is not for it: this process is interrupted, and ends it.
+    # The process has its own session and does not get Ctrl-C; this process is interrupted and ends it.
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], input=json.dumps(request).encode(),
                           stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True, check=False)
     if done.returncode == -signal.SIGALRM:
@@ -47,13 +51,13 @@ def answer_apart(function: str, request: Any, *, seconds: int) -> Any:
 
 
 def answer_request(function: str, seconds: int) -> None:
-    """Write the answer to the request on standard input to standard output, in the process of :func:`answer_apart`."""
-    # The system ends a process whose library never returns, and one whose parent has ended.
+    """Answer the request on standard input; runs in the process of :func:`answer_apart`."""
+    # The system ends the process if its library never returns or its parent has ended.
     signal.alarm(seconds)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # Prints of the library must not get between the answer.
+    # Prints of the library must not mix with the answer.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     module, _, name = function.partition(":")

@@ -1,7 +1,7 @@
-"""Uncertainties of lengths that nobody measured, assumed by the role of their layer.
+"""Assumed uncertainties of lengths without a stated tolerance, by layer role.
 
-A number that is freed without a stated accuracy - in a fit, a live view, a tolerance analysis or a diagnosis - gets the
-accuracy that people who make such parts would state. Reports show it as assumed.
+Fits, live views, tolerance analyses and diagnoses use them. The values are typical of parts of each kind. Reports mark
+them as assumed.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from dataclasses import dataclass
 from geometry.dimension import Dimension
 from geometry.names import CAVITY, role_of
 
-#: Films that are spread by hand: their thickness is known to within this factor, and searched within these multiples of
-#: its value. Doubled, a gel stated as 20 um would be as likely one of 120 um as one of 20 um.
+#: Films are spread by hand: their thickness is uncertain by this factor and searched within these multiples of its
+#: value. With twice the factor, a gel stated as 20 um is as likely 120 um as 20 um.
 FILMS = ("couplant", "bond")
 FILM_FACTOR, FILM_RANGE = 3.0, (0.1, 5.0)
 
-#: Roles of parts that are printed layer on layer, and the tolerance (m) of their lengths and of those of their holes: a
-#: layer, or half the width of a line of filament.
+#: Roles of printed parts, and the tolerance (m) of their lengths and holes: one printed layer, or half a filament
+#: width.
 PRINTED = ("substrate", "sidewall")
 PRINTED_TOLERANCE = 50e-6
 
-#: Materials that are etched instead, beside all that end in "_glass", and the tolerance (m) of widths and the relative
-#: one of depths and of wafers, a micrometre at least: a mask, its undercut, and the evenness of an etch over a wafer.
+#: Materials that are etched (also all that end in "_glass"). Tolerances: mask (m) for widths; relative depth, at least
+#: LEAST_DEPTH_TOLERANCE (m), for depths and wafers.
 ETCHED, MASK_TOLERANCE, DEPTH_TOLERANCE, LEAST_DEPTH_TOLERANCE = ("silicon", "fused_silica", "quartz"), 2e-6, 0.01, 1e-6
 
 #: Materials that are turned or milled instead.
@@ -33,9 +33,8 @@ TURNED = ("stainless_steel", "steel", "aluminium", "brass", "titanium")
 #: Relative tolerance of turned, lapped or bought parts: catalogues of discs and lids state 0.5 to 2 %.
 MACHINED_TOLERANCE = 0.01
 
-#: Standard uncertainty of a shape (m; rad for a draft), as found in parts of its kind: printers and moulds widen a hole
-#: by a degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs are flat
-#: to a few micrometres.
+#: Typical standard uncertainty of a shape (m; rad for a draft): printers and moulds widen a hole by a degree, a printed
+#: side bulges by a tenth of a filament width, thin glass and lapped discs are flat to a few micrometres.
 SHAPE_UNCERTAINTY: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 4e-5, "bow": 4e-6, "dome": 2e-6}
 
 
@@ -43,9 +42,9 @@ SHAPE_UNCERTAINTY: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 
 class LengthUncertainty:
     """The uncertainty of a length.
 
-    ``deviation`` (m; rad for an angle) is the standard uncertainty; ``low`` and ``high`` are the limits that stand for
-    it, and ``lowest`` and ``highest`` those of a search. ``assumed`` says in words which assumption was made, and is
-    empty if the chip file states the accuracy.
+    ``deviation`` (m; rad for an angle) is the standard uncertainty. ``low`` and ``high`` bound the uniform law,
+    ``lowest`` and ``highest`` bound a search. ``assumed`` names the assumption in words; it is empty if the chip file
+    states the tolerance.
     """
 
     deviation: float
@@ -57,24 +56,24 @@ class LengthUncertainty:
 
 
 def is_film(name: str) -> bool:
-    """Whether the dimension ``<region>.<what>`` is the thickness of a film of gel or glue."""
+    """Whether a dimension is the thickness of a gel or glue film."""
     region, _, what = name.rpartition(".")
     return what == "thickness" and role_of(region) in FILMS
 
 
 def length_uncertainty(name: str, length: Dimension, material: str = "") -> LengthUncertainty:
-    """The uncertainty of the dimension ``<region>.<what>``: stated in the chip file, or assumed by its role.
+    """The uncertainty of a dimension: stated in the chip file, or assumed.
 
-    Parts of a chip are taken to be printed, unless their `material` is one that is etched or turned. A tolerance is the
-    limit of a uniform law. A search goes to three tolerances, or to 2 % of the length if that is more. The thickness of
-    a film is known to a factor: its logarithm is uniform.
+    Parts are assumed to be printed, unless their `material` is usually etched or turned. A tolerance is the half width
+    of a uniform law. A search extends to three tolerances, at least 2 % of the length. The logarithm of a film
+    thickness is uniform.
     """
     region, _, what = name.rpartition(".")
     value, size = length.value, abs(length.value)
     if length.tolerance is not None:
         return _limited(value, length.tolerance, "")
     if what in SHAPE_UNCERTAINTY:
-        return _limited(value, math.sqrt(3.0) * SHAPE_UNCERTAINTY[what], "a shape as far as parts of its kind have it")
+        return _limited(value, math.sqrt(3.0) * SHAPE_UNCERTAINTY[what], "a shape typical of parts of this kind")
     if is_film(name):
         return LengthUncertainty(
             size * math.log(FILM_FACTOR) / math.sqrt(3.0), value / FILM_FACTOR, value * FILM_FACTOR,
@@ -93,7 +92,7 @@ def length_uncertainty(name: str, length: Dimension, material: str = "") -> Leng
 
 
 def assumed_uncertainty(name: str, value: float, material: str = "") -> LengthUncertainty:
-    """The uncertainty assumed for a dimension of that `value` (m or rad), whatever the chip file states."""
+    """The assumed uncertainty of a dimension of that `value` (m or rad)."""
     return length_uncertainty(name, Dimension(value), material)
 
 

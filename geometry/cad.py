@@ -1,4 +1,4 @@
-"""Layers of any shape drawn by CadQuery, in the half plane x = r, z, in **millimetres** as in every CAD file."""
+"""Sections of layers of any shape, drawn by CadQuery. Lengths are in millimetres, in the half plane x = r, z."""
 
 from __future__ import annotations
 
@@ -24,19 +24,18 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     from cadquery import Compound, Face
 
-#: Largest area (mm^2) that two faces may have in common without an overlap: far below any intended one, far above
-#: rounding.
+#: Largest area (mm^2) that two faces may share without an overlap.
 LEAST_AREA = 1e-7
 
-#: Seconds that the CAD kernel may take for one STEP file. Doubled, a file on which it hangs is refused that much later,
-#: and larger assemblies can be read.
+#: Time limit (s) of the CAD kernel for one STEP file. Doubled, a file that hangs is rejected later and larger
+#: assemblies can be read.
 STEP_SECONDS = 300
 
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """The section of a layer, a face or a compound of two on both sides of a channel, and a note on parts of its solid
-    that the section leaves out ("" for none)."""
+    """A layer's section: a face, or a compound of two. ``left_out`` describes parts of the solid that the section
+    leaves out."""
 
     face: Face | Compound
     left_out: str = ""
@@ -48,7 +47,7 @@ def place(point: Any) -> str:
 
 
 def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
-    """The distance (mm) between two shapes, and the points of the first one at that distance."""
+    """The distance (mm) between two shapes; the nearest points of the first."""
     from OCP.BRepExtrema import BRepExtrema_DistShapeShape
 
     near = BRepExtrema_DistShapeShape(one.wrapped, other.wrapped)
@@ -57,7 +56,7 @@ def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
 
 
 def mirrored(drawn: DrawnLayer, middle: float) -> DrawnLayer:
-    """A section drawn right of r = 0 with its mirror image, moved to a `middle` (m)."""
+    """A section right of r = 0 and its mirror image, joined. They are centred at `middle` (m)."""
     cadquery = cadquery_module()
     both = drawn.face.fuse(drawn.face.mirror("YZ")).clean()
     faces = both.moved(cadquery.Location(cadquery.Vector(MILLIMETRES * middle, 0.0, 0.0))).Faces()
@@ -67,16 +66,16 @@ def mirrored(drawn: DrawnLayer, middle: float) -> DrawnLayer:
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
                  measure: Measure = ABOUT_AXIS, is_transducer: bool = False, steps: tuple[Profile, ...] = ()
                  ) -> DrawnLayer:
-    """The section of a layer whose bottom is at the height `bottom` (m), right of the axis or of its middle.
+    """The section of a profiled layer, right of the axis or middle.
 
     Args:
         sizes: the layer's own dimensions by name (m).
-        steps: the profiles of all parts of STEP files in the chip, which are read together.
+        bottom: height of the layer's bottom (m).
+        steps: the profiles of all STEP parts of the chip, which are read together.
 
     Raises:
-        InputError: the outline is not closed, crosses itself or leaves the half plane, a script or a STEP file lacks
-            the named part, or a solid is not a body of revolution about the axis. Of a straight chip: a script that
-            draws a solid, which has no length to be compared with.
+        InputError: the outline is open, crosses itself or leaves the half plane; a script or a STEP file lacks the
+            part; a solid is not a body of revolution about the axis; the script of a straight chip draws a solid.
     """
     where = profile.source
     if isinstance(where, Outline):
@@ -155,7 +154,7 @@ def _arc(begin: Any, middle: Any, end: Any, *, source: str, field: str) -> Any:
 
 
 def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
-    """Raise if an outline meets itself elsewhere than in the corners of neighbours."""
+    """Raise if an outline touches itself outside the corners of neighbours."""
     count = len(edges)
     for i in range(count):
         for j in range(i + 1, count):
@@ -176,11 +175,11 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 def _section(
     made: Any, asymmetry: float, placement: Placement, source: str, field: str, measure: Measure = ABOUT_AXIS
 ) -> DrawnLayer:
-    """The section of the content of a script or a file: of a solid, or the face itself."""
+    """The section of a CadQuery result: a solid or a face."""
     cadquery = cadquery_module()
     values = [made]
     if isinstance(made, cadquery.Workplane):
-        # Lines that were drawn but not yet made into a shape.
+        # Lines that were drawn but not made into a shape.
         drawn = [*made.ctx.pendingWires, *([cadquery.Wire.assembleEdges(made.ctx.pendingEdges)]
                                            if made.ctx.pendingEdges else [])]
         values = drawn or list(made.vals())
@@ -189,14 +188,14 @@ def _section(
         raise InputError(source, field, type(made).__name__, "a CadQuery solid, face or closed wire")
     solids = [solid for each in shapes for solid in each.Solids()]
     if len(solids) > 1:
-        raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins what touches")
+        raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins solids that touch")
     if solids and isinstance(measure, Straight):
         raise InputError(source, field, "a solid", "the cross-section of a straight chip: a face, or a closed wire, in "
                          'the plane y = 0, as of Workplane("XZ")')
     if solids:
         return DrawnLayer(*cut(solids[0], placement, asymmetry, source, field))
     if placement != Placement():
-        raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile place solids alone")
+        raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile are for solids")
     faces = [face for each in shapes for face in each.Faces()]
     if not faces:
         faces = [_closed(wire, source, field) for each in shapes for wire in each.Wires()]
@@ -219,10 +218,10 @@ def _closed(wire: Any, source: str, field: str) -> Face:
 
 @lru_cache(maxsize=8)
 def step_sections(profiles: tuple[Profile, ...]) -> Mapping[Profile, DrawnLayer]:
-    """The sections of solids of STEP files, by profile. A process of its own reads each file.
+    """The sections of STEP solids, by profile. A separate process reads each file.
 
     Raises:
-        InputError: as in :func:`profile_face`, or the CAD kernel crashed on a file, or did not finish.
+        InputError: as in :func:`profile_face`, or the CAD kernel crashed or did not finish.
     """
     files = dict[tuple[Path, float, str], list[Profile]]()
     for profile in profiles:
@@ -248,7 +247,7 @@ def step_sections(profiles: tuple[Profile, ...]) -> Mapping[Profile, DrawnLayer]
 
 
 def step_answers(request: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The answers of the process of :func:`step_sections` for the parts of one file, up to the first mistake."""
+    """Sections of the parts of one STEP file, as JSON. They end at the first mistake."""
     found = list[dict[str, Any]]()
     path, scale, content = Path(request["path"]), request["scale"], request["content"]
     for each in request["parts"]:
@@ -265,8 +264,8 @@ def step_answers(request: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def section_measures(drawn: DrawnLayer) -> dict[str, float]:
-    """Measures (m) of the section of a solid: ``bottom``, ``thickness``, ``radius`` and, if there is a hole along the
-    axis, ``cavity_radius``."""
+    """Measures (m) of the section of a solid. The keys are ``bottom``, ``thickness``, ``radius`` and, if there is a
+    hole along the axis, ``cavity_radius``."""
     box = drawn.face.BoundingBox()
     found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
     found |= {"cavity_radius": box.xmin} if box.xmin > SAME_POINT else {}
@@ -278,7 +277,7 @@ def section_measures(drawn: DrawnLayer) -> dict[str, float]:
 
 
 def curve_of(edge: Any) -> Arc:
-    """An edge of the half plane as a curve, in its direction."""
+    """A CadQuery edge of the half plane as a curve."""
     from OCP.BRep import BRep_Tool
     from OCP.Geom import Geom_TrimmedCurve
     from OCP.GeomConvert import GeomConvert
@@ -298,7 +297,7 @@ def curve_of(edge: Any) -> Arc:
 
 
 def face_of(arcs: Iterable[Arc]) -> Face:
-    """The face bounded by whole lines and parabolas (`geometry.curves`), whose poles are those of Bezier curves."""
+    """The face bounded by whole lines and parabolas (`geometry.curves`)."""
     cadquery = cadquery_module()
     edges = []
     for arc in arcs:

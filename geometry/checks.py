@@ -20,10 +20,8 @@ from workbench.files.names import check_name, check_title
 
 
 def check_names(name: str, layers: Sequence[Layer], states: Sequence[State], file: str) -> None:
-    """Check that names of states can be parts of file names, and that every other name is text on one line.
-
-    Nobody looks up yet whether the materials exist.
-    """
+    """Check that names and titles are valid text. Names of states must be valid in file names; other names are one
+    line. Nobody looks up yet whether the materials exist."""
     titles = {"chip.name": name}
     for i, layer in enumerate(layers):
         titles |= {f"layers[{i}].material": layer.material, f"layers[{i}].filling": layer.filling or VACUUM}
@@ -40,10 +38,8 @@ def check_dimensions(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], file: str,
     measure: Measure = ABOUT_AXIS,
 ) -> None:
-    """Check that lengths are above zero, tolerances below them, and the ends of the `band` (Hz) in order.
-
-    `named` are all lengths by name, as in `geometry.chip.Chip.dimensions`.
-    """
+    """Check that lengths, tolerances and the `band` (Hz) are valid. `named` are all lengths by name, as in
+    `geometry.chip.Chip.dimensions`."""
     low, high = band
     if not 0.0 < low < high:
         raise InputError(file, "chip.band", [low, high], "two frequencies in Hz above zero, the lower one first")
@@ -76,32 +72,32 @@ def check_dimensions(
 
 
 def check_shapes(layers: Sequence[Layer], file: str) -> None:
-    """Check that stated shapes of layers are finite and can be made, and that their tolerances are not negative."""
+    """Check that shapes of layers are possible and their tolerances valid."""
     profiled = any(layer.profile is not None for layer in layers)
     for i, layer in enumerate(layers):
         for name, size in layer.shapes.items():
             if profiled:
                 raise InputError(file, f"layers[{i}].{name}", dimension_text(size, SHAPES[name]),
-                                 "none in a chip of which "
-                                 "a layer has a profile: say it in a profile of this one")
-            place, said = f"layers[{i}].{name}", dimension_text(size, SHAPES[name])
+                                 "none in a chip in which "
+                                 "a layer has a profile: state it in a profile of this layer")
+            place, shown = f"layers[{i}].{name}", dimension_text(size, SHAPES[name])
             if name == "draft" and layer.cavity_radius is None:
-                raise InputError(file, place, said, "none where there is no hole: it is that of the hole's wall")
+                raise InputError(file, place, shown, "none without a hole: a draft is that of the hole's wall")
             limit = largest_shape(layer, name)
             if not abs(size.value) < limit:
-                raise InputError(file, place, said, f"less than {_shown(name, limit)} to either side")
+                raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
             if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:
                 raise InputError(file, f"{place}.tolerance", _shown(name, size.tolerance), "zero or more")
             if name == "draft" and layer.inner_radius + math.tan(size.value) * layer.thickness.value <= 0.0:
-                raise InputError(file, place, said, "a hole that does not close before the top of the layer")
+                raise InputError(file, place, shown, "a hole that does not close before the top of the layer")
             if name == "draft" and (room := _beside_holes(layer)) < math.tan(size.value) * layer.thickness.value:
-                raise InputError(file, place, said, "walls that stay apart and within the layer up to its top: there "
+                raise InputError(file, place, shown, "walls that stay apart and within the layer up to its top: there "
                                  f"is {millimetres(room)} beside each, which they reach at "
                                  f"{_shown(name, math.atan(room / layer.thickness.value))}")
 
 
 def _beside_holes(layer: Layer) -> float:
-    """The least room (m) that a wall of the layer's holes has before it meets another one, or the layer's side."""
+    """The least space (m) beside the walls of a layer's holes."""
     between = [0.5 * (right[0] - left[1]) for left, right in itertools.pairwise(layer.holes)]
     (left, right), (low, high) = layer.sides, layer.hole_sides
     return min(low - left, right - high, *between)
@@ -115,16 +111,16 @@ def _shown(name: str, size: float) -> str:
 def check_cavity(
     layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS, *, is_open: bool = False
 ) -> None:
-    """Check that holes are in neighbouring layers, narrower than these, and closed below and, unless the cavity
-    `is_open`, above."""
+    """Check that the cavity is continuous and closed. Its holes are in neighbouring layers and narrower than these. The
+    top may be open if `is_open`."""
     key = f"cavity_{measure.across}"
-    # A hole is never wider than its neighbours, so no ring is left without support either.
+    # A hole is never wider than its neighbours, so every ring is supported.
     places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
     for i in places:
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].{key}", _hole(layer), "no cavity in the transducer; of a ring state the "
+                file, f"layers[{i}].{key}", _hole(layer), "no cavity in the transducer; for a ring, state "
                 f"inner_{measure.across}"
             )
         if layer.bore is not None:
@@ -198,7 +194,7 @@ def _check_fillings(layers: Sequence[Layer], file: str, measure: Measure) -> Non
 
 
 def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
-    """Check that no layer covers the open cavity, whose uppermost hole is in ``layers[top]``."""
+    """Check that no layer covers an open cavity. Its uppermost hole is in ``layers[top]``."""
     above = layers[top + 1] if top + 1 < len(layers) else None
     if above is None or above.bore is not None or above.profile is not None:
         return
@@ -213,7 +209,7 @@ def _hole(layer: Layer) -> str:
 
 
 def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS) -> None:
-    """Check that every layer has a role, that one is the transducer, and that each rests on the one below."""
+    """Check the roles of layers, and that each rests on another."""
     roles = [layer.role for layer in layers]
     for i, layer in enumerate(layers):
         choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
@@ -225,7 +221,7 @@ def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXI
                              f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}")
         if layer.bore is not None and any(each.profile is not None for each in layers):
             raise InputError(file, f"layers[{i}].inner_{measure.across}", dimension_text(layer.bore),
-                             "no empty ring in a chip of which a layer has a profile: draw it as an outline")
+                             "no empty ring in a chip in which a layer has a profile: draw it as an outline")
         if layer.role != TRANSDUCER:
             if layer.poled != "up" or layer.live is not None:
                 raise InputError(file, f"layers[{i}].poled", layer.poled, "no poling of a layer that is no transducer")
@@ -258,7 +254,7 @@ def check_stack(layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXI
 
 
 def _check_transducers(layers: Sequence[Layer], file: str) -> None:
-    """Check that several transducers have electrodes of their own that do not short-circuit each other."""
+    """Check that several transducers have separate electrodes."""
     places = [i for i, layer in enumerate(layers) if layer.role == TRANSDUCER]
     for i in places[1:]:
         if layers[i].live is None:
@@ -282,7 +278,7 @@ def check_shared_electrodes(layers: Sequence[Layer], electrodes: Electrodes, fil
 
 
 def _nearest(profile: Profile, layer: Layer, measure: Measure) -> float:
-    """Smallest radius (m) of the points of an outline; 0 for a profile that is no outline."""
+    """Smallest radius (m) of an outline's points; 0 without an outline."""
     if not isinstance(profile.source, Outline):
         return 0.0
     sizes = profile.sizes({"thickness": layer.thickness.value, measure.across: layer.outer_radius})
@@ -293,28 +289,28 @@ def _nearest(profile: Profile, layer: Layer, measure: Measure) -> float:
 
 
 def check_electrodes(
-    electrodes: Electrodes, bore: float, rim: float, file: str, measure: Measure = ABOUT_AXIS
+    electrodes: Electrodes, inner: float, outer: float, file: str, measure: Measure = ABOUT_AXIS
 ) -> None:
-    """Check that the electrodes lie on the transducer, whose radii (half widths) are `bore` and `rim` (metres)."""
+    """Check that the electrodes lie on the transducer. Its radii (half widths) are `inner` and `outer` (m)."""
     across = measure.across
-    said = across.replace("_", " ")
+    label = across.replace("_", " ")
     choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
     for name, disc in discs(electrodes):
-        radius = rim if disc.radius is None else disc.radius.value
-        if radius > rim + SAME_LENGTH:
+        radius = outer if disc.radius is None else disc.radius.value
+        if radius > outer + SAME_LENGTH:
             raise InputError(file, f"{name}.{across}",
                              millimetres(radius) if disc.radius is None else dimension_text(disc.radius),
-                             f"at most the transducer's {said}, {millimetres(rim)}")
-        if disc.inner_radius is not None and disc.inner_radius.value < bore - SAME_LENGTH:
+                             f"at most the transducer's {label}, {millimetres(outer)}")
+        if disc.inner_radius is not None and disc.inner_radius.value < inner - SAME_LENGTH:
             raise InputError(file, f"{name}.inner_{across}", dimension_text(disc.inner_radius),
-                             f"at least the transducer's inner {said}, {millimetres(bore)}")
+                             f"at least the transducer's inner {label}, {millimetres(inner)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
             raise InputError(file, f"{name}.inner_{across}", dimension_text(disc.inner_radius),
-                             f"below its {said}, {millimetres(radius)}")
+                             f"below its {label}, {millimetres(radius)}")
 
 
 def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
-    """Check that the ports run through the wall of the cavity, beside each other."""
+    """Check that the ports run through the cavity wall without overlap."""
     if ports is None:
         return
     if not holes:
@@ -344,14 +340,14 @@ def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
 def check_states(
     states: Sequence[State], layers: Sequence[Layer], file: str, measure: Measure = ABOUT_AXIS
 ) -> None:
-    """Check that the cavity has a filling in every state, and that a particle fits into it."""
+    """Check that every state fills the cavity, and its particle fits."""
     holes = [layer for layer in layers if layer.cavity_radius is not None]
     if not states:
         raise InputError(file, "states", None, "at least one state")
     for state in states:
         place = f"states.{state.name}"
         if holes and state.cavity is None:
-            raise InputError(file, f"{place}.cavity", None, f'what fills the cavity: a material or "{VACUUM}"')
+            raise InputError(file, f"{place}.cavity", None, f'the filling of the cavity: a material or "{VACUUM}"')
         if not holes and state.cavity is not None:
             raise InputError(
                 file, f"{place}.cavity", state.cavity, f"no cavity entry: no layer has a cavity_{measure.across}"

@@ -1,7 +1,7 @@
-"""A chip as a person describes it: layers from bottom to top, a cavity through some of them, and its states.
+"""A chip: layers from bottom to top, a cavity, and states.
 
-:func:`read_chip` reads a TOML file. Every length carries its unit; every mistake raises an `InputError` that names the
-file, the field, the value and the remedy. Materials are only names here.
+:func:`read_chip` reads a TOML file. Every length has a unit. Every mistake raises an `InputError` with the file, the
+field, the value and the remedy. Materials are only names here.
 """
 
 from __future__ import annotations
@@ -40,13 +40,12 @@ from workbench.files.tables import FileTable, read_toml
 class Chip:
     """A chip whose description has been checked.
 
-    ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
-    order of the file, ``source`` the origin of the description, ``file`` the name errors are reported under.
-    ``unusual`` lists names whose values are meant although they look like a slip (`geometry.plausible`): a gel of 2 mm,
-    a wide band. ``measure`` is that of the section: discs and rings about an axis, or the cross-section of what is
-    straight; radii are then half widths, from the middle. A cavity that ``is_open`` is a well: nothing covers it, and
-    the liquid has a free surface. ``operating_point`` is the frequency (Hz) that it is driven at, or a word for it
-    (`geometry.operating_point`). ``material_folders`` hold materials of the user's own that the chip is filled from.
+    ``layers`` run from bottom to top, ``band`` is the intended frequency range (Hz), ``states`` are in the order of the
+    file, ``source`` is the origin of the description and ``file`` the name in error messages. ``unusual`` lists names
+    whose values are intended although they look like a slip (`geometry.plausible`). ``measure`` is that of the section:
+    about an axis, or straight, where radii are half widths. A cavity that ``is_open`` is a well with a free surface.
+    ``operating_point`` is the drive frequency (Hz) or a word for it (`geometry.operating_point`). ``material_folders``
+    contain the user's own materials.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -85,17 +84,17 @@ class Chip:
 
     @cached_property
     def holes(self) -> tuple[Layer, ...]:
-        """The layers with a hole, bottom to top; empty for a chip without cavity."""
+        """The layers with a hole, bottom to top; empty without a cavity."""
         return tuple(layer for layer in self.layers if layer.cavity_radius is not None)
 
     @property
     def regions(self) -> tuple[str, ...]:
-        """Names of the layers from bottom to top, then ``cavity`` if there is one, then ``cavity_2`` and so on."""
+        """Names of the layers from bottom to top, then of the cavities."""
         return (*(layer.region for layer in self.layers), *((CAVITY,) if self.holes else ()), *self.further_cavities)
 
     @cached_property
     def further_cavities(self) -> dict[str, tuple[Layer, ...]]:
-        """The layers around every cavity but the first, bottom to top, by its region."""
+        """The layers around each further cavity, bottom to top, by its region."""
         return further_cavities(self.layers)
 
     @property
@@ -105,12 +104,12 @@ class Chip:
 
     @property
     def is_shaped(self) -> bool:
-        """Whether some layer is not a disc with plane faces and upright sides."""
+        """Whether a layer is not a plain disc or ring."""
         return self.is_profiled or any(layer.shapes for layer in self.layers)
 
     @property
     def is_profiled(self) -> bool:
-        """Whether the outline of some layer is not a rectangle (`geometry.profile`)."""
+        """Whether a layer has an outline that is not a rectangle (`geometry.profile`)."""
         return any(layer.profile is not None for layer in self.layers)
 
     def layer(self, region: str) -> Layer:
@@ -123,7 +122,7 @@ class Chip:
         return layers[choose(region, layers, source=self.file, field="region")]
 
     def state(self, name: str | None = None) -> State:
-        """The state of that name, or without a name the last one of the file, in which a device works.
+        """The state of that name, by default the last one.
 
         Raises:
             InputError: the chip has no such state.
@@ -134,7 +133,7 @@ class Chip:
         return states[choose(name, states, source=self.file, field="state")]
 
     def port_axis(self) -> tuple[Layer, float]:
-        """The layer the ports run through and the height of their axes (metres, in the chip's own z).
+        """The layer around the ports, and the height (m) of their axes.
 
         Raises:
             InputError: the chip has no ports, or their height is outside the cavity.
@@ -142,7 +141,7 @@ class Chip:
         return port_axis(self.ports, self.holes, file=self.file)
 
     def materials(self, state: str) -> dict[str, str]:
-        """Material name of every region in that state, ``"vacuum"`` for an empty cavity.
+        """Material name of every region in a state. An empty cavity has ``"vacuum"``.
 
         Raises:
             InputError: the chip has no such state.
@@ -155,21 +154,20 @@ class Chip:
         return names | dict(chosen.materials)
 
     def dimensions(self) -> dict[str, Dimension]:
-        """Every length that can be changed by name, in the order of the layers.
+        """Every length that can be changed, by name, in layer order.
 
-        ``<region>.thickness`` and ``<region>.radius``, ``<region>.inner_radius`` of a ring; ``cavity.radius`` if all
-        holes are equally wide, otherwise ``<region>.cavity_radius`` each; ``electrode_live.radius``,
-        ``electrode_live.inner_radius`` and likewise of the ground electrode if they do not cover the whole face;
-        ``ports.diameter`` and ``ports.height`` if given. In a straight chip ``half_width`` stands in place of
-        ``radius`` in all of these.
+        The names are ``<region>.thickness``, ``<region>.radius`` and ``<region>.inner_radius`` of a ring;
+        ``cavity.radius`` if all holes have one width, otherwise ``<region>.cavity_radius``; ``electrode_live.radius``
+        and ``electrode_live.inner_radius``, and those of the ground electrode, unless they cover the face;
+        ``ports.diameter`` and ``ports.height`` if given. A straight chip has ``half_width`` for ``radius``.
         """
         return dict(named_dimensions(self.layers, self.electrodes, self.ports, self.measure.across))
 
     def with_dimensions(self, values: Mapping[str, float], *, unusual: Collection[str] = ()) -> Chip:
-        """A copy with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
+        """A copy with other lengths (m), by the names of :meth:`dimensions`.
 
-        A changed length loses its tolerance, which was that of its old value. A length outside the usual range is
-        refused unless its name is among the `unusual` ones; a small move out of the range makes it unusual.
+        Layers above move along. A changed length loses its tolerance. A length outside the usual range is rejected
+        unless its name is in `unusual`; a small move out of the range makes it unusual.
 
         Raises:
             InputError: unknown name, a length outside the usual range, or the new lengths do not make a chip.
@@ -181,7 +179,9 @@ class Chip:
                              unusual=(*unusual, *beyond))
 
     def with_tolerances(self, tolerances: Mapping[str, float | None]) -> Chip:
-        """A copy with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
+        """A copy with other tolerances (m or rad), by dimension name.
+
+        None removes a tolerance.
 
         Raises:
             InputError: unknown name.
@@ -191,7 +191,7 @@ class Chip:
     def _changed(
         self, changes: Mapping[str, Callable[[Dimension], Dimension]], *, unusual: Collection[str] = ()
     ) -> Chip:
-        """A copy with `changes` applied to dimensions, by name, and further `unusual` names."""
+        """A copy with `changes` of dimensions and further `unusual` names."""
         known = self.dimensions()
         for name in changes:
             choose(name, known, source=self.file, field="dimension")
@@ -237,21 +237,22 @@ class Chip:
 
 
 def _resized(old: Dimension, value: float) -> Dimension:
-    """A dimension of another size without tolerance; the dimension itself if the size is its own."""
+    """A dimension with another value, without tolerance. It is unchanged if the value is equal."""
     return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
 def read_chip(
     path: Path | str, *, scripts: bool = True, materials: Path | str | Sequence[Path | str] = ()
 ) -> Chip:
-    """Read the chip described by a TOML file, with one folder or several of materials of one's own.
+    """Read a chip from a TOML file.
 
     A layer may be drawn by a Python script beside the file, which runs when the chip is built. A warning names it;
-    ``scripts=False`` or the environment variable ``WORKBENCH_NO_SCRIPTS=1`` refuses it.
+    ``scripts=False`` or the environment variable ``WORKBENCH_NO_SCRIPTS=1`` refuses it. `materials` names one folder or
+    several with the user's own materials.
 
     Raises:
-        InputError: the file is missing, is not TOML, does not describe a chip, or names a script that is refused; a
-            folder of materials that is not there.
+        InputError: the file is missing, is not TOML, does not describe a chip, or names a refused script; a folder of
+            materials does not exist.
     """
     folders = tuple(map(Path, (materials,) if isinstance(materials, str | Path) else materials))
     for folder in folders:
@@ -262,9 +263,9 @@ def read_chip(
 
 
 def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True) -> Chip:
-    """The chip described by the content of a chip file; `source` is the name that mistakes are reported under.
+    """The chip described by the content of a chip file.
 
-    `scripts` is that of :func:`read_chip`.
+    `source` is the name in error messages; `scripts` is that of :func:`read_chip`.
 
     Raises:
         InputError: the content does not describe a chip.
@@ -276,7 +277,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
     measure = read_measure(head)
     layers, electrodes = read_layers(root, measure, scripts=scripts)
     cavity = root.table("cavity").only(("ports", "open", "fill"))
-    unusual = head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual")
+    unusual = head.texts("unusual", (), expected="a list of the names of unusual but intended values")
     layers, is_open = read_well(cavity, layers, measure, unusual)
     return Chip(
         name=read_text(head, "name"),

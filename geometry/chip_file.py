@@ -1,4 +1,4 @@
-"""The text of a chip file, which `geometry.chip.read_chip` reads back to an equal chip."""
+"""Writing of chip files, which `geometry.chip.read_chip` reads back to an equal chip."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from workbench.files.writing import write_atomic
 
 
 def write_chip(chip: Chip, path: Path | str) -> Path:
-    """Write `chip` to `path` as a chip file, whole or not at all. Comments of an earlier file are not kept.
+    """Write `chip` to `path` as a chip file, atomically.
 
-    A script that lies elsewhere is copied beside the file, under a name with its digest.
+    Comments of an earlier file are lost. A script outside the folder is copied beside the file, under a name with its
+    digest.
 
     Raises:
-        InputError: a script has changed since the chip was read, or another file is in the way of its copy.
+        InputError: a script has changed since the chip was read, or another file has the name of its copy.
         OSError: the file cannot be written.
     """
     path = Path(path)
@@ -38,7 +39,7 @@ def write_chip(chip: Chip, path: Path | str) -> Path:
 
 
 def chip_text(chip: Chip, folder: Path = Path()) -> str:
-    """The chip as the text of a chip file in `folder`: lengths with unit, tolerance and note; no digit is lost."""
+    """The text of a chip file in `folder`. Numbers keep all digits."""
     head: dict[str, TomlEntry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
@@ -130,7 +131,7 @@ def _profile(profile: Profile, folder: Path) -> TomlEntry:
 
 
 def placement_keys(placement: Placement) -> dict[str, TomlEntry]:
-    """The keys of a profile that place its solid, without those at their usual value."""
+    """The keys that place a profile's solid, without those at their default."""
     found: dict[str, TomlEntry] = {}
     if placement.axis != AXES["z"]:
         named = next((name for name, axis in AXES.items() if axis == placement.axis), None)
@@ -143,7 +144,8 @@ def placement_keys(placement: Placement) -> dict[str, TomlEntry]:
 
 
 def _script(script: Script, folder: Path) -> str:
-    """A script as a chip file in `folder` names it: where it lies, or as a copy beside the file."""
+    """The path of a script in a chip file in `folder`. A script outside the folder is referred to by its copy beside
+    the file."""
     if lies_below(script.path, folder):
         return _beside(script.path, folder)
     digest = f"-{script.content[:12]}"
@@ -151,7 +153,7 @@ def _script(script: Script, folder: Path) -> str:
 
 
 def _copy(script: Script, folder: Path) -> None:
-    """Put a script where :func:`_script` says that it lies."""
+    """Copy a script to the place of :func:`_script`, unless it is there."""
     there = folder / _script(script, folder)
     if lies_below(script.path, folder):
         return
@@ -163,7 +165,7 @@ def _copy(script: Script, folder: Path) -> None:
 
 
 def _beside(path: Path, folder: Path) -> str:
-    """A path as a file in `folder` names it."""
+    """A path relative to `folder`."""
     return Path(os.path.relpath(path, folder)).as_posix()
 
 

@@ -1,4 +1,4 @@
-"""The half section of any chip: rectangles if all layers are discs, else the faces that CadQuery draws."""
+"""The section of any chip: rectangles, or faces drawn by CadQuery."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 
 def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeSection:
-    """The half section of `chip` with its cavity, filled or not, and without its ports.
+    """The half section of a chip with its cavity and without ports.
 
-    Faces of layers with profiles are cut at the radii of another section, `like`, if given, so that only differing
-    lines move.
+    Faces of layers with profiles are cut at the radii of the section `like`, if given, so that both have the same
+    faces.
 
     Raises:
-        InputError: outlines that cannot be made or do not fit each other.
+        InputError: outlines are invalid or do not fit each other.
         SolidError: a layer has a profile and CadQuery is not installed.
     """
     if not chip.is_profiled:
@@ -38,7 +38,7 @@ def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeS
 
 
 def outer_boundaries(chip: Chip) -> tuple[str, ...]:
-    """Names of the boundaries between the parts of `chip` and its surroundings, which a holder may touch, sorted.
+    """Sorted names of the boundaries between parts and surroundings. A holder may touch them.
 
     Raises:
         InputError, SolidError: as in :func:`chip_section`.
@@ -57,16 +57,17 @@ def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str,
 
 
 def _walls(layers: tuple[Layer, ...]) -> list[str]:
-    """The layers around the cavity."""
+    """Names of the layers around the cavity."""
     return [layer.region for layer in layers if layer.cavity_radius is not None]
 
 
 def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_AXIS) -> dict[str, DrawnLayer]:
-    """The section of every layer by region, as CadQuery draws it: its half from the axis, or from the middle of the
-    layer, and the mirror image of that where the `measure` shows both sides.
+    """The CadQuery section of every layer by region.
+
+    A section extends from the axis, or over both sides if the `measure` shows both.
 
     Raises:
-        InputError: an outline that cannot be made.
+        InputError: an outline is invalid.
         SolidError: CadQuery is not installed.
     """
     from geometry import cad
@@ -90,8 +91,7 @@ def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_
 
 
 def section_faces(chip: Chip) -> dict[str, Shape]:
-    """The faces of the layers of a chip with profiles, and of its cavity, by region (mm), as in
-    `geometry.dissection.faces_of`.
+    """The faces (mm) of a profiled chip's layers and cavity, by region.
 
     Raises:
         InputError: as in :func:`chip_section`.
@@ -104,7 +104,7 @@ def section_faces(chip: Chip) -> dict[str, Shape]:
 
 
 def volumes(chip: Chip) -> dict[str, float]:
-    """Volume of every region in cubic metres, from the outlines of its section; ports are not counted.
+    """Volume (m^3) of every region, without ports, from its outlines.
 
     Raises:
         InputError: as in :func:`chip_section`.
@@ -121,8 +121,8 @@ def volumes(chip: Chip) -> dict[str, float]:
 
 
 def region_volumes(chip: Chip) -> dict[str, float]:
-    """The :func:`volumes` (m^3) of a chip; of layers of rectangular section in closed form, a thousand times as fast.
-    """
+    """Volume (m^3) of every region, in closed form for rectangular sections. The closed form is a thousand times as
+    fast as :func:`volumes`."""
     if any(layer.profile is not None or layer.shapes for layer in chip.layers):
         return volumes(chip)
     volume = chip.measure.device_volume

@@ -1,4 +1,4 @@
-"""The tables of a chip file: layers with the electrodes, ports, states, band."""
+"""The tables of a chip file: layers, electrodes, ports, states, band."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def read_band(head: FileTable) -> tuple[float, float]:
 
 
 def read_layers(root: FileTable, measure: Measure, *, scripts: bool = True) -> tuple[tuple[Layer, ...], Electrodes]:
-    """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes, with the
-    keys of a chip of that `measure`; `scripts` allows layers that a script draws."""
+    """The layers from bottom to top, and the electrodes. A layer without a stated bottom lies on the one below.
+    `scripts` allows layers drawn by a script."""
     across, doubled = measure.across, measure.doubled
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
@@ -132,7 +132,7 @@ def _measured(profiles: tuple[Profile, ...]) -> dict[Profile, dict[str, float]]:
 
 
 def _further_live(table: FileTable) -> Literal["top", "bottom"] | None:
-    """The live face of a transducer above the first; None if nothing is stated."""
+    """The live face of an upper transducer; None if not stated."""
     own = table.table("electrodes").only(("live",))
     return _live(own) if "live" in own else None
 
@@ -150,19 +150,18 @@ def _either(table: FileTable, key: str, one: str, other: str) -> str:
 def read_well(
     table: FileTable, layers: tuple[Layer, ...], measure: Measure, unusual: Sequence[str] = ()
 ) -> tuple[tuple[Layer, ...], bool]:
-    """The layers with the walls of a well cut at the surface of the liquid, and whether the cavity is open.
+    """The layers of a well, cut at the liquid surface. The flag tells whether the cavity is open.
 
-    Walls above the surface are rings around an empty bore, of which the lowest is named next to the wall it is of.
+    Walls above the surface become rings around an empty bore.
 
     Raises:
-        InputError: a fill that is not inside the cavity, one of no usual depth that is not `unusual`, or of a cavity
-            that is said to be closed.
+        InputError: the fill is outside the cavity, has no usual depth and is not `unusual`, or the cavity is closed.
     """
     is_open = table.flag("open", default="fill" in table)
     if "fill" not in table:
         return layers, is_open
     if not is_open:
-        raise table.error("fill", "no fill, which leaves the surface free, where open = false")
+        raise table.error("fill", "no fill where open = false: a fill has a free surface")
     holes = [layer for layer in layers if layer.cavity_radius is not None]
     depth = table.quantity("fill", "length")
     if depth > 0.0 and holes:
@@ -190,13 +189,13 @@ def read_well(
 
 
 def _other_way(profile: Profile) -> str:
-    """The opposite direction of a profile's axis, in the words of a file."""
+    """The opposite direction of a profile's axis, as written in a file."""
     reverse = tuple(-each + 0.0 for each in profile.placement.axis)
     return next((name for name, axis in AXES.items() if axis == reverse), str(list(reverse)))
 
 
 def _refuse_not_round(table: FileTable) -> None:
-    """Raise for keys of things that are not round, with the advice for each."""
+    """Raise for keys of parts that are not round."""
     for key in table:
         if key.casefold() in NOT_KEYS:
             raise InputError(table.source, table.at(key), table.content[key], NOT_KEYS[key.casefold()])
@@ -208,13 +207,13 @@ def _dimension_or(table: FileTable, key: str, measured: Mapping[str, float]) -> 
 
 
 def _radius_or(table: FileTable, key: str, diameter: str, measured: Mapping[str, float]) -> Dimension:
-    """A radius from the file, from a halved diameter, or else from a measured part."""
+    """A radius from the file, half a diameter, or a measured part."""
     if key in table or diameter in table or key not in measured:
         return read_radius(table, key, diameter)
     return Dimension(measured[key])
 
 
-def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
+def _electrodes(table: FileTable, outer: float, measure: Measure) -> Electrodes:
     if isinstance(measure, Straight):
         refuse_round_keys(table)
         table.only(("live", "live_half_width", "live_inner_half_width", "ground_half_width", "ground_inner_half_width",
@@ -223,19 +222,19 @@ def _electrodes(table: FileTable, rim: float, measure: Measure) -> Electrodes:
         table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius",
                     "live_diameter", "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = _live(table)
-    live_disc, ground_disc = (_disc(table, name, rim, measure) for name in ("live", "ground"))
+    live_disc, ground_disc = (_disc(table, name, outer, measure) for name in ("live", "ground"))
     return Electrodes(live, live_disc, ground_disc, *read_halves(table))
 
 
-def _disc(table: FileTable, name: str, rim: float, measure: Measure) -> ElectrodeDisc:
+def _disc(table: FileTable, name: str, outer: float, measure: Measure) -> ElectrodeDisc:
     across, doubled = f"{name}_{measure.across}", f"{name}_{measure.doubled}"
     radius = _optional_radius(table, across, doubled)
-    if radius is not None and radius.value > rim + SAME_LENGTH:
+    if radius is not None and radius.value > outer + SAME_LENGTH:
         key = across if across in table else doubled
-        size = f"{key.removeprefix(name)[1:].replace('_', ' ')}, {millimetres(rim if key == across else 2.0 * rim)}"
+        size = f"{key.removeprefix(name)[1:].replace('_', ' ')}, {millimetres(outer if key == across else 2.0 * outer)}"
         raise InputError(table.source, table.at(key), radius.typed, f"at most the transducer's {size}")
     # An electrode as wide as its disc covers the face and follows the disc's radius.
-    covers = radius is None or abs(radius.value - rim) <= SAME_LENGTH
+    covers = radius is None or abs(radius.value - outer) <= SAME_LENGTH
     return ElectrodeDisc(None if covers else radius,
                          _optional_radius(table, f"{name}_inner_{measure.across}", f"{name}_inner_{measure.doubled}"))
 
@@ -248,7 +247,7 @@ def read_ports(table: FileTable) -> Ports:
 
 
 def read_states(states: FileTable) -> tuple[State, ...]:
-    """The states in the order of the file; without any, one called ``default``."""
+    """The states in file order; by default one, ``default``."""
     if not states.content:
         return (State("default"),)
     return tuple(_state(name, states.table(name)) for name in states)

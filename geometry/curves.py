@@ -1,4 +1,7 @@
-"""Curves in the half plane (r, z): rational B-splines, which hold lines, arcs, parabolas and splines exactly."""
+"""Curves in the half plane (r, z): rational B-splines.
+
+They represent lines, arcs, parabolas and splines exactly.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from scipy.interpolate import BSpline
 
 Real = NDArray[np.float64]
 
-#: Number of points per knot interval at which a curve is sampled. Twice as many find crossings twice as close.
+#: Number of points per knot interval at which a curve is sampled. Doubled, crossings twice as close are found.
 SAMPLES_BETWEEN_KNOTS = 9
 
 #: Points and weights of a quadrature between two knots, exact for polynomials of degree 15.
@@ -26,7 +29,7 @@ STRAIGHT = 1e-10
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve from t = 0 to t = 1: ``poles`` (r w, z w, w) of a rational B-spline, r and z in metres, w the weights."""
+    """A curve from t = 0 to 1: a rational B-spline. ``poles`` are (r w, z w, w) with r, z in metres and weights w."""
 
     degree: int
     knots: tuple[float, ...]
@@ -39,7 +42,7 @@ class Curve:
 
     @classmethod
     def parabola(cls, start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]) -> Curve:
-        """The parabola through three points (m), the second one at t = 1/2."""
+        """The parabola through three points (m). The second is at t = 1/2."""
         inner = tuple(2.0 * m - 0.5 * (a + b) for a, m, b in zip(start, middle, end, strict=True))
         return cls(2, (0.0, 0.0, 0.0, 1.0, 1.0, 1.0), ((*start, 1.0), (inner[0], inner[1], 1.0), (*end, 1.0)))
 
@@ -69,7 +72,7 @@ class Curve:
         return np.moveaxis((slopes[..., :2] - found[..., :2] * slopes[..., 2:] / weight) / weight, -1, 0)
 
     def samples(self, start: float, end: float) -> Real:
-        """Values of t from `start` to `end`, ends included, some between any two knots."""
+        """Values of t (n,) from `start` to `end`. There are several between two knots."""
         low, high = min(start, end), max(start, end)
         inner = sorted({low, high, *(knot for knot in self.knots if low < knot < high)})
         parts = [np.linspace(a, b, SAMPLES_BETWEEN_KNOTS)[:-1] for a, b in pairwise(inner)]
@@ -79,14 +82,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Arc:
-    """The part of a curve from ``start`` to ``end`` (values of t, in either direction)."""
+    """The part of a curve from t = ``start`` to ``end``."""
 
     curve: Curve
     start: float = 0.0
     end: float = 1.0
 
     def at(self, share: Real) -> Real:
-        """Points (2, ...) in metres at shares (...) of the way, in t, from its start to its end."""
+        """Points (2, ...) in metres at shares (...) of the parameter range."""
         return self.curve.at(self.start + np.asarray(share) * (self.end - self.start))
 
     @cached_property
@@ -145,18 +148,17 @@ class Arc:
 
     @property
     def area(self) -> float:
-        """Its contribution to the area (m^2) that a loop bounds anticlockwise: the integral of r dz."""
+        """Contribution to the area (m^2) of an anticlockwise loop. It is the integral of r dz."""
         return self._integral(lambda point, slope: point[0] * slope[1])
 
     @property
     def moment(self) -> float:
-        """Its contribution to the first moment (m^3) about r = 0 of the area that a loop bounds anticlockwise: the
-        integral of r^2 / 2 dz."""
+        """Contribution to a loop's first moment (m^3) about r = 0. It is the integral of r^2 / 2 dz."""
         return self._integral(lambda point, slope: 0.5 * point[0] ** 2 * slope[1])
 
     def share_of(self, axis: int, value: float) -> float | None:
-        """The share of the way at which a coordinate (0 r, 1 z) is `value` (m), the first of several; None if it never
-        is between the ends."""
+        """The first share where a coordinate (0 r, 1 z) equals `value`. The value is in metres. None if there is none
+        between the ends."""
         if self.curve.is_line:
             begin, end = (point[axis] for point in self.ends)
             return (value - begin) / (end - begin) if min(begin, end) < value < max(begin, end) else None

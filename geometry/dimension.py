@@ -14,7 +14,7 @@ from workbench.files.tables import FileTable
 SAME_LENGTH = 1e-9
 
 
-#: Ends of the names of distances from the axis of a chip, or from the middle of a straight one.
+#: Suffixes of the names of distances from the axis of a chip, or from the middle of a straight one.
 ACROSS = ("radius", "half_width")
 
 #: Shapes that may be stated for a layer, and the dimension of each.
@@ -25,9 +25,9 @@ SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "lengt
 class Dimension:
     """One length of a chip, or one angle.
 
-    ``value`` and ``tolerance`` in metres, or radians (tolerance ``None`` if nobody stated it); ``assumed`` if it was
-    not measured or published but chosen; ``note`` its source. ``typed`` is the value as written in a file, for
-    messages; it is ignored if the value has changed since.
+    ``value`` and ``tolerance`` are in metres or radians; ``tolerance`` is None if not stated. ``assumed`` marks a value
+    that was chosen, not measured or published. ``note`` is its source. ``typed`` is the value as written in a file, for
+    messages; it is ignored if the value has changed.
     """
 
     value: float
@@ -43,7 +43,7 @@ def millimetres(length: float) -> str:
 
 
 def dimension_text(dimension: Dimension, kind: str = "length") -> str:
-    """A length or an angle as text for messages: as it was typed, if the value is still that."""
+    """A length or an angle as message text, as typed if unchanged."""
     try:
         if parse_quantity(dimension.typed, kind, source="", field="") == dimension.value:
             return dimension.typed
@@ -53,7 +53,7 @@ def dimension_text(dimension: Dimension, kind: str = "length") -> str:
 
 
 def read_radius(table: FileTable, key: str, diameter: str) -> Dimension:
-    """The radius under `key`, or half of the diameter under `diameter`, each read by :func:`read_dimension`.
+    """The radius under `key`, or half of the diameter under `diameter`.
 
     Raises:
         InputError: both are given, or neither.
@@ -67,7 +67,10 @@ def read_radius(table: FileTable, key: str, diameter: str) -> Dimension:
 
 
 def read_dimension(table: FileTable, key: str, kind: str = "length") -> Dimension:
-    """Read ``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
+    """Read a length or an angle.
+
+    Examples: ``"2.02 mm"``, ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``.
+    """
     example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
     if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
                                           f'"{example}"'), dict):

@@ -1,9 +1,9 @@
-"""From the faces of layers to a section: the space they enclose, and cuts into faces that are easy to mesh.
+"""Sections from the faces of layers: the cavity, and meshable faces.
 
-Faces of neighbours have to fit: they may not overlap, and the space they enclose is the cavity, or else an unintended
-gap. A face with four sides is filled with rows and columns of quadrilaterals. Other faces are cut by lines along z, in
-corners that point into them and on both sides of steep or strongly curved parts (a fillet, a drafted wall), so that
-only a small part without four sides remains.
+Faces of neighbours may not overlap. The space that they enclose is the cavity, otherwise an unintended gap. A face with
+four sides gets rows and columns of quadrilaterals. Other faces are cut by lines along z, at re-entrant corners and on
+both sides of steep or strongly curved parts (a fillet, a drafted wall), so that only a small part without four sides
+remains.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     import cadquery
 
-#: Least angle (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
+#: Least angle (degrees) by which the tangent turns at a corner of a face.
 CORNER = 30.0
 
-#: Largest slope (degrees) of a side of a face with four sides, and largest angle by which such a side curves.
+#: Largest slope of a side of a face with four sides, and largest angle by which such a side curves (degrees).
 OBLIQUE = 40.0
 
-#: A face is cut beside a steep or curved part at half the width of that part plus this share of the face's height.
+#: Margin of the cuts beside a steep or curved part, as a share of the face's height, added to half the part's width.
 CUT_MARGIN = 0.3
 
 
@@ -45,11 +45,13 @@ def section_of(
     walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
     measure: Measure = ABOUT_AXIS,
 ) -> FreeSection:
-    """The section of layers drawn in the plane, from bottom to top by region: in its half r >= 0, or in all of it if
-    the `measure` shows the device on both sides of its middle.
+    """The section of layers drawn in the plane.
 
-    It has a cavity if there are layers, called `walls`, around one. Regions with `cuts` (m) are cut at these radii
-    beside steep or curved parts.
+    Args:
+        drawn: the sections of the layers by region, bottom to top: for r >= 0, or on both sides if the `measure` is
+            whole.
+        walls: the layers around the cavity; empty without one.
+        cuts: radii (m) of the cuts beside steep or curved parts, by region.
 
     Raises:
         InputError: layers overlap, leave a gap or do not touch, or the cavity is open.
@@ -72,8 +74,9 @@ def section_of(
 def faces_of(
     drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], source: str, measure: Measure = ABOUT_AXIS
 ) -> dict[str, cadquery.Shape]:
-    """The faces of layers by region, and of the cavity that they enclose if some are its `walls`: one each, or a
-    compound of those on both sides of a channel.
+    """The faces of layers and of the enclosed cavity, by region.
+
+    A region on both sides of a channel is a compound.
 
     Raises:
         InputError: as in :func:`section_of`.
@@ -85,7 +88,7 @@ def faces_of(
 
 
 def _check_fit(faces: Mapping[str, cadquery.Shape], source: str) -> None:
-    """Raise if faces overlap, or do not touch the one below."""
+    """Raise if faces overlap or a layer has no contact below."""
     for (one, first), (other, second) in combinations(faces.items(), 2):
         common = [each for each in first.intersect(second).Faces() if each.Area() > cad.LEAST_AREA]
         if common:
@@ -103,18 +106,18 @@ def _check_fit(faces: Mapping[str, cadquery.Shape], source: str) -> None:
 
 
 def _check_contact(section: FreeSection, layers: Sequence[str], source: str) -> None:
-    """Raise if a layer touches what is below it in points alone."""
+    """Raise if a layer touches the layers below only in points."""
     touching = [{section.faces[face].region for face in faces} for faces in section.beside if len(faces) == 2]
     for k, layer in enumerate(layers[1:], start=1):
         if not any(layer in both and both & set(layers[:k]) for both in touching):
-            raise InputError(source, f"layer {layer}", "a contact in points alone with what is below it",
+            raise InputError(source, f"layer {layer}", "a contact in points alone with the layers below",
                              "a layer that lies on one below it, along a line of the section")
 
 
 def _enclosed(
     faces: Mapping[str, cadquery.Shape], *, walls: Collection[str], source: str, measure: Measure
 ) -> cadquery.Face | None:
-    """The space that the faces enclose: the cavity, if there is to be one."""
+    """The enclosed cavity, or None."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
     around = revolution.half_plane(whole.BoundingBox(), is_whole=measure.is_whole)
     edge = around.BoundingBox()
@@ -144,14 +147,14 @@ def _enclosed(
 
 
 def _opening(faces: Mapping[str, cadquery.Shape]) -> str:
-    """The place where the layers around an open cavity come closest to closing it, in words."""
+    """The narrowest opening of an open cavity, in words."""
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):
         distance, points = cad.closest(first, second)
         if distance > cad.SAME_POINT:
             found.append((distance, f"an opening between {one} and {other}, {distance:.4g} mm wide at "
                           f"{cad.place(points[0])}"))
-    return min(found)[1] if found else "no room that the layers enclose"
+    return min(found)[1] if found else "no empty space between the layers"
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -161,8 +164,8 @@ def _opening(faces: Mapping[str, cadquery.Shape]) -> str:
 def _pieces(
     face: cadquery.Face, beside: Sequence[float] | None = None
 ) -> tuple[list[cadquery.Face], tuple[float, ...]]:
-    """A face, cut so that most of it has four sides, and the radii (m) of the cuts beside steep or curved parts: those
-    given as `beside`, if any."""
+    """A face cut into mostly four-sided pieces, and the cuts' radii (m). The cuts beside steep or curved parts are at
+    the radii `beside`, if given."""
     loops = [[cad.curve_of(edge) for edge in edges] for edges in cad.directed_edges(face)]
     if len(loops) == 1 and four_sides(loops[0]) is not None:
         return [face], ()
@@ -170,7 +173,7 @@ def _pieces(
     if beside is None:
         points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
         left, right = points[0].min(), points[0].max()
-        # A cut that would leave only a sliver is not made.
+        # No cut is made that would leave only a sliver.
         beside = [radius for low, high in zones for radius in (low, high)
                   if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low)]
     corners = [radius for radius in _corners(loops) if not any(low < radius < high for low, high in zones)]
@@ -184,7 +187,7 @@ def _pieces(
 
 
 def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
-    """Ranges of radii (m) in which a face is steep or curved, with margins; ranges that meet are one."""
+    """Ranges of radii (m) where a face is steep or curved. They have margins and are merged."""
     arcs = [arc for loop in loops for arc in loop]
     points = np.concatenate([arc.polyline for arc in arcs], axis=1)
     merged: list[tuple[float, float]] = []
@@ -203,7 +206,7 @@ def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
 
 
 def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
-    """Radii (m) of the corners that point into a face."""
+    """Radii (m) of the re-entrant corners of a face."""
     for loop in loops:
         for before, after in zip([loop[-1], *loop], loop, strict=False):
             if turned(before, after) < -CORNER:
@@ -211,7 +214,7 @@ def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
 
 
 def _steepest(arc: Arc) -> float:
-    """The largest angle (degrees) between a curve and the plane z = 0; zero for a line along z."""
+    """The largest slope (degrees) of a curve; zero if vertical."""
     if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < SAME_LENGTH:
         return 0.0
     steps = np.abs(np.diff(arc.polyline, axis=1))
@@ -219,16 +222,14 @@ def _steepest(arc: Arc) -> float:
 
 
 def turned(before: Arc, after: Arc) -> float:
-    """The angle (degrees) by which the tangent turns to the left between two edges of a loop."""
+    """The angle (degrees) of the left turn between two edges."""
     (a, b), (c, d) = before.direction(1.0), after.direction(0.0)
     return math.degrees(math.atan2(a * d - b * c, a * c + b * d))
 
 
 def four_sides(loop: Sequence[Arc]) -> list[list[int]] | None:
-    """The edges (indices in the loop) of the four sides of a face, anticlockwise; None for any other face.
-
-    The first side begins in the corner that is lowest and nearest to the axis.
-    """
+    """The edges (indices) of a face's four sides, anticlockwise, or None. The first side begins in the corner that is
+    lowest and nearest to the axis."""
     turns = [turned(loop[k - 1], loop[k]) for k in range(len(loop))]
     corners = [k for k, angle in enumerate(turns) if angle > CORNER]
     if len(corners) != 4 or min(turns) < -CORNER or max(turns) > 180.0 - CORNER:

@@ -1,4 +1,4 @@
-"""Files of the solids of a chip for other programs: STEP with part names, and one STL per part. Millimetres."""
+"""Export of a chip's solids as STEP and STL, in millimetres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workbench.files.writing import replacing
 
 
 def export_step(chip: Chip, path: Path) -> Path:
-    """Write the assembled chip to `path`, every part under its region name, the cavity's fluid included.
+    """Write the assembled chip as STEP, every part under its region name. The cavity's fluid is included.
 
     Raises:
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
@@ -29,9 +29,9 @@ def export_step(chip: Chip, path: Path) -> Path:
 
 
 def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str, Path]:
-    """Write every part to ``<folder>/<region>.stl``, flat triangles within `deviation` (metres) of the true surface.
+    """Write every part to ``<folder>/<region>.stl``, within `deviation` (m) of the true surface.
 
-    A substrate and the sidewall on it that are of one material are one part, ``substrate.stl``.
+    A substrate and a sidewall of one material are one part, ``substrate.stl``.
 
     Raises:
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
@@ -39,10 +39,10 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
     written = {}
     for name, shape in chip_solids(chip).items():
         written[name] = folder / f"{name}.stl"
-        # The kernel writes no STL to a path with a colon in it.
+        # The kernel cannot write STL to a path with a colon.
         with replacing(written[name]) as whole, TemporaryDirectory() as plain:
             draft = Path(plain) / f"{name}.stl"
-            # The deviation alone bounds the facets: the angle, in radians, is left wide.
+            # Only the deviation limits the facets: the angle (radians) is wide.
             shape.exportStl(str(draft), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
             shutil.copyfile(draft, whole)
     return written

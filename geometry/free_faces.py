@@ -1,4 +1,4 @@
-"""Faces filled by gmsh with triangles and quadrilaterals, which are then cut into quadrilaterals."""
+"""Faces filled by gmsh with triangles and quadrilaterals, then cut into quadrilaterals."""
 
 from __future__ import annotations
 
@@ -22,19 +22,17 @@ from geometry.mesh_size import MeshSize
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: Two sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
+#: Two sides of an element on the edge of a face that turn by less than this (degrees) belong to one smooth line.
 FLAT_TURN = 40.0
 
 
-#: A lock, since gmsh is one session for the whole process: threads take turns.
+#: Threads take turns, since gmsh is one session for the whole process.
 _GMSH_TURN = RLock()
 
 
 def _keep_broken_pipes_errors() -> None:
-    """Make writing to a closed pipe or socket an error again, as Python does: gmsh lets it end the program.
-
-    It works from any thread; :func:`signal.signal` does not.
-    """
+    """Restore Python's SIGPIPE handling: gmsh makes writing to a closed pipe fatal. It works from any thread;
+    :func:`signal.signal` does not."""
     if hasattr(signal, "SIGPIPE") and signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN:
         set_handler = ctypes.pythonapi.PyOS_setsig
         set_handler.argtypes, set_handler.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
@@ -43,9 +41,9 @@ def _keep_broken_pipes_errors() -> None:
 
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
-    """Start gmsh with its own defaults, and shut it down on leaving, error or not.
+    """Start gmsh with its defaults, and shut it down on leaving.
 
-    gmsh is one global session with global options. A new session for every mesh keeps one mesh from changing the next.
+    gmsh is one global session with global options; a new session for every mesh keeps meshes independent.
 
     Raises:
         MeshError: gmsh is not installed, or a session is open already.
@@ -69,7 +67,8 @@ def gmsh_session() -> Iterator[ModuleType]:
 def freely(
     layout: SectionLayout, faces: Sequence[int], along: Sequence[Integers], points: Real, size: MeshSize
 ) -> Iterator[tuple[Real, Integers]]:
-    """Fill faces with gmsh: for each, points inside (2, n), numbered on from the existing ones, and cells (4, m)."""
+    """Fill faces with gmsh: inner points (2, n) and cells (4, m). Inner points are numbered from the number of existing
+    `points` (2, count) on."""
     if not faces:
         return
     with gmsh_session() as gmsh:
@@ -128,11 +127,8 @@ def freely(
 def _elements(
     gmsh: ModuleType, surface: int, known: Mapping[int, int], points: Real
 ) -> tuple[list[list[int]], Real]:
-    """Elements of a surface that gmsh filled: their corners, anticlockwise, and the points inside (2, n).
-
-    The points inside are numbered on from those of `points` (2, count). `known` gives the numbers of these by their
-    tag.
-    """
+    """Elements of a surface filled by gmsh, and inner points (2, n). Elements have anticlockwise corners. Inner points
+    are numbered from the number of `points` (2, count) on. `known` maps gmsh tags to numbers of these."""
     kinds, _, members = gmsh.model.mesh.getElements(2, surface)
     tags, coordinates, _ = gmsh.model.mesh.getNodes(2, surface)
     inner = coordinates.reshape(-1, 3)[:, :2].T / MILLIMETRES
@@ -148,16 +144,16 @@ def _elements(
     return elements, inner
 
 
-def _opened(elements: list[list[int]], rim: set[tuple[int, int]], at: Callable[[int], Real]) -> list[list[int]]:
-    """Elements without any that has two sides in a row on a smooth part of the `rim` (pairs of points, the smaller
-    number first). Cut into quadrilaterals, such an element would have a corner of 180 degrees there.
+def _opened(elements: list[list[int]], edge_sides: set[tuple[int, int]], at: Callable[[int], Real]) -> list[list[int]]:
+    """Elements without flat corners on the edge of a face.
 
-    A quadrilateral is halved from that corner; a triangle is joined with the element behind it, and both are divided
-    from there.
+    An element with two consecutive sides on a smooth part of `edge_sides` (pairs of points, smaller number first) would
+    get a quadrilateral with a corner of 180 degrees. A quadrilateral is halved from that corner; a triangle is joined
+    with the element behind it, and both are divided from there.
     """
     found = [list(element) for element in elements]
     for place, element in enumerate(found):
-        corner = _flat(element, rim, at)
+        corner = _flat(element, edge_sides, at)
         if corner is None:
             continue
         ring = element[corner:] + element[:corner]  # the corner first
@@ -176,11 +172,11 @@ def _opened(elements: list[list[int]], rim: set[tuple[int, int]], at: Callable[[
     return [element for element in found if element]
 
 
-def _flat(element: Sequence[int], rim: set[tuple[int, int]], at: Callable[[int], Real]) -> int | None:
-    """The corner of an element at which two of its sides lie on the rim and turn by little."""
+def _flat(element: Sequence[int], edge_sides: set[tuple[int, int]], at: Callable[[int], Real]) -> int | None:
+    """The corner of an element with two flat sides on the edge. None if there is none."""
     for k in range(len(element)):
         before, here, after = element[k - 1], element[k], element[(k + 1) % len(element)]
-        if all((min(pair), max(pair)) in rim for pair in ((before, here), (here, after))):
+        if all((min(pair), max(pair)) in edge_sides for pair in ((before, here), (here, after))):
             (r0, z0), (r1, z1) = at(here) - at(before), at(after) - at(here)
             if abs(math.degrees(math.atan2(r0 * z1 - z0 * r1, r0 * r1 + z0 * z1))) < FLAT_TURN:
                 return k
@@ -190,13 +186,13 @@ def _flat(element: Sequence[int], rim: set[tuple[int, int]], at: Callable[[int],
 def _subdivided(
     elements: Sequence[Sequence[int]], halves: Mapping[tuple[int, int], int], points: Real, inner: Real
 ) -> tuple[Real, Integers]:
-    """Cut triangles and quadrilaterals into quadrilaterals: points inside (2, n), numbered on from the existing ones,
-    and cells (4, m).
+    """Cut elements into quadrilaterals: inner points (2, n), cells (4, m).
 
     Args:
         elements: numbers of their corners, anticlockwise.
-        halves: the point in the middle of every side on the rim, by the numbers of its ends.
-        points: (2, count) metres, the existing ones; `inner` (2, k) the first ones inside.
+        halves: the midpoint of every side on the edge of the face, by the numbers of its ends.
+        points: existing points (2, count) in metres; new ones are numbered from there on.
+        inner: the first inner points (2, k).
     """
     added, count = list(inner.T), points.shape[1]
     middles = dict(halves)

@@ -1,8 +1,8 @@
-"""From a section of any shape to a mesh of quadrilaterals whose sides follow its curves.
+"""Meshes of sections of any shape: quadrilaterals whose sides follow the curves.
 
-Faces with four sides are filled with rows and columns, like the rectangles of a stack of discs. gmsh fills the others
-with triangles and quadrilaterals of twice the size, which are then cut into three or four quadrilaterals each; the
-sides of such a face are divided twice as often.
+Faces with four sides get rows and columns, like the rectangles of a stack of discs. gmsh fills the others with
+triangles and quadrilaterals of twice the size, which are then cut into quadrilaterals; the sides of such faces are
+divided twice as often.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The division of the faces of a section, for sections that differ from it in sizes alone.
+    """The division of a section's faces, for sections of other sizes.
 
-    ``layout`` of its edges, the shares at which each is ``divided``, and for every face that gmsh filled its cells (4,
-    m) and the points inside (2, n), by the ``size`` asked for.
+    ``layout`` has its edges, ``divided`` the shares at which each is divided, ``filled`` the inner points (2, n) and
+    cells (4, m) of every face that gmsh filled, for the mesh ``size``.
     """
 
     layout: SectionLayout
@@ -41,11 +41,11 @@ class Plan:
 
 
 def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
-    """The mesh of a section of any shape, as fine as `size` asks for.
+    """The mesh of a section of any shape.
 
     Raises:
-        InputError: no speed is given for a region of the section.
-        MeshError: a face cannot be meshed, or the mesh is not the section.
+        InputError: a region of the section has no speed.
+        MeshError: a face cannot be meshed, or the mesh differs from the section.
     """
     layout = laid_out(section, size)
     divided = divisions(layout, section, size)
@@ -56,10 +56,10 @@ def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
 
 
 def moved_free(mesh: SectionMesh, section: FreeSection) -> SectionMesh:
-    """The cells of `mesh` on a section that differs from its own in sizes alone.
+    """The cells of `mesh` on a section that differs only in sizes.
 
-    Divisions of edges are kept. Points inside a face that gmsh filled follow its sides, each by the mean of its
-    neighbours: linearly, so that a small change of a size is a small change of the mesh.
+    Divisions of edges stay. Inner points of a face that gmsh filled move by the mean of their neighbours' shifts, so a
+    small change of a size is a small change of the mesh.
 
     Raises:
         MeshError: the section has other edges or faces, or a cell is folded.
@@ -80,8 +80,8 @@ def moved_free(mesh: SectionMesh, section: FreeSection) -> SectionMesh:
 
 @dataclass(frozen=True)
 class _Made:
-    """Points (2, n), cells (4, m) of them, their faces (m,), the nodes (2, m, k, k) of every cell by their numbers
-    along both coordinates, and the points along every edge."""
+    """The points and cells of a mesh before it has names. ``points`` (2, n), ``cells`` (4, m), ``face`` (m,), ``nodes``
+    (2, m, k, k) of every cell along both coordinates, and the points ``along`` every edge."""
 
     points: Real
     cells: Integers
@@ -91,7 +91,7 @@ class _Made:
 
 
 def _on_edges(layout: SectionLayout, divided: Sequence[Real]) -> tuple[Real, list[Integers]]:
-    """The points on the edges (2, n), those at the ends first, and the numbers of the points along every edge."""
+    """The points on the edges (2, n), and their numbers by edge. The ends of edges come first."""
     points = [np.array(layout.points).T]
     count = points[0].shape[1]
     along: list[Integers] = []
@@ -105,7 +105,7 @@ def _on_edges(layout: SectionLayout, divided: Sequence[Real]) -> tuple[Real, lis
 
 
 def _placed(plan: Plan, layout: SectionLayout) -> _Made:
-    """The cells of a plan on a layout with the edges and faces of its own."""
+    """The cells of a plan on a layout."""
     local, divided = gauss_lobatto(plan.size.order), plan.divided
     on_edges, along = _on_edges(layout, divided)
     sides: dict[tuple[int, int], Real] = {}
@@ -135,8 +135,8 @@ def _placed(plan: Plan, layout: SectionLayout) -> _Made:
 
 
 def _followed(moved: Real, inner: Real, cells: Integers, count: int) -> Real:
-    """Shifts of the points inside a face (2, n), numbered from `count` on, for shifts of the points on the edges (2,
-    m): each is the mean of those of its neighbours in the cells (4, k)."""
+    """Shifts (2, n) of inner points that follow the edge points. Those of the edge points are `moved` (2, m). Each
+    shift is the mean of those of the neighbours in the cells (4, k). Inner points are numbered from `count` on."""
     pairs = np.unique(np.sort(np.concatenate([cells[[a, b]] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))], axis=1),
                               axis=0), axis=1)
     own = [np.concatenate([pairs[0], pairs[1]]), np.concatenate([pairs[1], pairs[0]])]
@@ -153,10 +153,8 @@ def _followed(moved: Real, inner: Real, cells: Integers, count: int) -> Real:
 def _block(
     layout: SectionLayout, face: int, divided: Sequence[Real], along: Sequence[Integers], local: Real, count: int
 ) -> tuple[Real, Integers, Real]:
-    """A face with four sides: points inside (2, n) numbered from `count` on, cells (4, m), nodes (2, m, k, k).
-
-    All nodes follow from the sides by transfinite interpolation.
-    """
+    """The inner points, cells and nodes of a four-sided face. Their shapes are (2, n), (4, m) and (2, m, k, k). All
+    nodes follow from the sides by transfinite interpolation. Inner points are numbered from `count` on."""
     order = local.size - 1
     bottom, right, top, left = (_sampled(layout, side, divided, local) for side in layout.sides[face])
     numbers = [numbers_along(side, along) for side in layout.sides[face]]
@@ -177,7 +175,7 @@ def _block(
 
 
 def _sampled(layout: SectionLayout, side: Sequence[Directed], divided: Sequence[Real], local: Real) -> Real:
-    """The nodes (2, n) along a side, of all its elements in a row."""
+    """The nodes (2, n) of all elements along a side."""
     parts = []
     for number, forwards in side:
         shares = divided[number] if forwards else 1.0 - divided[number][::-1]
@@ -187,7 +185,7 @@ def _sampled(layout: SectionLayout, side: Sequence[Directed], divided: Sequence[
 
 
 def _position(line: Real) -> Real:
-    """Positions of points (2, n) of a side along its chord, as shares."""
+    """Positions of a side's points (2, n) along its chord, as shares."""
     chord = line[:, -1] - line[:, 0]
     return np.asarray(chord @ (line - line[:, :1]) / (chord @ chord))
 
@@ -223,7 +221,7 @@ def _facets(layout: SectionLayout, section: FreeSection, made: _Made, mesh: skfe
 
 
 def _edge_names(layout: SectionLayout, section: FreeSection) -> list[list[str]]:
-    """The names of boundaries that every edge lies on, electrodes included."""
+    """The boundary names of every edge, electrodes included."""
     beside, electrodes = layout.beside(), under_electrodes(layout, section)
     result = []
     for edge, arc in enumerate(layout.edges):

@@ -1,6 +1,6 @@
-"""The half section of a chip whose layers are of any shape: faces bounded by curves, with the names of their regions.
+"""Sections with layers of any shape: faces bounded by curves.
 
-It corresponds to `geometry.section.Section` for rectangles. Regions may be cut into several faces, for the mesh.
+It corresponds to `geometry.section.Section` for rectangles. Regions may be cut into several faces for the mesh.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from geometry.names import interface, outside
 from geometry.section import Electrode, Rectangle
 from workbench.files.errors import choose
 
-#: An edge of a loop, by its number, and whether the loop runs along it.
+#: An edge of a loop: its number, and whether the loop has its direction.
 Directed = tuple[int, bool]
 
 
 def faces_beside(faces: Sequence[Sequence[Sequence[Directed]]], count: int) -> tuple[tuple[int, ...], ...]:
-    """The faces, one or two, on the sides of each of `count` edges, from the loops of every face."""
+    """The one or two faces beside each of `count` edges."""
     found: list[list[int]] = [[] for _ in range(count)]
     for number, loops in enumerate(faces):
         for edge in (edge for loop in loops for edge, _ in loop):
@@ -31,7 +31,7 @@ def faces_beside(faces: Sequence[Sequence[Sequence[Directed]]], count: int) -> t
 
 @dataclass(frozen=True)
 class Face:
-    """A face of a region: its loops of edges, the outer one first; the face is on the left of each."""
+    """A face of a region, to the left of its loops. The outer loop is the first."""
 
     region: str
     loops: tuple[tuple[Directed, ...], ...]
@@ -39,12 +39,12 @@ class Face:
 
 @dataclass(frozen=True)
 class FreeSection:
-    """Faces that share the edges between them.
+    """Faces that share their edges.
 
-    ``points`` (r, z) in metres, ``edges`` between them with the numbers of their ``ends``; ``rectangles`` are the
-    layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` describe
-    the parts of solids that the section leaves out; ``cuts`` are the radii (m) at which regions are cut beside steep or
-    curved parts. ``measure`` says what the section is one of, as in `geometry.section.Section`.
+    ``points`` (r, z) in metres; ``edges`` with the numbers of their ``ends``; ``rectangles`` are the layers as discs
+    and rings of their stated sizes; ``electrodes`` are lines on the transducer's faces. ``notes`` describe parts of
+    solids that the section leaves out. ``cuts`` are the radii (m) of cuts beside steep or curved parts, by region.
+    ``measure`` is as in `geometry.section.Section`.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -93,13 +93,12 @@ class FreeSection:
 
     @cached_property
     def goes_on(self) -> Mapping[str, float]:
-        """Places (m) of the lines at which the section ends while the device goes on, by name."""
+        """Places (m) of the symmetry lines that end the section, by name."""
         across = [r for r, _ in self.points]
         return self.measure.ends((min(across), max(across)))
 
     def name_of(self, regions: Sequence[str], arc: Arc) -> str | None:
-        """Name of the boundary between the regions on both sides of an edge, or at the rim of one; None inside a
-        region."""
+        """Name of the boundary between `regions`, or None inside a region."""
         if len(regions) == 2:
             return interface(*regions) if regions[0] != regions[1] else None
         (begin, _), (end, _) = arc.ends
@@ -109,12 +108,11 @@ class FreeSection:
         return outside(regions[0])
 
     def name(self, edge: int) -> str | None:
-        """Name of the boundary that an edge lies on; None inside a region."""
+        """Name of an edge's boundary; None inside a region."""
         return self.name_of([self.faces[face].region for face in self.beside[edge]], self.edges[edge])
 
     def boundary_names(self) -> tuple[str, ...]:
-        """Names of all boundaries a mesh of this section has, sorted; an electrode counts besides the boundary it lies
-        on."""
+        """Sorted names of all boundaries, those of electrodes included."""
         names = {electrode.name for electrode in self.electrodes}
         names |= {name for edge in range(len(self.edges)) if (name := self.name(edge)) is not None}
         return tuple(sorted(names))

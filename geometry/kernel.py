@@ -9,7 +9,7 @@ MILLIMETRES = 1e3
 
 
 class SolidError(RuntimeError):
-    """A solid is not the one the chip describes, or CadQuery could not be used."""
+    """A solid differs from the chip, or CadQuery is not available."""
 
 
 def cadquery_module() -> ModuleType:

@@ -1,6 +1,6 @@
-"""The sides of a section's faces and their divisions: the plan of a mesh (`geometry.free_mesh`).
+"""The sides of a section's faces and their divisions (`geometry.free_mesh`).
 
-A division of one side of a face with four sides divides the opposite one too, from face to face.
+A division of one side of a four-sided face also divides the opposite side, from face to face.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from geometry.panels import BOND, COUPLANT, FLUID_ROLES, apart, division, reach_
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: Places on a side closer than this share of its length are one.
+#: Places closer than this share of a side's length are equal.
 SAME_PLACE = 1e-6
 
 #: Largest angle (rad) by which the side of an element turns; in a face that gmsh fills, before it is cut.
 LARGEST_TURN = math.radians(30.0)
 
-#: Largest ratio of the lengths of neighbouring elements that gmsh is to continue from.
+#: Largest ratio of the lengths of neighbouring elements on the sides of a face that gmsh fills.
 GROWTH = 2.0
 
-#: Angle (degrees) that solids fill about a corner from which on it is re-entrant, and from which on they are all around
-#: it: 180 and 360, with a margin for corners on curves.
+#: Least solid angle (degrees) of a re-entrant corner, and of a point inside solids: 180 and 360, with a margin for
+#: curves.
 REENTRANT, ALL_AROUND = 190.0, 350.0
 
-#: Rounds in which divisions pass from face to face; more than faces in a row, unless they run in a spiral.
+#: Most rounds in which divisions pass from face to face; more than the number of faces in a row.
 MOST_ROUNDS = 200
 
 
 @dataclass
 class SectionLayout:
-    """The edges of a section, further divided, and the faces that they bound.
+    """The edges of a section, further divided, and their faces.
 
-    ``loops`` holds the loops of every face. ``sides`` holds the four sides of faces that have four: bottom and top in
-    one direction, left and right in one direction. ``lines`` are the edges that were divided at a requested height or
-    radius, with the shares.
+    ``loops`` has the loops of every face. ``sides`` has the four sides of four-sided faces: bottom and top in one
+    direction, left and right in one direction. ``lines`` are the edges divided at a requested height or radius, with
+    the shares.
     """
 
     edges: list[Arc]
@@ -94,11 +94,8 @@ class SectionLayout:
                     break
 
     def places(self, side: Sequence[Directed]) -> list[float]:
-        """Places along a side at which its edges begin and end: shares of the way in r if it is more level than steep,
-        else in z.
-
-        By these, a division of a side divides the opposite one straight above or beside it, whatever shape either has.
-        """
+        """Positions of the ends of a side's edges, as shares. The extent is in r for a side more level than steep, else
+        in z. A division then divides the opposite side straight above or beside it."""
         corners = [self.points[self.ends[number][0 if forwards else 1]] for number, forwards in side]
         last, forwards = side[-1]
         corners.append(self.points[self.ends[last][1 if forwards else 0]])
@@ -106,7 +103,7 @@ class SectionLayout:
         return [(corner[axis] - start) / length for corner in corners]
 
     def _along(self, side: Sequence[Directed]) -> tuple[int, float, float]:
-        """The coordinate (0 r, 1 z) that a side runs along, its start and its length (m)."""
+        """The coordinate (0 r, 1 z), start (m) and length (m)."""
         (first, forwards), (last, along) = side[0], side[-1]
         start = self.points[self.ends[first][0 if forwards else 1]]
         end = self.points[self.ends[last][1 if along else 0]]
@@ -114,7 +111,7 @@ class SectionLayout:
         return axis, start[axis], end[axis] - start[axis]
 
     def divide(self, side: Sequence[Directed], place: float) -> None:
-        """Divide the edge of a side that contains a place."""
+        """Divide the edge of a side at a position."""
         places = self.places(side)
         number = next(k for k in range(len(side)) if places[k] < place < places[k + 1])
         axis, start, length = self._along(side)
@@ -129,10 +126,9 @@ class SectionLayout:
 
 
 def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = None) -> SectionLayout:
-    """The edges of a section, divided at the ends of electrodes, at the requested levels, skins and radii, and opposite
-    the divisions of opposite sides.
+    """The layout of a section. Edges are divided at electrodes, at requested lines and opposite other divisions.
 
-    Requested divisions are at the shares of edges that they have in another layout, `like`, if given.
+    Requested divisions are at the same shares of edges as in the layout `like`, if given.
 
     Raises:
         MeshError: sides divide each other without an end.
@@ -155,7 +151,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = 
             layout.split(edge, share)
         layout.lines = list(like.lines)
     for _ in range(MOST_ROUNDS):
-        # Every face is examined in every round.
+        # All faces are examined in every round.
         changed = [_matched(layout, one, other) for sides in layout.sides.values()
                    for one, other in ((sides[0], sides[2]), (sides[1], sides[3]))]
         if not any(changed):
@@ -164,7 +160,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = 
 
 
 def _lines(layout: SectionLayout, size: MeshSize) -> list[tuple[int, float]]:
-    """Divide edges at the requested heights and radii; the divided edges with the shares."""
+    """Divide edges at requested heights and radii. Return them with the shares."""
     found = []
     regions = dict.fromkeys(layout.regions)
     for height in size.levels:
@@ -185,8 +181,10 @@ def _reversed(side: Sequence[Directed]) -> list[Directed]:
 
 
 def _break(layout: SectionLayout, region: str, axis: int, value: float) -> list[tuple[int, float]]:
-    """Divide edges of a region's four-sided faces that run along a coordinate (0 r, 1 z), at the place of `value`; the
-    divided edges with the shares."""
+    """Divide four-sided faces where a coordinate (0 r, 1 z) is `value`.
+
+    Returns the divided edges with the shares.
+    """
     divided = []
     for number, sides in list(layout.sides.items()):
         if layout.regions[number] != region:
@@ -203,7 +201,7 @@ def _break(layout: SectionLayout, region: str, axis: int, value: float) -> list[
 
 
 def _matched(layout: SectionLayout, one: list[Directed], other: list[Directed]) -> bool:
-    """Divide two opposite sides at each other's divisions; whether there was anything to divide."""
+    """Divide two opposite sides equally. Return whether a division was new."""
     changed = False
     for side, opposite in ((one, other), (other, one)):
         for place in layout.places(side)[1:-1]:
@@ -218,7 +216,7 @@ def _matched(layout: SectionLayout, one: list[Directed], other: list[Directed]) 
 
 
 def divisions(layout: SectionLayout, section: FreeSection, size: MeshSize) -> list[Real]:
-    """Shares of the way at which every edge is divided, ends included."""
+    """Shares at which every edge is divided, ends included."""
     count = len(layout.edges)
     beside = layout.beside()
     limits = {region: size.largest_element(region) for region in set(layout.regions)}
@@ -261,7 +259,7 @@ def _level(arc: Arc) -> bool:
 
 
 def _least(layout: SectionLayout, size: MeshSize, edge: int, faces: Sequence[int]) -> int:
-    """The least number of elements along an edge that is the height of a row of faces."""
+    """The least number of elements along an edge across a layer."""
     least, arc = 1, layout.edges[edge]
     for face in faces:
         sides = layout.sides.get(face)
@@ -274,7 +272,7 @@ def _least(layout: SectionLayout, size: MeshSize, edge: int, faces: Sequence[int
 
 
 def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
-    """The group of equally divided edges that every edge belongs to, and whether it runs as the group does."""
+    """The groups of equally divided edges, and whether directions agree."""
     count = len(layout.edges)
     parent, same = list(range(count)), [True] * count
 
@@ -299,7 +297,7 @@ def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
 
 
 def _angles(layout: SectionLayout, *, fluids: bool) -> dict[int, float]:
-    """The angle (degrees) about every corner that the solids fill, or if `fluids` all that the section holds."""
+    """The angle (degrees) filled by solids, or `fluids`, about every corner."""
     found: dict[int, float] = {}
     for face, loops in enumerate(layout.loops):
         if fluids or role_of(layout.regions[face]) not in FLUID_ROLES:
@@ -316,13 +314,11 @@ def _corners(layout: SectionLayout, loops: Sequence[Sequence[Directed]]) -> Iter
 
 
 def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
-    """Relative size of elements at points where fields are singular, on level edges and on others.
-
-    As for rectangles, these are re-entrant corners of the solids, the rim of a couplant and the ends of electrodes. The
-    tip of a crack, where a fillet meets its neighbour, is treated like them.
-    """
+    """Relative element size at singular points, by point and level edge. As for rectangles, these points are re-entrant
+    corners of solids, edges of a couplant and ends of electrodes. The tip of a crack, where a fillet meets its
+    neighbour, is one too."""
     wet: set[int] = set()
-    rims: set[int] = set()
+    edge_points: set[int] = set()
     goes_on = set(section.goes_on.values())
     for face, loops in enumerate(layout.loops):
         region = layout.regions[face]
@@ -332,27 +328,27 @@ def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict
         if role_of(region) == COUPLANT:
             across = [layout.points[point][0] for point in corners]
             sides = {min(across), max(across)} - goes_on
-            rims |= {point for point in corners if any(
+            edge_points |= {point for point in corners if any(
                 abs(layout.points[point][0] - side) < SAME_LENGTH for side in sides)}
     found: dict[tuple[int, bool], float] = {}
     for point, angle in _angles(layout, fluids=False).items():
-        # With 360 degrees there is the tip of a crack, or solids all around.
+        # An angle of 360 degrees is the tip of a crack if a fluid touches it, else a point inside solids.
         if angle > REENTRANT and (angle < ALL_AROUND or point in wet):
             sharp = 1 if angle < ALL_AROUND else 3
             found[point, True] = found[point, False] = size.corner_refinement**sharp
-    for point in rims:
+    for point in edge_points:
         found[point, True] = min(found.get((point, True), 1.0), size.corner_refinement)
     for point in _ends_of_electrodes(layout, section):
         found[point, True] = size.corner_refinement**3
-        # All along that face the rows beside it are thin.
+        # The rows beside the whole face are thin.
         level = [other for other, (_, z) in enumerate(layout.points) if abs(z - layout.points[point][1]) < SAME_LENGTH]
         found |= {(other, False): size.corner_refinement**3 for other in level}
     return found
 
 
 def _all_along(layout: SectionLayout, sizes: dict[tuple[int, bool], float]) -> dict[tuple[int, bool], float]:
-    """Sizes by points and whether of level edges, also at the ends of the sides of faces that the points lie on: there
-    begin the edges across that side, which are divided alike all along it."""
+    """Sizes extended to the ends of the sides of the points. The edges across a side have the same division all along
+    it, and they begin at its ends."""
     found = dict(sizes)
     for side in (side for sides in layout.sides.values() for side in sides):
         points = [layout.ends[edge][0 if forwards else 1] for edge, forwards in side]
@@ -366,8 +362,8 @@ def _all_along(layout: SectionLayout, sizes: dict[tuple[int, bool], float]) -> d
 
 
 def _local_lengths(layout: SectionLayout, size: MeshSize) -> dict[tuple[int, bool], float]:
-    """The largest size (m) of the elements at the corners of the cavity and at the ends of bonds, as for rectangles
-    (`geometry.panels`), by points and whether of level edges."""
+    """The largest element size (m) at cavity corners and bond ends. It is as for rectangles (`geometry.panels`), by
+    point and whether the edge is level."""
     found: dict[tuple[int, bool], float] = {}
     solid, filled = (_angles(layout, fluids=fluids) for fluids in (False, True))
     for region in dict.fromkeys(layout.regions):
@@ -400,7 +396,7 @@ def _ends_of_electrodes(layout: SectionLayout, section: FreeSection) -> set[int]
 
 
 def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, tuple[str, ...]]:
-    """The edges on the faces of the transducer that electrodes cover, and the names of these."""
+    """The transducer edges under electrodes, with the names of these."""
     highest = max((electrode.z for electrode in section.electrodes), default=0.0)
     found: dict[int, tuple[str, ...]] = {}
     for directed in layout.around_transducer():
@@ -408,7 +404,7 @@ def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, t
         if abs(z1 - z0) >= abs(r1 - r0):
             continue
         for electrode in section.electrodes:
-            # Along the upper face a loop runs towards the axis.
+            # A loop runs towards the axis along the upper face.
             if (r1 < r0) == (electrode.z == highest) and (
                     electrode.r_inner - SAME_LENGTH < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_LENGTH):
                 found[directed[0]] = (*found.get(directed[0], ()), electrode.name)

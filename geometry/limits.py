@@ -1,4 +1,4 @@
-"""Limits of the model, in the words of messages and of the documentation."""
+"""Limits of the model, as texts for messages and documentation."""
 
 from __future__ import annotations
 
@@ -6,39 +6,40 @@ from collections.abc import Mapping
 
 AXISYMMETRIC = "axisymmetric only: every layer is a disc or a ring about one axis"
 
-#: Advice for a body that is not round.
-NOT_ROUND = (f"{AXISYMMETRIC}; in place of a rectangular plate state a disc of its thickness and area, radius = "
-             "sqrt(width length / pi), which has its thickness resonances and not its lateral ones; of plates with a "
-             "channel along them state the cross-section, geometry = \"straight\" under [chip]")
+#: Remedy for a part that is not round.
+NOT_ROUND = (f"{AXISYMMETRIC}; for a rectangular plate, state a disc of its thickness and area, radius = "
+             "sqrt(width length / pi): it has the thickness resonances of the plate and not the lateral ones; for a "
+             "plate with a channel along it, state the cross-section, geometry = \"straight\" under [chip]")
 
-CENTRED = (f"{AXISYMMETRIC}; in place of a part beside the axis state it on the axis, or as a ring of its area "
-           "at its distance")
+CENTRED = (f"{AXISYMMETRIC}; state a part beside the axis on the axis, or as a ring of its area at its "
+           "distance")
 
-#: Transducers of a chip with profiles.
-FULL_DISC = ("with an outline a transducer is a full disc; of a ring state radius and inner_radius, without a profile")
+#: Remedy for a transducer with a hole in a chip with profiles.
+FULL_DISC = ("with an outline, a transducer is a full disc; for a ring, state radius and inner_radius without a "
+             "profile")
 
-#: Advice for a second cavity, below the first or above it.
-FURTHER_CAVITY = ("of two cavities that with the particles is the cavity; the layers around the other one have "
-                  'inner_{across} and filling = "water"')
+#: Remedy for a second cavity, below the first or above it.
+FURTHER_CAVITY = ("if there are two cavities, the one with the particles is the cavity; the layers around the "
+                  'other one have inner_{across} and filling = "water"')
 
-CLOSED = ('of an open well or channel state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
+CLOSED = ('for an open well or channel, state open = true, or the depth of its liquid as fill = "2 mm", under [cavity]')
 
-#: Advice for what a straight chip has off its middle, by other names than its own.
-OFF_THE_MIDDLE = ('offset = "0.5 mm" of a layer, cavity_offset of a channel, in a chip with symmetry = "none": how far '
-                  "its middle is to the right of that of the chip")
+#: Remedy for parts of a straight chip that are off its middle.
+OFF_THE_MIDDLE = ('offset = "0.5 mm" of a layer, cavity_offset of a channel, in a chip with symmetry = "none": the '
+                  "distance of its middle to the right of the middle of the chip")
 
-#: Advice for what a straight chip has several of, by other names or above each other.
-ONE_CHANNEL = ('channels = 3 and pitch = "1 mm" of the layer around them for equal ones side by side; of others model '
-               "the one with the particles, and state the walls around the others as solid")
+#: Remedy for several channels in a straight chip.
+ONE_CHANNEL = ('channels = 3 and pitch = "1 mm" of the layer around them for equal channels side by side; for '
+               "other channels, model the one with the particles, and state the walls around the others as solid")
 
-#: Advice for the walls of a channel that are not upright.
+#: Remedy for channel walls that are not upright.
 ETCHED = ('draft = "35.26 deg" of the layer around the channel, the angle by which it grows wider upwards; for rounded '
           "walls a profile, points with fillets and arcs")
 
-#: Keys that people write in a state for a cavity that is not filled to its top.
+#: Keys for the liquid depth of a partly filled cavity, which a state does not have.
 FILL_KEYS = ("fill", "fill_height", "filling", "level", "liquid_height", "height")
 
-#: Keys that people write for things that are not round, and the advice for each.
+#: Keys for parts that are not round, and the remedy for each.
 NOT_KEYS: Mapping[str, str] = {
     **dict.fromkeys(("width", "length", "side", "depth", "breadth", "lx", "ly", "x_length", "y_length", "size"),
                     NOT_ROUND),
@@ -46,7 +47,7 @@ NOT_KEYS: Mapping[str, str] = {
                     CENTRED),
 }
 
-#: Keys that people write in a straight chip for what it cannot have yet, and the advice for each.
+#: Keys that a straight chip does not have, and the remedy for each.
 NOT_STRAIGHT: Mapping[str, str] = {
     **dict.fromkeys(("centre", "center", "x", "position", "x_offset", "left", "right", "side"), OFF_THE_MIDDLE),
     **dict.fromkeys(("cavities", "channel_count", "count", "spacing", "cavity_widths"), ONE_CHANNEL),

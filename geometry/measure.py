@@ -1,7 +1,7 @@
-"""The measure of a section: what a small area of it stands for in three dimensions.
+"""The measure of a section: the volume of an area element.
 
-An axisymmetric section turns about its axis: 2 pi r dr dz. A straight one goes on into the paper for a length: length
-dx dz, in plane strain. In a straight section, r and u_r stand for x and u_x, and x may be negative.
+An axisymmetric section turns about its axis, with the weight 2 pi r dr dz. A straight one extends into the paper, with
+the weight length dx dz, in plane strain. In a straight section, r and u_r stand for x and u_x, and x may be negative.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from workbench.files.errors import InputError
 
 Real = NDArray[np.float64]
 
-#: Largest distance from the axis, as a share of the largest radius, at which a place is on it.
+#: Largest distance from the axis of a place on it, as a share of the largest radius.
 AT_AXIS = 1e-9
 
 
 class Parity(Enum):
-    """Behaviour of the fields at the end of a straight section: mirrored with or without a change of sign, or no plane
-    of symmetry."""
+    """Symmetry of the fields at the end of a straight section."""
 
     EVEN = "even"
     ODD = "odd"
@@ -39,21 +38,21 @@ PER_METRE = 1.0
 
 @dataclass(frozen=True)
 class Axisymmetric:
-    """The section turned about the axis r = 0, with the weight 2 pi r dr dz and the hoop strain u_r / r."""
+    """The section turned about the axis r = 0. Its weight is 2 pi r dr dz; its hoop strain is u_r / r."""
 
-    #: Names of a distance from the axis, and of twice that, in a chip.
+    #: Names of a distance from the axis, and of twice it, in a chip.
     across, doubled = "radius", "diameter"
-    #: Symbol of the coordinate across the section, and the word for where it is zero.
+    #: Symbol of the coordinate across the section, and the word for its origin.
     symbol, middle = "r", "axis"
     #: Directions in the section, across and up.
     directions = ("radial", "axial")
-    #: Numbers of the directions in which particles focus within seconds: up, for the cavities of round chips are flat.
+    #: Directions in which particles focus within seconds: up, since the cavities of round chips are flat.
     focusing = (1,)
-    #: Decimals of a length in millimetres that say where in a cavity something is.
+    #: Decimals of a position in a cavity, in millimetres.
     decimals = 2
     #: Sign of scalar fields in the image on the other side of the axis.
     mirror = 1
-    #: The volume within a distance from the axis grows with this power of it.
+    #: Power of the distance from the axis to which the volume within it is proportional.
     power = 2
     #: Number of pieces of a layer around a cavity.
     sides = 1
@@ -61,7 +60,7 @@ class Axisymmetric:
     is_whole = False
 
     def depth(self, r: Real) -> Real:
-        """Depth (m) of the body into the paper at radii `r` (m), its circumference."""
+        """Circumference (m) at radii `r` (m)."""
         return np.asarray(2.0 * np.pi * r)
 
     def over_r(self, value: Real, r: Real) -> Real:
@@ -69,21 +68,21 @@ class Axisymmetric:
         return np.asarray(value / r)
 
     def turned(self, value: Real, r: Real) -> Real:
-        """The slope (1 / r) d/dt over the order m, for cos(m t) and sin(m t)."""
+        """Slopes along the circumference, over the order m."""
         return np.asarray(value / r)
 
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
-        """Hoop strain (or its rate) of a motion `across` along r with its `slope` along r: u_r / r, and du_r / dr on
-        the axis."""
+        """Hoop strain u_r / r, and du_r / dr on the axis. It may be a rate. `across` is the displacement along r and
+        `slope` its derivative by r."""
         on_axis = r <= AT_AXIS * r.max()
         return np.where(on_axis, slope, across / np.where(on_axis, 1.0, r))
 
     def evenly(self, share: Real, low: float, high: float) -> Real:
-        """Places (n,) in m across the section with that `share` (n,) of the volume from `low` to `high` below them."""
+        """Radii (n,) in m below which lies a `share` (n,) of volume. The volume is that between `low` and `high`."""
         return np.asarray(np.sqrt(low**2 + share * (high**2 - low**2)))
 
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
-        """Places x, y (m) seen from above of radii `r` (m) at azimuths `turn` (radians); `strip` is not needed."""
+        """Places x, y (m) from above, at radii `r` and azimuths `turn`."""
         return r * np.cos(turn), r * np.sin(turn)
 
     def place_words(self, r: float) -> str:
@@ -103,8 +102,7 @@ class Axisymmetric:
         return math.pi * (outer**2 - inner**2) * height
 
     def body(self, area: float, moment: float) -> float:
-        """Volume (m^3) of a part of the section with this `area` (m^2) and first `moment` (m^3) about the axis, by
-        Pappus's theorem."""
+        """Volume (m^3) from the first `moment` (m^3), by Pappus's theorem."""
         return 2.0 * math.pi * moment
 
     def device_volume(self, inner: float, outer: float, height: float) -> float:
@@ -112,18 +110,17 @@ class Axisymmetric:
         return self.volume(inner, outer, height)
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
-        """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""
+        """Places (m) of the symmetry lines that end the section, by name."""
         return {AXIS: 0.0} if breaks[0] == 0.0 else {}
 
 
 @dataclass(frozen=True)
 class Straight:
-    """The section of a body that is straight for a ``length`` (m) into the paper, with the weight length dx dz.
+    """The section of a straight body of ``length`` (m) into the paper.
 
-    ``left`` and ``right`` are the parities of the planes of symmetry at its ends. A section with one such plane is
-    half of the device, and everything is counted for the whole of it: the weight is twice as large. Between two planes
-    lies one half cell of a row of equal devices; it is counted once. ``assumed`` names the keys ``length`` and
-    ``symmetry`` that the chip file does not state.
+    ``left`` and ``right`` are the parities of the planes of symmetry at its ends. A section with one plane is half of
+    the device, so the weight length dx dz is doubled. A section between two planes is half a cell of a row of equal
+    devices and counts once. ``assumed`` names the keys ``length`` and ``symmetry`` that the chip file does not state.
 
     Raises:
         InputError: a length that is not above zero.
@@ -134,18 +131,17 @@ class Straight:
     right: Parity = Parity.NONE
     assumed: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
-    #: Names of a distance from the plane x = 0, and of twice that, in a chip.
+    #: Names of a distance from the plane x = 0, and of twice it, in a chip.
     across, doubled = "half_width", "width"
-    #: Symbol of the coordinate across the section, and the word for where it is zero.
+    #: Symbol of the coordinate across the section, and the word for its origin.
     symbol, middle = "x", "middle"
     #: Directions in the section, across and up.
     directions = ("lateral", "vertical")
-    #: Numbers of the directions in which particles focus within seconds: both, since channels are as wide as high.
+    #: Directions in which particles focus within seconds: both, since channels are as wide as high.
     focusing = (0, 1)
-    #: Decimals of a length in millimetres that say where in a cavity something is: a channel is some hundred
-    #: micrometres wide.
+    #: Decimals of a position in a cavity, in millimetres: a channel is some hundred micrometres wide.
     decimals = 3
-    #: The volume within a distance from the middle grows with this power of it.
+    #: Power of the distance from the middle to which the volume within it is proportional.
     power = 1
 
     def __post_init__(self) -> None:
@@ -154,13 +150,13 @@ class Straight:
 
     @property
     def planes(self) -> dict[str, Parity]:
-        """The parities of the planes of symmetry, by the names of their boundaries."""
+        """The parities of the planes of symmetry, by boundary name."""
         both = {PLANE_LEFT: self.left, PLANE_RIGHT: self.right}
         return {name: parity for name, parity in both.items() if parity is not Parity.NONE}
 
     @property
     def is_whole(self) -> bool:
-        """Whether the section shows the device on both sides of its middle."""
+        """True if the section includes both sides of the middle."""
         return not self.planes
 
     @property
@@ -170,16 +166,16 @@ class Straight:
 
     @property
     def sides(self) -> int:
-        """Number of pieces of a layer around a channel: two walls, or one in a half cell of a row of devices."""
+        """Number of walls beside a channel. It is one in half a cell of a row of devices."""
         return 1 if len(self.planes) == 2 else 2
 
     @property
     def mirror(self) -> int:
-        """Sign of scalar fields in the image on the other side of the left end; 0 if there is no plane there."""
+        """Sign of mirrored scalar fields beyond the left end. It is 0 without a plane there."""
         return {Parity.EVEN: 1, Parity.ODD: -1, Parity.NONE: 0}[self.left]
 
     def depth(self, r: Real) -> Real:
-        """Depth (m) of the body into the paper at places `r` (m), its length times the images of the section."""
+        """Depth (m) of the body: its length times its images."""
         return np.full(np.shape(r), self.copies * self.length)
 
     def over_r(self, value: Real, r: Real) -> Real:
@@ -187,7 +183,7 @@ class Straight:
         return np.zeros(np.broadcast_shapes(np.shape(value), np.shape(r)))
 
     def turned(self, value: Real, r: Real) -> Real:
-        """The slope d/dy over the wave number k, for cos(k y) and sin(k y)."""
+        """Slopes along y, over the wave number k."""
         return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), np.shape(r)))
 
     def hoop(self, across: NDArray[Any], slope: NDArray[Any], r: Real) -> NDArray[Any]:
@@ -195,15 +191,12 @@ class Straight:
         return np.zeros_like(across)
 
     def evenly(self, share: Real, low: float, high: float) -> Real:
-        """Places (n,) in m across the section with that `share` (n,) of the volume from `low` to `high` below them."""
+        """Places (n,) in m below which lies a `share` (n,) of volume. The volume is that between `low` and `high`."""
         return np.asarray(low + share * (high - low))
 
     def spatial(self, r: Real, turn: Real, strip: float) -> tuple[Real, Real]:
-        """Places x, y (m) seen from above of places `r` (m) across a `strip` (m) of the device.
-
-        Azimuths `turn`, even from 0 to 2 pi, stand for the place along the strip and, where the device goes on beyond
-        its left end, for the image that a place is in.
-        """
+        """Places x, y (m) from above, in a `strip` (m). Azimuths `turn`, from 0 to 2 pi, become places along the strip.
+        If the device is mirrored at the left end, they also select the image."""
         share = turn * self.copies / (2.0 * np.pi)
         image = np.floor(share)
         return np.where(image == 0.0, r, -r), np.broadcast_to(strip * (share - image - 0.5), np.shape(r)).copy()
@@ -221,27 +214,27 @@ class Straight:
         return self.place_words(r)
 
     def within_words(self, outer: float) -> str:
-        """The part of a section within a distance (m) of its middle in words."""
+        """A range of distances (m) from the middle, in words."""
         return f"within {1e3 * outer:.3g} mm of the middle"
 
     def volume(self, inner: float, outer: float, height: float) -> float:
-        """Volume (m^3) of a rectangle of the section between two places (m), in all images."""
+        """Volume (m^3) of a rectangle between two places (m), all images."""
         return self.copies * self.length * (outer - inner) * height
 
     def body(self, area: float, moment: float) -> float:
-        """Volume (m^3) of a part of the section with this `area` (m^2), in all images; its `moment` is not needed."""
+        """Volume (m^3) of a part of this `area` (m^2), all images."""
         return self.copies * self.length * area
 
     def device_volume(self, inner: float, outer: float, height: float) -> float:
-        """Volume (m^3) of the device between two distances (m) from its middle, on all of its sides."""
+        """Volume (m^3) between two distances (m) from the middle, all sides."""
         return self.sides * self.length * (outer - inner) * height
 
     def ends(self, breaks: tuple[float, ...]) -> Mapping[str, float]:
-        """Places (m) of the lines at which a section with these breaks ends while the device goes on, by name."""
+        """Places (m) of the planes of symmetry that end the section."""
         places = {PLANE_LEFT: breaks[0], PLANE_RIGHT: breaks[-1]}
         return {name: places[name] for name in self.planes}
 
 
-#: The measures of a section, and that of one of which nothing else is said.
+#: The measures of a section, and the default one.
 Measure = Axisymmetric | Straight
 ABOUT_AXIS = Axisymmetric()

@@ -1,12 +1,12 @@
-"""From a section of rectangles to a mesh: structured quadrilaterals with named regions and boundaries.
+"""Meshes of sections of rectangles: structured quadrilaterals with named regions and boundaries.
 
-The section is cut by every break in r and z into a tensor grid of rectangles, so neighbouring regions share their nodes
-by construction. Each interval between two breaks is divided into panels of elements in geometric progression.
-Quadrilaterals with straight sides describe such a section exactly, so the mesh has first-order geometry whatever the
-order of the fields on it. Sections of any shape: `geometry.free_mesh`.
+All breaks in r and z cut the section into a tensor grid, so neighbouring regions share their nodes. Each interval
+between two breaks is divided into panels of elements in geometric progression. Straight quadrilaterals describe such a
+section exactly, so the mesh geometry is of first order for fields of any order. Sections of any shape:
+`geometry.free_mesh`.
 
-Element size is a share of the wavelength at the highest frequency, of the slowest wave in the slowest region of each
-row and each column. Elements are smaller towards the corners in which fields are singular.
+The element size is a share of the shortest wavelength in each row and column at the highest frequency. Elements are
+smaller towards corners where fields are singular.
 """
 
 from __future__ import annotations
@@ -28,18 +28,17 @@ from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
 from workbench.files.errors import InputError, nearest_names, one_of
 
-#: Largest relative difference between a region of the mesh and the section's own arithmetic. Rounding accumulates to
-#: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
+#: Largest relative difference of a region's area or volume between mesh and section. Rounding accumulates to about
+#: 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
 STRAIGHT_TOLERANCE = 1e-9
 
 
-#: Largest relative difference for cells with curved sides: polynomials of order 4 leave 2e-8 of an arc that turns by 30
-#: degrees.
+#: Largest relative difference for curved cells: polynomials of order 4 deviate by 2e-8 for an arc of 30 degrees.
 CURVED_TOLERANCE = 1e-6
 
 
 class MeshError(RuntimeError):
-    """The mesh does not fit its section, or gmsh could not be used."""
+    """The mesh differs from its section, or gmsh is not available."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +46,16 @@ class SectionMesh:
     """The mesh of a section.
 
     ``mesh``: quadrilaterals with straight sides, coordinates (r, z) in metres, cell indices by region in
-    ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of every cell run (bottom
-    left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are numbered
-    along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
-    ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
-    `workbench.fem.elements.Lagrange`, if cells are not straight; ``mesh`` then has their straight origins. ``variants``
-    are such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is the
-    plan by which the mesh of a section of any shape can be moved (`geometry.free_mesh.Plan`).
+    ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of a cell are (bottom
+    left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes and cells are
+    numbered along r, then upwards. ``order``: polynomial order of the fields. ``coordinates``: (2, nodes, cells) in
+    metres of the nodes of curved cells, numbered as in `workbench.fem.elements.Lagrange`; None for straight cells.
+    ``variants``: such coordinates for other shapes of the layers, by name; ``shown`` names the one in use. ``plan``:
+    the plan by which a free mesh can be moved (`geometry.free_mesh.Plan`).
 
     Raises:
-        MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
-            volume of a region differs from the section's.
+        MeshError: a region or boundary is missing, empty or not in the section, or the area or volume of a region
+            differs from the section's.
     """
 
     mesh: skfem.MeshQuad
@@ -84,15 +82,17 @@ class SectionMesh:
 
     @property
     def nodes(self) -> NDArray[np.float64] | None:
-        """The coordinates of the cells: of the variant shown, or of the mesh itself."""
+        """The node coordinates of the cells, of the variant in use."""
         return self.variants[self.shown] if self.shown else self.coordinates
 
 
 def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float) -> dict[str, float]:
-    """Elements per wavelength in the longest edge of each region of `slowest_wave`, at `frequency` (Hz).
+    """Elements per wavelength in each region's longest edge, at `frequency` (Hz).
+
+    `slowest_wave` is the slowest wave speed (m/s) by region.
 
     Raises:
-        InputError: `slowest_wave` (m/s) names an unknown region.
+        InputError: `slowest_wave` has an unknown region.
     """
     edges = np.ptp(mesh.mesh.p[:, mesh.mesh.t], axis=1).max(axis=0)
     counts = {}
@@ -105,18 +105,18 @@ def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float]
 
 
 def mesh_section(section: Section, size: MeshSize) -> SectionMesh:
-    """The mesh of `section`, as fine as `size` asks for.
+    """The mesh of `section`, as fine as `size` requires.
 
     Raises:
-        InputError: no speed is given for a region of the section.
-        MeshError: the mesh is not the section.
+        InputError: a region of the section has no speed.
+        MeshError: the mesh differs from the section.
     """
     return _named(_generate(section, size), section, size.order)
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """A mesh without names: points (2, n) in metres, cells (4, m) of points, region (m,) of every cell."""
+    """A mesh without names. Points are (2, n) in metres, cells (4, m), region (m,)."""
 
     points: NDArray[np.float64]
     cells: NDArray[np.int64]
@@ -135,7 +135,7 @@ def _generate(section: Section, size: MeshSize) -> _Cells:
 
 
 def _lines(panels: Sequence[Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The lines of nodes, and the interval between two breaks that every element lies in."""
+    """The lines of nodes, and the interval of every element."""
     lines = np.concatenate([panels[0].nodes()[:1], *(panel.nodes()[1:] for panel in panels)])
     return lines, np.repeat([panel.interval for panel in panels], [panel.count for panel in panels])
 
@@ -145,7 +145,7 @@ def _lines(panels: Sequence[Panel]) -> tuple[NDArray[np.float64], NDArray[np.int
 
 
 def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
-    """The cells as a mesh whose regions and boundaries carry the names of the section."""
+    """The mesh of the cells, with the section's names."""
     mesh = skfem.MeshQuad(cells.points, cells.cells)
     regions = {name: np.flatnonzero(cells.region == i) for i, name in enumerate(section.regions)}
     # Region on either side of every facet, VOID outside the outer boundary; smaller index first.

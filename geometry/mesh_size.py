@@ -13,17 +13,15 @@ from workbench.files.errors import InputError, nearest_names
 class MeshSize:
     """The required fineness of a mesh.
 
-    ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` if nothing propagates (a
-    vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
-    ``minimum_through_thickness``: elements across the thinnest layer. ``minimum_through_quarter_wave``: elements across
-    a layer that is thicker than a quarter of the slowest wavelength in it. ``corner_refinement``: largest size of the
-    elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube at
-    the ends of electrodes; 1 leaves them alike. ``cavity_corner``: largest size of the elements in the corners of the
-    cavity, relative to its longer side. ``growth``: ratio between neighbouring elements from there on.
-    ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
-    takes. ``levels``: heights (m) of further lines of nodes; the near field of a film decays within them. ``radii``:
-    radii (m) of further lines of nodes, at which a layer may end within the section's own; those very close to another
-    line are left out.
+    ``slowest_wave``: the slowest wave speed (m/s) by region, ``math.inf`` in a vacuum. ``frequency_max`` in Hz.
+    ``elements_per_wavelength`` for fields of polynomial ``order``. ``minimum_through_thickness``: elements across the
+    thinnest layer. ``minimum_through_quarter_wave``: elements across a layer thicker than a quarter wavelength.
+    ``corner_refinement``: relative element size in re-entrant corners of solids and at the edge of a couplant; its cube
+    applies at the ends of electrodes; 1 means no refinement. ``cavity_corner``: largest element size in the corners of
+    the cavity, relative to its longer side. ``growth``: length ratio of neighbouring elements. ``skins``: regions with
+    a separate row of elements at both faces, and its share of the thickness. ``levels``: heights (m) of further lines
+    of nodes, for the near field of a film. ``radii``: radii (m) of further lines of nodes, where a layer may end; radii
+    very close to another line are left out.
     """
 
     slowest_wave: Mapping[str, float]

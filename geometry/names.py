@@ -63,7 +63,8 @@ VACUUM = "vacuum"
 
 
 def region_names(roles: Iterable[str]) -> tuple[str, ...]:
-    """Region names of layers with these roles, bottom to top: ``bond, layer, bond`` gives ``bond, layer, bond_2``."""
+    """Region names of layers with these roles, bottom to top. Example: ``bond, layer, bond`` gives ``bond, layer,
+    bond_2``."""
     seen: dict[str, int] = {}
     names = []
     for role in roles:
@@ -89,20 +90,20 @@ def outside(region: str) -> str:
 
 
 def part_name(place: str, layer: str) -> str:
-    """Name of the part of a region or boundary within one layer of the stack, or of its parts at :data:`LEVEL`."""
+    """Name of the part of a place within one layer. Level parts have the layer :data:`LEVEL`."""
     return f"{place}{PART}{layer}"
 
 
 def moved_by(place: str, shapes: Iterable[str]) -> str:
-    """Name of the cells of a region, or of a part of one, that exactly these shapes of layers move."""
+    """Name of the cells that exactly these shapes of layers move."""
     return f"{place}{MOVED}{'+'.join(shapes)}"
 
 
 def parent_part(place: str) -> str:
-    """Name of the part of which `place` is one column, or some cells of one, or `place` itself."""
+    """Name of the part that contains the column or cells `place`. A part gives itself."""
     return place.split(MOVED)[0].split(COLUMN)[0]
 
 
 def parent_place(place: str) -> str:
-    """Name of the region or boundary of which `place` is a part, or `place` itself."""
+    """Name of the region or boundary that contains `place`."""
     return place.split(MOVED)[0].split(PART)[0].split(COLUMN)[0]

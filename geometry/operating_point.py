@@ -1,4 +1,4 @@
-"""The operating point that a chip file states: the frequency that the chip is driven at."""
+"""The operating point of a chip file: the drive frequency."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 
-#: The largest peak of the energy in the cavity, and the frequency of the smallest |Z|.
+#: Words for the frequency of the largest acoustic energy in the cavity, and of the smallest |Z|.
 AT_ENERGY, AT_F0 = "energy", "f0"
 
-#: Words for an operating point; a frequency is another.
+#: All words for an operating point; otherwise it is a frequency.
 OPERATING_POINTS = (AT_ENERGY, AT_F0)
 
 #: Description of all of them.
@@ -17,10 +17,10 @@ EXPECTED = 'a frequency with its unit, such as "1.5 MHz", "energy" or "f0"'
 
 
 def check_operating_point(stated: float | str | None, band: tuple[float, float], file: str) -> None:
-    """See that a stated frequency (Hz) lies in the `band` of the chip, or that the word for it is known.
+    """Check that a stated frequency (Hz) or word is valid.
 
     Raises:
-        InputError: it does not, or is not.
+        InputError: otherwise.
     """
     field = "chip.operating_point"
     if isinstance(stated, str):
@@ -30,10 +30,10 @@ def check_operating_point(stated: float | str | None, band: tuple[float, float],
 
 
 def parse_operating_point(text: str, *, source: str = "command line", field: str = "--at") -> float | str:
-    """The frequency (Hz), or the word of :data:`OPERATING_POINTS`, that a text states.
+    """The frequency (Hz), or the word of :data:`OPERATING_POINTS`, in a text.
 
     Raises:
-        InputError: neither.
+        InputError: the text is neither.
     """
     if text in OPERATING_POINTS:
         return text
@@ -44,10 +44,10 @@ def parse_operating_point(text: str, *, source: str = "command line", field: str
 
 
 def read_operating_point(head: FileTable) -> float | str | None:
-    """The key ``operating_point`` of a chip: a frequency in Hz, a word of :data:`OPERATING_POINTS`, None if absent.
+    """The chip file's ``operating_point``: a frequency (Hz), word, or None.
 
     Raises:
-        InputError: neither a frequency with its unit nor such a word.
+        InputError: neither a frequency with its unit nor a word of :data:`OPERATING_POINTS`.
     """
     if "operating_point" not in head:
         return None

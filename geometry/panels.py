@@ -1,4 +1,4 @@
-"""Division of the intervals between the breaks of a section: panels of elements in geometric progression."""
+"""Division of a section's intervals into panels of elements in geometric progression."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ BOND = "bond"
 #: Roles of regions that hold a fluid, or nothing.
 FLUID_ROLES = (CAVITY, COUPLANT)
 
-#: Least distance of a radius where a layer may end from another line, as a share of the section's radius; a closer one
-#: counts as that line. Doubled, more of them do.
+#: Least distance of a requested radius from another line, as a share of the section's radius; a closer one is left out.
 CLOSEST_RADII = 0.005
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Part of an interval between two breaks: `count` elements, each `ratio` times as long as the one before."""
+    """Elements in geometric progression in part of an interval. Each of `count` elements is `ratio` times as long as
+    the previous one."""
 
     interval: int
     start: float
@@ -49,12 +49,9 @@ def _panels(
     breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
     minimum: NDArray[np.int64], cuts: Sequence[float] = (), shortest: Mapping[float, float],
 ) -> list[Panel]:
-    """Panels of the intervals between `breaks`: elements no longer than `largest`, at least `minimum` of them (one
-    value per interval each).
-
-    They are graded towards the breaks in `graded`, to elements of that share of the largest, and of the length in
-    `shortest` where that is less. There is a line of nodes at each of the `cuts` too.
-    """
+    """Panels of the intervals between `breaks`. Elements are no longer than `largest` and at least `minimum` in number,
+    one value each per interval. They shrink towards the breaks in `graded`, to that share of the largest size, and to
+    the length in `shortest` if it is smaller. Each of the `cuts` is also a line of nodes."""
     panels: list[Panel] = []
     for i, (start, end, limit, least) in enumerate(zip(breaks, breaks[1:], largest, minimum, strict=False)):
         inner = [cut for cut in sorted(cuts) if start < cut < end]
@@ -66,14 +63,15 @@ def _panels(
             knots[-1] = high
             for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False):
                 panel = Panel(i, float(a), float(b), n, q)
-                # gmsh places the nodes of a steeply graded line by numerical integration, too roughly for the smallest.
+                # gmsh places the nodes of a steeply graded line by numerical integration, which is too inaccurate for
+                # the smallest.
                 nodes = [panel.start, panel.end] if q == 1.0 else panel.nodes().tolist()
                 panels += [Panel(i, low, high, n if q == 1.0 else 1, 1.0) for low, high in pairwise(nodes)]
     return panels
 
 
 def apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
-    """The radii that keep a distance from breaks and from smaller radii that elements need not be tiny for."""
+    """The radii that are not too close to breaks or smaller radii."""
     least, kept = CLOSEST_RADII * breaks[-1], list[float]()
     for radius in sorted(radii):
         if all(abs(radius - other) > least for other in (*breaks, *kept)):
@@ -86,7 +84,7 @@ def _divide(
 ) -> tuple[list[float], list[int], list[float]]:
     """Lengths, counts and ratios of the panels of one interval.
 
-    The interval is divided into equal parts no longer than `largest`, at least `minimum`. A part next to a graded end,
+    The interval is divided into at least `minimum` equal parts no longer than `largest`. A part next to a graded end,
     or half of it if both ends are graded, is divided again: elements grow by `growth` from a first one no longer than
     the share of `largest` in `ends`. An end of 1 is not graded.
     """
@@ -109,7 +107,7 @@ def _divide(
 def division(
     length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
 ) -> NDArray[np.float64]:
-    """Shares of a length at which elements end, 0 and 1 included, as in :func:`_divide`."""
+    """Shares of a length at which elements end, as in :func:`_divide`."""
     lengths, counts, ratios = _divide(length, largest, ends, growth, minimum)
     steps = np.concatenate([part * ratio ** np.arange(count) / np.sum(ratio ** np.arange(count, dtype=float))
                             for part, count, ratio in zip(lengths, counts, ratios, strict=True)])
@@ -119,8 +117,7 @@ def division(
 
 
 def _graded(length: float, smallest: float, growth: float) -> int:
-    """The number of elements, each `growth` times as long as the one before, that divide a length so that the first is
-    no longer than `smallest`."""
+    """The number of elements whose first is at most `smallest`. Their length grows by `growth`."""
     count, total = 1, 1.0
     while length / total > smallest * (1.0 + 1e-12):
         total += growth**count
@@ -129,12 +126,12 @@ def _graded(length: float, smallest: float, growth: float) -> int:
 
 
 def _ceiling(quotient: float) -> int:
-    """Smallest number of elements; a quotient above a whole number by rounding only does not cost one more."""
+    """The least number of elements; rounding does not add one."""
     return max(1, math.ceil(quotient * (1.0 - 1e-12)))
 
 
 def _reentrant(section: Section, *, fluids: bool) -> list[tuple[float, float]]:
-    """Places r, z of the re-entrant corners of the solids, or if `fluids` of all that the section holds."""
+    """Re-entrant corners (r, z) of the solids, or of all materials (`fluids`)."""
     # VOID is -1: the last entry.
     counts = np.array([fluids or role_of(region) not in FLUID_ROLES for region in section.regions] + [False])
     solid = counts[section.grid()]
@@ -146,33 +143,32 @@ def _reentrant(section: Section, *, fluids: bool) -> list[tuple[float, float]]:
 
 
 def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
-    """Radii and heights that the mesh is graded towards, and the relative size of the elements there.
+    """Radii and heights of grading, with the relative element size.
 
-    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes, where elements are
-    smaller by the cube of `refinement`: with its first power Z of a disc was wrong by 0.65 %, with its square by 0.08
-    %. The compliant rim of a couplant is too thin for a field of its own across: its radius counts, not its heights.
+    Fields are singular in re-entrant corners of the solids, and more strongly at the ends of electrodes, where the
+    factor is the cube of `refinement`: with its first power Z of a disc was wrong by 0.65 %, with its square by 0.08 %.
+    The compliant edge of a couplant is too thin for a field across it: only its radius is refined.
     """
     corners = _reentrant(section, fluids=False)
     radii, heights = ({place[axis]: refinement for place in corners} for axis in (0, 1))
     goes_on = set(section.measure.ends(section.r_breaks).values())
     for couplant in (p for p in section.rectangles if role_of(p.region) == COUPLANT):
         radii |= dict.fromkeys({couplant.r_inner, couplant.r_outer} - goes_on, refinement)
-    rims = {r for p in section.rectangles if role_of(p.region) == TRANSDUCER for r in (p.r_inner, p.r_outer)}
+    outer_radii = {r for p in section.rectangles if role_of(p.region) == TRANSDUCER for r in (p.r_inner, p.r_outer)}
     for electrode in section.electrodes:
-        ends = {electrode.r_inner, electrode.r_outer} - rims
+        ends = {electrode.r_inner, electrode.r_outer} - outer_radii
         radii |= dict.fromkeys(ends, refinement**3)
         heights |= {electrode.z: refinement**3} if ends else {}
     return radii, heights
 
 
 def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float], dict[float, float]]:
-    """Radii and heights of the corners of something small, and the largest size (m) of the elements there.
+    """Radii and heights of small corners, with the largest element (m).
 
-    In those of the cavity it is a share, `size.cavity_corner`, of the longer of its two sides, that across from the
-    axis or the middle. The singular field in a corner of a cavity of sides a < b holds a share a / b of the
-    cavity's energy, of which elements of size h leave out what goes with h / a: its frequency is wrong in proportion to
-    h / b. A channel is short against the wavelength, and elements that are short against the wavelength alone are not
-    short in it. Where a bond ends in a step it is its thickness, within which the field of its end decays.
+    In corners of the cavity the size is `size.cavity_corner` times its longer side. The singular field in a corner of a
+    cavity with sides a < b has a share a / b of the cavity's energy, and elements of size h miss a share of it that is
+    proportional to h / a: the frequency error is proportional to h / b. At the end of a bond, the size is the bond's
+    thickness, within which the field of its end decays.
     """
     radii, heights = dict[float, float](), dict[float, float]()
     of_solids, of_all = (_reentrant(section, fluids=fluids) for fluids in (False, True))
@@ -189,14 +185,14 @@ def _local_lengths(section: Section, size: MeshSize) -> tuple[dict[float, float]
 
 
 def reach_across(left: float, right: float) -> float:
-    """The width (m) of something between two places, from the axis or the middle if it lies there."""
+    """The width (m) between two places, or from the axis between."""
     return right - left if left * right >= 0.0 else max(right, -left)
 
 
 def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]:
     """Panels along r and along z."""
     grid = section.grid()
-    # VOID is -1: it takes the last entry, no limit.
+    # VOID is -1: the last entry, which has no limit.
     limits = np.array([size.largest_element(region) for region in section.regions] + [math.inf])[grid]
     columns, rows = limits.min(axis=0), limits.min(axis=1)
     if math.isinf(max(columns.max(), rows.max())):

@@ -1,8 +1,7 @@
-"""The parts a chip is described by: dimensions, layers, electrodes, ports and states. All lengths in metres.
+"""The parts of a chip: layers, electrodes, ports, states. Lengths are in metres.
 
-Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc or a ring of its own radius about
-one axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below, and above unless
-it is a well.
+Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc or a ring about one axis. The
+cavity is a cylindrical hole through neighbouring layers, closed below, and above unless it is a well.
 """
 
 from __future__ import annotations
@@ -20,16 +19,14 @@ from workbench.files.errors import InputError
 
 @dataclass(frozen=True)
 class ElectrodeDisc:
-    """An electrode on one face of the transducer: a disc, or a ring if ``inner_radius`` is above zero.
-
-    ``radius`` is ``None`` if it covers the face to the rim; it then follows the transducer's radius.
-    """
+    """An electrode on one transducer face: a disc or ring. ``radius`` is None if it covers the face; it then follows
+    the transducer's radius. A ring has an ``inner_radius``."""
 
     radius: Dimension | None = None
     inner_radius: Dimension | None = None
 
 
-#: Potential of a half of a split electrode, as a share of the voltage, by its sign in a chip file.
+#: Potential of half of a split electrode, as a share of the voltage, by its sign in a chip file.
 SIGNS: Mapping[str, float] = {"+": 1.0, "-": -1.0, "0": 0.0}
 
 #: Wirings of two halves at opposite voltages: a centre-tapped transformer 1 : 1 + 1, an amplifier for each half, or one
@@ -40,11 +37,11 @@ WIRINGS = (TRANSFORMER, TWO_AMPLIFIERS, BETWEEN)
 
 @dataclass(frozen=True)
 class Electrodes:
-    """The two electrodes; ``live`` names the face of the transducer at the drive voltage, the other one is ground.
+    """The two electrodes; ``live`` names the transducer face at the drive voltage.
 
-    ``halves`` are the signs (:data:`SIGNS`) of the left and the right half of a live electrode that is split in the
-    middle of a straight chip, if stated. ``wiring`` of halves at opposite voltages is one of :data:`WIRINGS`, if
-    stated.
+    The other face is at ground. ``halves`` are the signs (:data:`SIGNS`) of the left and the right half of a live
+    electrode that is split in the middle of a straight chip. ``wiring`` of halves at opposite voltages is one of
+    :data:`WIRINGS`.
     """
 
     live: Literal["top", "bottom"] = "top"
@@ -55,22 +52,22 @@ class Electrodes:
 
     @property
     def share(self) -> float:
-        """Voltage of a live half against ground, as a share of the voltage of the drive."""
+        """Voltage of a live half, as a share of the drive voltage."""
         return 0.5 if self.wiring == BETWEEN else 1.0
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer: a disc, a ring around the cavity if ``cavity_radius`` is given, or one around an empty ``bore``.
+    """One layer: a disc, or a ring around a hole.
 
-    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own if a person weighed the part. ``draft``
-    (rad), ``barrel``, ``bow`` and ``dome`` (m) are its deviations from a disc with plane faces and upright sides, see
-    `geometry.shapes`. ``profile`` is an outline other than a rectangle, see `geometry.profile`; ``thickness`` is then
-    the distance of the layer above from the bottom of this one. A transducer is ``poled`` up or down along z; every
-    transducer but the lowest has electrodes that cover its faces, of which ``live`` is the one at the drive voltage.
-    In a straight chip, the middle of the layer is ``offset`` (m) to the right of that of the chip, and the middle of
-    its part of the channel ``cavity_offset``, or of all of its ``channels``, whose middles are a ``pitch`` (m) apart.
-    The bore of a ring holds nothing, or is a part of a further cavity with a ``filling`` (a material).
+    ``cavity_radius`` is the radius of the cavity, ``bore`` that of another hole, which is empty or part of a further
+    cavity with a ``filling`` (a material). ``z_bottom`` in metres; ``density`` (kg/m^3) replaces the material's own if
+    the part was weighed. ``draft`` (rad), ``barrel``, ``bow`` and ``dome`` (m) are deviations from a disc with plane
+    faces and upright sides (`geometry.shapes`). ``profile`` is an outline other than a rectangle (`geometry.profile`);
+    ``thickness`` is then the distance from its bottom to the layer above. A transducer is ``poled`` up or down along z.
+    Every transducer but the lowest has electrodes that cover its faces; ``live`` is the face at the drive voltage. In a
+    straight chip, ``offset`` (m) is the distance of the layer's middle to the right of the chip's, ``cavity_offset``
+    that of its ``channels``, whose middles are a ``pitch`` (m) apart.
     """
 
     region: str
@@ -118,8 +115,8 @@ class Layer:
 
     @property
     def holes(self) -> tuple[tuple[float, float], ...]:
-        """Places (m) of the sides of its part of every channel of a straight chip, from left to right; of the hole of a
-        ring, on both sides of the axis. Empty without a hole."""
+        """Left and right sides (m) of every hole, from left to right. The hole of a ring has its sides on both sides of
+        the axis."""
         if not self.inner_radius:
             return ()
         first = self.cavity_offset - 0.5 * (self.channels - 1) * self.pitch
@@ -128,7 +125,7 @@ class Layer:
 
     @property
     def hole_sides(self) -> tuple[float, float]:
-        """Places (m) of the outermost sides of its holes; both in its middle without one."""
+        """The outermost sides (m) of its holes, or its middle twice."""
         return (self.holes[0][0], self.holes[-1][1]) if self.holes else (self.offset, self.offset)
 
     def covers(self, other: Layer) -> bool:
@@ -149,11 +146,11 @@ class Layer:
 
 @dataclass(frozen=True)
 class Ports:
-    """Inlet and outlet of the cavity: straight channels from its wall to the outer surface, evenly round the axis.
+    """Inlet and outlet: straight channels through the cavity wall. They are equally spaced in azimuth.
 
-    Only the solid model has them; the section and the mesh are axisymmetric and leave them out. ``diameter`` of the
-    channel and ``height`` of its axis above the cavity floor; without a height the channel runs at mid-height of the
-    tallest layer around the cavity. Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS) shows both ports without a size.
+    Only the solid model has them; the axisymmetric section and mesh leave them out. ``height`` is that of the axis
+    above the cavity floor, by default half the height of the tallest layer around the cavity. Fig. 3 of
+    Acevedo-Espinosa et al. (RP-UEIS) shows both ports without a size.
     """
 
     diameter: Dimension
@@ -163,7 +160,7 @@ class Ports:
 
 @dataclass(frozen=True)
 class ReportedFigures:
-    """Figures of merit that somebody reported for a state: f0 in Hz, smallest impedance in ohm, quality factor."""
+    """Reported f0 (Hz), smallest impedance (ohm) and quality factor of a state."""
 
     label: str
     f0: float
@@ -173,9 +170,9 @@ class ReportedFigures:
 
 @dataclass(frozen=True)
 class State:
-    """Contents of a chip while it is measured.
+    """Contents of a chip during a measurement.
 
-    ``cavity``: material in the cavity, ``"vacuum"`` for nothing, ``None`` for a chip without cavity. ``temperature`` in
+    ``cavity``: the material in the cavity, ``"vacuum"`` if empty, None for a chip without cavity. ``temperature`` in
     kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name, ``particle_radius``
     in metres.
     """
@@ -190,7 +187,7 @@ class State:
 
 
 def largest_shape(layer: Layer, name: str) -> float:
-    """Upper limit of the magnitude of a layer's shape of that name (m or rad)."""
+    """Upper limit (m or rad) of the magnitude of a layer's shape."""
     if name == "draft":
         return math.pi / 4.0
     if name == "barrel":
@@ -199,7 +196,7 @@ def largest_shape(layer: Layer, name: str) -> float:
 
 
 def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:
-    """The layers moved so that each rests on the one below; the bottom one stays where it is."""
+    """The layers stacked without gaps; the bottom one keeps its height."""
     stack: list[Layer] = []
     for layer in layers:
         stack.append(replace(layer, z_bottom=stack[-1].z_top) if stack else layer)
@@ -207,12 +204,12 @@ def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:
 
 
 def discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str, ElectrodeDisc]]:
-    """The two discs with the names of their boundaries, the live one first."""
+    """The two discs with their boundary names, the live one first."""
     return (ELECTRODE_LIVE, electrodes.live_disc), (ELECTRODE_GROUND, electrodes.ground_disc)
 
 
 def further_cavities(layers: Iterable[Layer]) -> dict[str, tuple[Layer, ...]]:
-    """The layers around every cavity but the first, by its region, bottom to top: neighbours with a filling."""
+    """The layers around each further cavity, bottom to top, by its region."""
     groups: list[list[Layer]] = []
     before: Layer | None = None
     for layer in layers:
@@ -225,10 +222,8 @@ def further_cavities(layers: Iterable[Layer]) -> dict[str, tuple[Layer, ...]]:
 
 
 def hole_names(layers: Iterable[Layer], across: str = "radius") -> dict[str, str]:
-    """Name of the dimension that holds the hole's radius, by region: one name if all holes are equally wide.
-
-    `across` is what the chip calls a radius (`geometry.measure`).
-    """
+    """Name of each hole's radius, by region. Equal holes share a name. `across` is ``radius`` or ``half_width``
+    (`geometry.measure`)."""
     holes = {layer.region: layer.inner_radius for layer in layers if layer.cavity_radius is not None}
     if holes and max(holes.values()) - min(holes.values()) < SAME_LENGTH:
         return dict.fromkeys(holes, f"{CAVITY}.{across}")
@@ -238,10 +233,8 @@ def hole_names(layers: Iterable[Layer], across: str = "radius") -> dict[str, str
 def named_dimensions(
     layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, across: str = "radius"
 ) -> Iterator[tuple[str, Dimension]]:
-    """The lengths of a chip and their names, in the order of the layers; see `geometry.chip.Chip.dimensions`.
-
-    `across` is what the chip calls a radius (`geometry.measure`).
-    """
+    """Names and lengths of a chip, in the order of the layers. See `geometry.chip.Chip.dimensions`. `across` is
+    ``radius`` or ``half_width`` (`geometry.measure`)."""
     shared = hole_names(layers, across)
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
@@ -269,9 +262,9 @@ def named_dimensions(
 
 
 def port_axis(ports: Ports | None, holes: Sequence[Layer], *, file: str) -> tuple[Layer, float]:
-    """The layer that ports run through and the height of their axes (metres, in the chip's own z).
+    """The layer around the ports, and the height (m) of their axes.
 
-    `holes` are the layers with a hole, bottom to top; `file` is the name that mistakes are reported under.
+    `holes` are the layers with a hole, bottom to top; `file` is the name in error messages.
 
     Raises:
         InputError: there are no ports, or their height is outside the cavity.

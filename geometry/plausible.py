@@ -1,8 +1,8 @@
-"""Usual sizes of the parts of a chip, by role. A size outside its range raises an error, since it is mostly a slip of
-the unit.
+"""Usual sizes of the parts of a chip, by role.
 
-The ranges are wide: they hold parts that are built and sold, from thin-film and micromachined ones to ultrasonic baths,
-and exclude sizes that are wrong by a thousand. To keep a size outside, the chip lists its name under ``unusual``.
+A size outside its range raises an error, since it is probably a slip of the unit. The ranges are wide: they include
+parts on the market, from thin-film devices to ultrasonic baths, and exclude sizes that are wrong by a factor of a
+thousand. A chip lists intended sizes outside under ``unusual``.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from workbench.files.errors import InputError, choose
 
 @dataclass(frozen=True)
 class Range:
-    """The least and the largest usual size (SI) of a thing; ``what`` is its name in messages."""
+    """The smallest and largest usual size (SI) of a part. ``subject`` is its name in messages."""
 
     low: float
     high: float
-    what: str
+    subject: str
 
     def __contains__(self, value: object) -> bool:
-        # The ends are written in other units than those of the comparison.
+        # The ends may be written in other units than the value.
         return isinstance(value, float | int) and self.low * (1.0 - 1e-9) <= value <= self.high * (1.0 + 1e-9)
 
 
-#: Thicknesses (m) of layers by role. With ranges twice as wide, a slip by the factor of a unit is still outside, except
-#: for films.
+#: Thicknesses (m) of layers by role. With ranges twice as wide, a slip by a factor of 1000 is still outside, except for
+#: films.
 THICKNESSES: Mapping[str, Range] = {
     TRANSDUCER: Range(5e-6, 50e-3, "a piezoelectric disc"),
     "couplant": Range(1e-6, 500e-6, "a film of gel or glue"),
@@ -53,13 +53,13 @@ CAVITY_RADIUS = Range(20e-6, 150e-3, "the radius of a cavity")
 BORE = Range(20e-6, 200e-3, "the hole of a ring")
 ELECTRODE_RADIUS = Range(10e-6, 200e-3, "the radius of an electrode")
 ELECTRODE_GAP = Range(1e-6, 200e-3, "the hole or the gap in an electrode")
-#: The longest is that of figures by the metre, which a chip without a stated length has.
+#: The upper end is the default length of a straight chip, 1 m.
 LENGTH = Range(0.1e-3, 1.0, "a straight chip along its channel")
 FILL = Range(5e-6, 100e-3, "the liquid in a well")
 PORT = Range(5e-6, 50e-3, "a port")
 PARTICLE_RADIUS = Range(10e-9, 0.5e-3, "the radius of a particle")
 
-#: Names of the depth of a liquid and of the length of a straight chip, which are no dimensions by name, in ``unusual``.
+#: Names in ``unusual`` of the depth of a liquid and of the length of a straight chip, which are not dimensions.
 FILL_KEY, LENGTH_KEY = "fill", "length"
 
 #: Other quantities: K, Hz, kg/m^3.
@@ -67,20 +67,20 @@ TEMPERATURE = Range(253.15, 423.15, "a chip in use")
 FREQUENCY = Range(1e3, 100e6, "a chip driven by a piezoelectric disc")
 DENSITY = Range(50.0, 23e3, "a solid")
 
-#: Largest ratio of the ends of a band, and largest number of half wavelengths across the transducer at its top, with
-#: 2000 Hz m for one. With twice the numbers, a lost point in one end of a band of 2 mm discs would pass at 10.8 MHz.
+#: Largest ratio of the ends of a band; largest number of half wavelengths across the transducer at its top, with 2000
+#: Hz m for one. Doubled, a lost decimal point in a band of 2 mm discs passes at 10.8 MHz.
 WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
 
-#: Factor below which a search may move a length out of its range, which makes it unusual: a slip of the unit is larger.
-#: Doubled, a slip between cm and mm in code passes more often.
+#: Largest factor by which a search may move a length out of its range and make it unusual. Doubled, a slip between cm
+#: and mm in code passes more often.
 LARGEST_MOVE = 30.0
 
-#: Factors between units that are mistaken for each other, the likeliest first.
+#: Factors between units that are often confused, the most likely first.
 SLIPS = (1e-3, 1e3, 1e-6, 1e6, 0.1, 10.0, 0.01, 100.0)
 
 
 def range_of(name: str) -> Range | None:
-    """The range of a dimension of a chip by its name; None for shapes and sizes of profiles, which are checked against
+    """The range of a dimension by its name, or None. Shapes and sizes of profiles have none; they are checked against
     their layers."""
     region, _, what = name.rpartition(".")
     if name in (FILL_KEY, LENGTH_KEY):
@@ -102,14 +102,15 @@ def check_plausible(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], states: Sequence[State],
     unusual: Sequence[str], file: str, *, measure: Measure = ABOUT_AXIS, is_open: bool = False,
 ) -> None:
-    """Check that lengths, band, densities, temperatures and particles are of usual sizes, except those listed as
-    `unusual`. `named` are all lengths by name.
+    """Check that all sizes are usual, except those listed as `unusual`.
+
+    The sizes are lengths (`named`), band, densities, temperatures and particles.
 
     Raises:
         InputError: the first unusual size, or an unusual name that the chip does not have.
     """
     stated = list(_stated(layers, named, states))
-    # The depth of a liquid is checked where it is read: afterwards it is the thickness of a wall.
+    # The depth of a liquid is checked when it is read: afterwards it is the thickness of a wall.
     more = [*([FILL_KEY] if is_open else []), *([LENGTH_KEY] if isinstance(measure, Straight) else [])]
     for name in unusual:
         choose(name, ["band", *more, *(each for each, _, _, _ in stated)], source=file, field="chip.unusual")
@@ -123,30 +124,29 @@ def check_plausible(
 
 
 def check_length(name: str, value: float, *, source: str, field: str, unusual: Sequence[str] = ()) -> None:
-    """Check that a length (m) above zero is a usual one for the dimension of that name.
+    """Check that a length (m) above zero is usual for that dimension.
 
     Raises:
-        InputError: it is not, and the name is not `unusual`.
+        InputError: it is not, and the name is not in `unusual`.
     """
     usual = range_of(name)
-    # Values that are no lengths at all are refused elsewhere.
+    # Values that are not lengths are rejected elsewhere.
     if usual is not None and value > 0.0 and name not in unusual and value not in usual:
         raise implausible(name, value, usual, "length", source, field)
 
 
 def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, field: str = "chip.band") -> None:
-    """Check that the ends of a band (Hz) are frequencies at which a chip with these layers is driven, and not far
-    apart.
+    """Check that a band (Hz) is usual for these layers.
 
     Raises:
-        InputError: they are not.
+        InputError: they are not, or the band is too wide.
     """
     low, high = band
     thickness = next((layer.thickness.value for layer in layers if layer.role == TRANSDUCER), math.inf)
     top = OVERTONES * FREQUENCY_CONSTANT / thickness
     if low not in FREQUENCY or high not in FREQUENCY:
         expected = (f"frequencies of {as_text(FREQUENCY.low, 'frequency')} to {as_text(FREQUENCY.high, 'frequency')}, "
-                    f"at which {FREQUENCY.what} works")
+                    f"at which {FREQUENCY.subject} works")
     elif high > top:
         expected = (f"at most {as_text(top, 'frequency')}, where the transducer of {as_text(thickness, 'length')} is "
                     f"{OVERTONES:g} half wavelengths thick")
@@ -159,17 +159,17 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
 
 
 def check_frequency(frequency: object, band: tuple[float, float], *, source: str, field: str) -> float:
-    """The frequency (Hz) at which a chip meant for a `band` (Hz) is driven.
+    """Return a drive frequency (Hz) after a check.
 
     Raises:
-        InputError: no number, or one outside :data:`FREQUENCY`, with the one that was probably meant: of those by a
-            slip of the unit or of the sign the nearest to the band.
+        InputError: not a number, or outside :data:`FREQUENCY`; with the probable frequency: of those by a slip of the
+            unit or the sign, the nearest to the `band` (Hz).
     """
-    # Numbers of numpy are numbers too.
+    # Numbers of numpy are accepted too.
     if isinstance(frequency, Real) and float(frequency) in FREQUENCY:
         return float(frequency)
-    expected = (f"a frequency in Hz of {FREQUENCY.low:g} to {FREQUENCY.high:g}, at which {FREQUENCY.what} works; the "
-                f"band of this chip is {band[0]:.10g} to {band[1]:.10g} Hz")
+    expected = (f"a frequency in Hz of {FREQUENCY.low:g} to {FREQUENCY.high:g}, at which {FREQUENCY.subject} works; "
+                f"the band of this chip is {band[0]:.10g} to {band[1]:.10g} Hz")
     meant: tuple[str, ...] = ()
     if isinstance(frequency, Real) and 0.0 < abs(float(frequency)) < math.inf:
         slips = [each for factor in (1.0, *SLIPS) if (each := abs(float(frequency)) * factor) in FREQUENCY]
@@ -179,31 +179,31 @@ def check_frequency(frequency: object, band: tuple[float, float], *, source: str
 
 
 def implausible(name: str, value: float, usual: Range, kind: str, source: str, field: str | None = None) -> InputError:
-    """The error that asks whether a value is meant."""
+    """The error of an unusual value, with the probable value."""
     off = value / usual.high if value > usual.high else usual.low / value if value > 0.0 else math.inf
     than = "the most" if value > usual.high else "less than the least"
     times = f"; this is {float(f'{off:.3g}'):,.12g} times {than}" if kind != "temperature" and off >= 1.5 else ""
-    expected = (f"{as_text(usual.low, kind)} to {as_text(usual.high, kind)}, which is what {usual.what} has{times}; "
-                f"{_how(name)}")
+    expected = (f"{as_text(usual.low, kind)} to {as_text(usual.high, kind)}, the usual range of "
+                f"{usual.subject}{times}; {_how(name)}")
     meant = [value + 273.15, value - 273.15] if kind == "temperature" else [value * factor for factor in SLIPS]
     likely = tuple(as_text(each, kind) for each in meant if each in usual)[:1]
     return InputError(source, field or name, as_text(value, kind, as_stated=True), expected, likely)
 
 
 def moved_beyond(name: str, old: float, new: float) -> bool:
-    """Whether a length moves out of its range by so little that a search may have moved it."""
+    """Whether a length leaves its range by a small factor only."""
     usual = range_of(name)
     return usual is not None and new not in usual and old / LARGEST_MOVE < new < LARGEST_MOVE * old
 
 
 def _how(name: str) -> str:
-    return f'if it is meant, write unusual = ["{name}"] under [chip]'
+    return f'if it is intended, write unusual = ["{name}"] under [chip]'
 
 
 def _stated(
     layers: Sequence[Layer], named: Mapping[str, Dimension], states: Sequence[State]
 ) -> Iterator[tuple[str, float, Range | None, str]]:
-    """Sizes that a chip states: name, value (SI), range, and the kind of quantity."""
+    """Sizes that a chip states: name, value (SI), range, kind of quantity."""
     for name, dimension in named.items():
         yield name, dimension.value, range_of(name), "length"
     for layer in layers:
@@ -217,8 +217,8 @@ def _stated(
 
 
 def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
-    """The band that was probably meant if the decimal point of an end was lost, or its unit mistaken: of the plausible
-    ones, the one nearest to the first resonance of a transducer of that thickness (m)."""
+    """The probable band after a slip of decimal point or unit. It is the plausible band nearest to the first
+    resonance of a transducer of that thickness (m)."""
     low, high = band
     found = [ends for factor in SLIPS for ends in ((low, high * factor), (low * factor, high * factor),
                                                    (low * factor, high))

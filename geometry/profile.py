@@ -1,11 +1,10 @@
-"""The profile of a layer that is not a disc, or no rectangle in a straight chip: the source of its outline in the
-(r, z) plane.
+"""The profile of a layer: the source of its outline.
 
-Three sources: an outline of points in the file itself, a CadQuery script, a part of a STEP file. Sizes in an outline
-are lengths or names: of the layer's own dimensions (``thickness``, ``radius``, ``cavity_radius``) or of parameters that
-the profile states. A script's function gets those of them that it asks for by name, in millimetres and degrees. Heights
-are measured from the bottom of the layer, in a STEP file from its own origin. In a straight chip x is measured from the
-middle of the layer, whose other half is the mirror image, and ``half_width`` stands in place of ``radius``.
+There are three sources: points in the file, a CadQuery script, a part of a STEP file. A size in an outline is a length
+or a name: of the layer's dimensions (``thickness``, ``radius``, ``cavity_radius``) or of a parameter of the profile. A
+script's function gets the sizes named in its signature, in millimetres and degrees. Heights start at the layer's
+bottom; in a STEP file, at its own origin. In a straight chip x starts at the middle of the layer, whose left half is
+the mirror image, and ``half_width`` stands for ``radius``.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from workbench.files.errors import InputError, choose, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 
-#: Reserved names: a parameter of a profile cannot have them.
+#: Names that a parameter of a profile cannot have.
 RESERVED = ("material", "density", "gauge")
 
 #: A length (m), or the name of one.
@@ -34,20 +33,20 @@ _CORNER_KEYS = ("at", "fillet", "through", "arc")
 _OF_SOLIDS = ("step", "part", "scale", "asymmetry", "axis", "origin", "sector")
 _PROFILE_KEYS = ("points", "script", "function", "parameters", *_OF_SOLIDS)
 
-#: Directions of the axes that have a name.
+#: Directions of the named axes.
 AXES: Mapping[str, tuple[float, float, float]] = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
     "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0)}
 
-#: Largest relative difference between the volume of a solid and that of its section turned about the axis, unless the
-#: file states another: the error of the kernel's integrals.
+#: Largest relative difference between the volumes of a solid and of its section turned about the axis, unless the file
+#: states another: the error of the kernel's integrals.
 ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True)
 class Corner:
-    """A corner of an outline at ``at`` (r, z), rounded by ``fillet``. The way to it from the corner before is a line, a
-    circular arc through the point ``arc``, or a spline through the points ``through``."""
+    """A corner of an outline at ``at`` (r, z), rounded by ``fillet``. The segment from the previous corner is a line, a
+    circular arc through ``arc``, or a spline through ``through``."""
 
     at: tuple[Size, Size]
     fillet: Size | None = None
@@ -57,14 +56,14 @@ class Corner:
 
 @dataclass(frozen=True)
 class Outline:
-    """A closed outline: the last corner is joined to the first."""
+    """A closed outline; the last corner is joined to the first."""
 
     corners: tuple[Corner, ...]
 
 
 @dataclass(frozen=True)
 class StepPart:
-    """A solid of a STEP file, by its name there; ``scale`` (m) is the length of the file's unit, stated by the user."""
+    """A solid of a STEP file. ``part`` is its name, ``scale`` (m) the file's unit."""
 
     path: Path
     part: str
@@ -76,9 +75,8 @@ class StepPart:
 class Placement:
     """The placement of a solid in its file.
 
-    ``axis`` is the unit vector of its axis, upwards through the chip; the axis goes through ``origin`` (m), from which
-    heights are counted. ``sector`` (rad) is the angle of the whole body that the solid covers, as in models of one half
-    or quarter.
+    ``axis`` is the unit vector of its axis, upwards through the chip, and ``origin`` (m) a point on it, where heights
+    start. ``sector`` (rad) is the angle that the solid covers, as in models of one half or quarter.
     """
 
     axis: tuple[float, float, float] = AXES["z"]
@@ -88,11 +86,11 @@ class Placement:
 
 @dataclass(frozen=True)
 class Profile:
-    """The source of the outline of a layer, and the ``parameters`` it brings in (name, size in m or rad).
+    """The source of a layer's outline, and its ``parameters``. A parameter is a name and a size in m or rad.
 
-    The parameters are dimensions of the chip; ``angles`` names those that are angles. ``asymmetry`` is the largest
-    relative difference between the volume of a solid and that of its section turned about the axis; ``placement``
-    places that axis.
+    The parameters are dimensions of the chip; ``angles`` names the angles among them. ``asymmetry`` is the largest
+    relative difference between the volumes of a solid and of its section turned about the axis; ``placement`` is that
+    of the axis.
     """
 
     source: Outline | Script | StepPart
@@ -102,7 +100,7 @@ class Profile:
     placement: Placement = Placement()
 
     def sizes(self, layer: Mapping[str, float]) -> dict[str, float]:
-        """Every size that the profile can use by name (m, rad), with those of the `layer`."""
+        """Sizes (m, rad) by name: the layer's and the profile's."""
         return {**layer, **{name: each.value for name, each in self.parameters}}
 
     def changed(self, change: Callable[[str, Dimension], Dimension]) -> Profile:
@@ -111,16 +109,16 @@ class Profile:
 
 
 def names_of_layer(measure: Measure) -> tuple[str, ...]:
-    """Names of the dimensions of a layer that its profile can use besides its own parameters."""
+    """Names of a layer's dimensions that its profile can use."""
     return "thickness", measure.across, f"cavity_{measure.across}"
 
 
 def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS, *, scripts: bool = True) -> Profile:
-    """The profile of a layer of a chip of that `measure`, from its table ``profile``; `scripts` allows a script.
+    """The profile of a layer, from its table ``profile``. `scripts` allows a script.
 
     Raises:
-        InputError: an invalid key, name or unit, a file that does not exist, a script that is refused or lies
-            elsewhere, or a solid in a straight chip.
+        InputError: an invalid key, name or unit, a missing file, a script that is refused or outside the chip's folder,
+            or a solid in a straight chip.
     """
     if isinstance(measure, Straight):
         for key in _OF_SOLIDS:
@@ -151,7 +149,7 @@ def read_profile(table: FileTable, measure: Measure = ABOUT_AXIS, *, scripts: bo
         source = StepPart(path, table.text("part", expected="the name of a solid in the file"),
                           table.quantity("scale", "length", 1e-3), content)
         if parameters:
-            raise table.error("parameters", "none: a STEP file is as it is")
+            raise table.error("parameters", "none: a STEP file has no parameters")
     return Profile(source, parameters, angles, asymmetry, placement)
 
 
@@ -191,7 +189,7 @@ def _parameters(
     found, angles = [], set()
     for name in table:
         if not name.isidentifier() or name in {*of_layer, *SHAPES, *RESERVED}:
-            raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
+            raise table.error(name, "a name of letters, digits and underscores that is no key of the layer")
         inner = table.table(name) if isinstance(table.content[name], Mapping) else None
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]
         kind = "angle" if isinstance(value, str) and value.strip().endswith(("deg", "rad")) else "length"
@@ -228,7 +226,7 @@ def _outline(table: FileTable, names: set[str], angles: frozenset[str]) -> Outli
         inner.required("at", 'a point ["1 mm", "0 mm"]: r and z')
         through = inner.content.get("through", [])
         if not isinstance(through, list) or ("arc" in inner and through):
-            raise inner.error("through", "a list of points, and no arc besides")
+            raise inner.error("through", "a list of points, without an arc")
         corners.append(Corner(
             point(inner.content["at"], f"{place}.at"),
             size(inner.content["fillet"], f"{place}.fillet") if "fillet" in inner else None,
@@ -238,12 +236,12 @@ def _outline(table: FileTable, names: set[str], angles: frozenset[str]) -> Outli
 
 
 def _file(table: FileTable, key: str) -> tuple[Path, str]:
-    """A file named by `key`, beside the chip file, and the digest that distinguishes its versions."""
+    """The file under `key`, relative to the chip file, and its digest."""
     name = table.text(key, expected="the name of a file")
     path = _path(table, name)
     try:
         if path.exists() and not path.is_file():
-            raise OSError("it is no regular file")  # a pipe has no end
+            raise OSError("it is no regular file")  # Reading a pipe may never end.
         return path, hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         near = nearest_files(path, lambda each: each.suffix == path.suffix)
@@ -265,5 +263,5 @@ def _script(table: FileTable, *, scripts: bool) -> Script:
 
 
 def step_profiles(profiles: Iterable[Profile | None]) -> tuple[Profile, ...]:
-    """Those of the profiles that are parts of STEP files."""
+    """The profiles that are parts of STEP files."""
     return tuple(each for each in profiles if each is not None and isinstance(each.source, StepPart))

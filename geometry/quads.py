@@ -1,9 +1,9 @@
-"""Quadrilaterals of any layout: local coordinates that neighbours agree on, and nodes on curved sides.
+"""Orientation of quadrilaterals, and nodes on their curved sides.
 
-A mesh of a stack of discs runs along r and along z by itself. Elsewhere the two coordinates of a cell are chosen so
-that the cells on both sides of an edge run along it in one direction. Opposite sides of a cell run alike, from cell to
-cell along a strip; in the plane, a strip has two ends or closes on itself without a twist (Agelek, Anderson, Bangerth
-and Barth 2017, ACM Trans. Math. Softw. 44, 5: On orienting edges of unstructured two- and three-dimensional meshes).
+In a mesh of a stack of discs, local coordinates run along r and z. In other meshes they are chosen so that the cells on
+both sides of an edge have one direction along it. Opposite sides of a cell have one direction, from cell to cell along
+a strip; in the plane, a strip has two ends or closes without a twist (Agelek, Anderson, Bangerth and Barth 2017, ACM
+Trans. Math. Softw. 44, 5: On orienting edges of unstructured two- and three-dimensional meshes).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: The sides of a cell as pairs of corners, from the lower to the upper end of the coordinate along them; the first and
-#: third are opposite, and so are the others.
+#: The sides of a cell as pairs of corners, in the direction of the coordinate along them. The first is opposite to the
+#: third, the second to the fourth.
 BOTTOM, RIGHT, TOP, LEFT = (0, 1), (1, 2), (3, 2), (0, 3)
 
 
@@ -31,7 +31,7 @@ def gauss_lobatto(order: int) -> Real:
 
 
 def numbering(order: int) -> list[tuple[int, int]]:
-    """Numbers along both coordinates of the nodes of a cell: corners, edges bottom, right, top, left, the inside."""
+    """Node numbers along both coordinates: corners, edges bottom, right, top, left, inside."""
     inner = range(1, order)
     return [(0, 0), (order, 0), (order, order), (0, order),
             *((k, 0) for k in inner), *((order, k) for k in inner),
@@ -40,18 +40,17 @@ def numbering(order: int) -> list[tuple[int, int]]:
 
 
 def oriented(cells: Integers) -> Integers:
-    """Anticlockwise cells (4, m) with their corners rolled so that neighbours agree in direction along their common
-    side.
+    """Anticlockwise cells (4, m) rolled so that neighbours agree in direction.
 
     Raises:
-        ValueError: it is not possible, as on a twisted strip.
+        ValueError: it is impossible, as on a twisted strip.
     """
     count = cells.shape[1]
     ends = np.stack([np.sort(cells[list(side)], axis=0) for side in (BOTTOM, RIGHT, TOP, LEFT)], axis=1)  # (2, 4, m)
     forwards = np.stack([cells[a] < cells[b] for a, b in (BOTTOM, RIGHT, TOP, LEFT)])
     _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
     edge = edge.reshape(4, count)
-    # From edge to the edge across a cell, and whether both run from the smaller node to the larger one if one does.
+    # From each edge to the opposite edge of a cell, and whether both have one direction relative to their node numbers.
     beside: dict[int, list[tuple[int, bool]]] = {}
     for one, other in ((0, 2), (1, 3)):
         same = forwards[one] == forwards[other]
@@ -74,13 +73,14 @@ def oriented(cells: Integers) -> Integers:
                     raise ValueError(f"the strip of cells through edge {first} is turned over")
     direction = np.array([runs[k] for k in range(len(runs))])
     along, across = (direction[edge[side]] == forwards[side] for side in (0, 1))
-    # The corner at which both coordinates begin.
+    # The corner at which both coordinates are zero.
     begin = np.where(along, np.where(across, 0, 3), np.where(across, 1, 2))
     return np.take_along_axis(cells, (np.arange(4)[:, None] + begin) % 4, axis=0)
 
 
 def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
-    """The nodes (2, m, k, k) of `cells` (4, m) in the order of `other`, equal cells whose corners begin elsewhere."""
+    """The `nodes` (2, m, k, k) of `cells` in another corner order. `cells` and `other` (4, m) are equal cells whose
+    corners begin elsewhere. Both are (4, m) with equal cells whose corners begin elsewhere."""
     begin = np.argmax(cells == other[0], axis=0)
     result = np.empty_like(nodes)
     for corner, turn in enumerate((lambda x: x, lambda x: x[:, :, ::-1].swapaxes(2, 3), lambda x: x[:, :, ::-1, ::-1],
@@ -91,11 +91,8 @@ def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
 
 
 def measures(nodes: Real) -> tuple[Real, Real, Real]:
-    """Area (m,), its first moment about r = 0 (m,), and least Jacobian determinant relative to its mean (m,), of cells
-    with nodes (2, m, k, k).
-
-    The integrands are polynomials of degrees below those that the quadrature is exact for.
-    """
+    """Area, first moment about r = 0, and least Jacobian of cells. Each is (m,). The cells have nodes (2, m, k, k). The
+    Jacobian determinant is relative to its mean. The quadrature is exact."""
     order = nodes.shape[2] - 1
     x, weights = legendre.leggauss(2 * order + 1)
     points = 0.5 * (1.0 + x)
@@ -110,7 +107,8 @@ def measures(nodes: Real) -> tuple[Real, Real, Real]:
 
 
 def tabulated(order: int, points: Real) -> tuple[Real, Real]:
-    """Values and slopes (n, order + 1) at `points` (n,) of the Lagrange polynomials of the Gauss-Lobatto nodes."""
+    """Values and slopes (n, order + 1) of the Lagrange polynomials. The nodes of the polynomials are Gauss-Lobatto
+    points."""
     values, slopes = _coefficients(order)
     legendres = legendre.legvander(2.0 * points - 1.0, order)
     return legendres @ values, legendres[:, :-1] @ slopes
@@ -118,19 +116,19 @@ def tabulated(order: int, points: Real) -> tuple[Real, Real]:
 
 @cache
 def _coefficients(order: int) -> tuple[Real, Real]:
-    """Coefficients of these polynomials and of their slopes in Legendre polynomials: (order + 1, order + 1) and (order,
-    order + 1)."""
+    """Legendre coefficients of the Lagrange polynomials and of their slopes. The shapes are (order + 1, order + 1) and
+    (order, order + 1)."""
     values = np.asarray(np.linalg.inv(legendre.legvander(2.0 * gauss_lobatto(order) - 1.0, order)), dtype=float)
     return values, np.asarray(2.0 * legendre.legder(values, axis=0))
 
 
 def curved(points: Real, cells: Integers, nodes: Real, sides: Mapping[tuple[int, int], Real]) -> Real:
-    """Coordinates (2, m, k, k) of the nodes of cells (4, m), by their numbers along both coordinates.
+    """Node coordinates (2, m, k, k) of cells with curved sides.
 
     Args:
-        points: (2, n) metres.
-        nodes: (k,) of [0, 1], ends included, symmetric about the middle.
-        sides: (2, k) metres of the nodes of those sides that are curved, by the numbers of their two points.
+        points: (2, n) in metres.
+        nodes: (k,) in [0, 1], ends included, symmetric about the middle.
+        sides: node coordinates (2, k) in metres of curved sides, by the numbers of their two points.
 
     Inner nodes follow from the sides by transfinite interpolation (Gordon and Hall 1973, Int. J. Numer. Methods Eng. 7,
     461).

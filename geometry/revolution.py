@@ -1,7 +1,4 @@
-"""The section of a solid that turns about an axis; for other solids, the axis about which they do turn.
-
-Lengths in **millimetres**, as in every CAD file.
-"""
+"""The section of a solid of revolution, and its axis. Lengths are in millimetres."""
 
 from __future__ import annotations
 
@@ -21,27 +18,27 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     from cadquery import Face, Solid
 
-#: Least volume (mm^3) of a solid: far below any intended one, far above rounding.
+#: Least volume (mm^3) of a solid.
 LEAST_VOLUME = 1e-7
 
-#: Points closer than this (mm) are one point: the same length as `geometry.parts.SAME_LENGTH`.
+#: Points closer than this (mm) are equal; the length is `geometry.parts.SAME_LENGTH`.
 SAME_POINT = 1e-6
 
-#: Azimuths (degrees) at which a solid may be cut; the best is the cut whose revolution shows most of the solid.
+#: Azimuths (degrees) of the trial cuts of a solid. The best cut represents most of its volume.
 AZIMUTHS = (0.0, 90.0, 45.0, 30.0, 60.0, 75.0)
 
-#: Largest relative difference of volume at which an error message still names the axis of a solid: one with ports or a
-#: key on its rim. Doubled, a plate with a large round boss is named as round.
+#: Largest relative volume difference at which a message names an axis: that of a solid with ports or a key. Doubled, a
+#: plate with a large round boss counts as round.
 NAMED_WITHIN = 0.05
 
-#: Largest relative difference of volume at which a message shows the differing places. Above, it is another body.
+#: Largest relative volume difference at which a message shows the differing places; above it the solids are unrelated.
 SHOWN_WITHIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """A solid's section in the half plane y = 0, the ``share`` of the solid's volume in which it differs from its
-    section turned about the axis, and the solids ``differing``."""
+    """A solid's section in the half plane, compared with the solid. ``share`` is the share of the solid's volume that
+    differs from the turned section, in the solids ``differing``."""
 
     face: Face
     share: float
@@ -49,11 +46,13 @@ class Turned:
 
 
 def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field: str) -> tuple[Face, str]:
-    """The section of a solid, checked against its volume, and a note on the parts it leaves out ("" for none).
+    """The checked section of a solid, and a note on omitted parts.
+
+    The note is empty if it leaves out none.
 
     Raises:
-        InputError: the solid is not closed, has a size that no part of a chip has in millimetres, or does not turn
-            about the stated axis within `asymmetry` of its volume; the message then names the axis about which it does.
+        InputError: the solid is not closed, has an unusual size, or is not a body of revolution about the stated axis
+            within `asymmetry` of its volume; the message then names the axis that fits.
     """
     box = solid.BoundingBox()
     width = max(box.xmax - box.xmin, box.ymax - box.ymin, box.zmax - box.zmin)
@@ -67,23 +66,23 @@ def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field
     if found is not None and found.share <= min(asymmetry, 1e-6):
         return found.face, ""
     if found is not None and found.share <= asymmetry:
-        return found.face, _said(found)
+        return found.face, _difference_text(found)
     stated = "the z axis" if placement == Placement() else f"the axis that is stated: {words(placement)}"
     if found is None or found.share > 1e-2:
         other = turning(solid, asymmetry)
         if other is not None and (found is None or other[1].share < 0.5 * found.share):
             within = "" if other[1].share <= asymmetry else f", asymmetry = \"{_above(other[1].share)} %\""
             raise InputError(source, field, words(other[0]), f"a solid that turns about {stated}; "
-                             f"in the profile {revolution_keys(other[0])}{within} says how this one stands")
+                             f"in the profile {revolution_keys(other[0])}{within} states the axis of this one")
     if found is None or found.share > SHOWN_WITHIN:
         raise InputError(source, field, f"a solid from x = {box.xmin:.4g} to {box.xmax:.4g} mm and y = {box.ymin:.4g} "
                          f"to {box.ymax:.4g} mm that turns about no axis", f"a solid that turns about {stated}; "
                          f"{NOT_ROUND}")
-    raise InputError(source, field, _said(found), f"a solid that turns about {stated} within {100.0 * asymmetry:.3g} "
-                     f"%; profile.asymmetry states how much may be left out; {NOT_ROUND}")
+    raise InputError(source, field, _difference_text(found), f"a solid that turns about {stated} within "
+                     f"{100.0 * asymmetry:.3g} %; profile.asymmetry states the share that may be left out; {NOT_ROUND}")
 
 
-def _said(found: Turned) -> str:
+def _difference_text(found: Turned) -> str:
     worst = max(found.differing, key=lambda each: each.Volume())
     centre = worst.Center()
     return (f"{100.0 * found.share:.3g} % of its volume ({sum(e.Volume() for e in found.differing):.4g} mm^3 in "
@@ -92,7 +91,7 @@ def _said(found: Turned) -> str:
 
 
 def _above(share: float) -> str:
-    """A share in per cent, rounded up to one digit with a margin."""
+    """A percentage, rounded up to one digit with a margin."""
     percent = 110.0 * share
     digit = 10.0 ** math.floor(math.log10(percent))
     return f"{math.ceil(percent / digit) * digit:.6g}"
@@ -103,7 +102,7 @@ def _above(share: float) -> str:
 
 
 def upright(solid: Solid, placement: Placement) -> Solid:
-    """The solid with its axis along z, its origin at zero, and the middle of its sector, if it is one, at azimuth 0."""
+    """The solid with its axis along z and origin at zero. A sector has its middle at azimuth 0."""
     cadquery = cadquery_module()
     if placement.axis != AXES["z"] or any(placement.origin):
         origin = tuple(MILLIMETRES * each for each in placement.origin)
@@ -115,8 +114,8 @@ def upright(solid: Solid, placement: Placement) -> Solid:
 
 
 def turned_about(solid: Solid, placement: Placement, enough: float, most: float) -> Turned | None:
-    """The section that shows most of the solid, or None if no cut is in one piece or all leave out more than `most`
-    (share of the volume) by volume alone. The search ends at a share of `enough`."""
+    """The section that represents most of a solid, or None. None means that no cut is in one piece, or that all leave
+    out more than the share `most` of the volume. The search ends at a share of `enough`."""
     solid = upright(solid, placement)
     whole = placement.sector == 2.0 * math.pi
     best: Turned | None = None
@@ -129,7 +128,7 @@ def turned_about(solid: Solid, placement: Placement, enough: float, most: float)
         if not whole:
             degrees = math.degrees(placement.sector)
             body = _rotated(revolved(faces[0], degrees), -0.5 * degrees)
-        # The difference of volumes is a lower limit; the exact difference of the bodies takes long to find.
+        # The difference of volumes is a fast lower limit of the exact difference of the bodies.
         if abs(body.Volume() - solid.Volume()) > most * solid.Volume():
             continue
         differing = (*turned.cut(body).Solids(), *body.cut(turned).Solids())
@@ -148,7 +147,8 @@ def _rotated(solid: Any, degrees: float) -> Any:
 
 
 def half_plane(box: Any, *, is_whole: bool = False) -> Face:
-    """The part r >= 0 of the plane y = 0, or both parts of it if `is_whole`, a little larger than a bounding box."""
+    """The half plane r >= 0 beyond a bounding box. It is the whole plane y = 0 if `is_whole`. It is the whole plane if
+    `is_whole`."""
     reach = 1.1 * max(box.xmax, -box.xmin, box.ymax, -box.ymin) + 1.0
     return rectangle(-reach if is_whole else 0.0, reach, box.zmin - 1.0, box.zmax + 1.0)
 
@@ -163,7 +163,7 @@ def rectangle(r_inner: float, r_outer: float, z_bottom: float, z_top: float) -> 
 
 
 def revolved(face: Face, degrees: float = 360.0) -> Solid:
-    """A face of the half plane turned about the axis, by a whole turn or less."""
+    """A face of the half plane turned about the axis."""
     cadquery = cadquery_module()
     solid: Solid = cadquery.Solid.revolve(face, degrees, cadquery.Vector(), cadquery.Vector(0.0, 0.0, 1.0))
     return solid
@@ -174,8 +174,8 @@ def revolved(face: Face, degrees: float = 360.0) -> Solid:
 
 
 def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
-    """The placement of a solid that is a body of revolution, or a sector of one, within `asymmetry` or
-    :data:`NAMED_WITHIN` of its volume; None for any other."""
+    """The placement of a body of revolution or its sector, or None. The tolerance is `asymmetry` or
+    :data:`NAMED_WITHIN` of its volume."""
     best: tuple[Placement, Turned] | None = None
     for axis, origin in _candidates(solid):
         whole = Placement(axis, origin)
@@ -190,11 +190,8 @@ def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
 
 
 def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tuple[float, float, float]]]:
-    """Axes (direction, point in m) that the solid may turn about: those of its round faces, the largest first.
-
-    A solid without such faces (some programs write splines for all) gives the middle lines of its bounding box along x,
-    y, z.
-    """
+    """Possible axes (direction, point in m) of a solid. They are those of its round faces, the largest first. A solid
+    without round faces (some programs write only splines) gets the middle lines of its bounding box."""
     found: list[tuple[float, Any, Any]] = []
     for face in solid.Faces():
         axis = _axis_of(face)
@@ -223,7 +220,7 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
 
 
 def _round(values: Any, step: float) -> Any:
-    """Components rounded to thousandths if they differ from these by rounding only."""
+    """Components rounded to thousandths if they differ only by rounding."""
     near = np.round(values, 3) + 0.0
     return np.where(np.abs(values - near) < step, near, values)
 
@@ -250,7 +247,7 @@ def _axis_of(face: Any) -> tuple[Any, Any] | None:
 
 
 def _sector(solid: Solid, whole: Placement) -> Placement | None:
-    """The sector of a body about an axis that the solid fills, by volume, or None."""
+    """The sector that a solid fills about an axis, or None. It follows from the volume."""
     standing = upright(solid, whole)
     centre = standing.Center()
     if math.hypot(centre.x, centre.y) < SAME_POINT:
@@ -272,7 +269,7 @@ def _sector(solid: Solid, whole: Placement) -> Placement | None:
 
 
 def words(placement: Placement) -> str:
-    """A placement in words: "half of a body of revolution about y through x = 15 mm"."""
+    """A placement in words. Example: "half of a body of revolution about y through x = 15 mm"."""
     degrees = math.degrees(placement.sector)
     part = {360.0: "", 180.0: "half of ", 90.0: "a quarter of "}.get(
         round(degrees, 6), f"a sector of {degrees:.4g} degrees of ")

@@ -1,8 +1,8 @@
-"""Scripts that draw a layer: the only content of a chip file that is executed.
+"""Scripts that draw a layer: the executed content of chip files.
 
-A chip file that names a script is a program. So reading one warns of the script, by path and digest, before it runs;
-the script lies beside the chip file or below; the environment variable :data:`NO_SCRIPTS` refuses all scripts; and only
-the content that was there when the chip file was read runs.
+Reading a chip file that names a script warns with its path and digest before it runs. The script must be in the folder
+of the chip file or below. The environment variable :data:`NO_SCRIPTS` refuses all scripts. A script that has changed
+since the chip file was read does not run.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ NO_SCRIPTS = "WORKBENCH_NO_SCRIPTS"
 
 
 class ScriptWarning(UserWarning):
-    """A chip file names a script, which runs when the chip is built."""
+    """A chip file names a script, which runs with the chip."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """A function of a Python file that draws the layer with CadQuery; ``content`` is the digest (sha256) of the file.
-    """
+    """A function of a Python file that draws the layer with CadQuery. ``content`` is the digest (sha256) of the
+    file."""
 
     path: Path
     function: str
@@ -41,7 +41,7 @@ class Script:
 
 @contextmanager
 def no_scripts() -> Iterator[None]:
-    """Refuse scripts while this block runs, in this process and in processes that it begins."""
+    """Refuse scripts in a block, in this process and its child processes."""
     before = os.environ.get(NO_SCRIPTS)
     os.environ[NO_SCRIPTS] = "1"
     try:
@@ -54,10 +54,10 @@ def no_scripts() -> Iterator[None]:
 
 
 def check_script(name: str, path: Path, *, source: str, field: str, scripts: bool) -> None:
-    """Raise unless the script at `path`, called `name` in the chip file `source`, may run.
+    """Raise unless the script `name` at `path` may run.
 
     Raises:
-        InputError: `scripts` or the environment refuse it, or it does not lie beside the chip file or below.
+        InputError: `scripts` or the environment refuse it, or it is outside the folder of the chip file.
     """
     if not scripts or os.environ.get(NO_SCRIPTS, "") not in ("", "0"):
         raise InputError(source, field, name, f"no script: scripts are refused (--no-scripts, {NO_SCRIPTS}=1 or "
@@ -74,16 +74,16 @@ def lies_below(path: Path, folder: Path) -> bool:
 
 
 def warn_of(script: Script, source: str) -> None:
-    """Name a script that the chip file `source` runs, before it does."""
+    """Warn that the chip file `source` runs a script."""
     warnings.warn(ScriptWarning(f"{source} runs the script {script.path} (sha256 {script.content[:12]}), a program "
                                 "with all your rights; --no-scripts refuses it"), stacklevel=2)
 
 
 def script_bytes(script: Script) -> bytes:
-    """The content of a script, unchanged since the chip file was read.
+    """The content of a script.
 
     Raises:
-        InputError: it is another one, or cannot be read.
+        InputError: the file has changed since the chip file was read, or cannot be read.
     """
     try:
         data = script.path.read_bytes()
@@ -98,18 +98,18 @@ def script_bytes(script: Script) -> bytes:
 
 
 def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str], stated: Sequence[str]) -> Any:
-    """The result of a script's function for some sizes (m, rad), which it gets in millimetres and degrees.
+    """The result of a script's function for sizes (m, rad). The function gets millimetres and degrees.
 
     Raises:
-        InputError: the script has changed since its chip file was read, does not run, has no such function, or the
-            function asks for an unknown size, or not for one of those that its profile has `stated`.
+        InputError: the script has changed since its chip file was read, fails, or lacks the function; the function has
+            an unknown parameter, or lacks one of those `stated` in the profile.
     """
     data = script_bytes(script)
     scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
     try:
         exec(compile(data, str(script.path), "exec"), scope)
     except (Exception, SystemExit) as error:
-        raise InputError(str(script.path), _line(error, script.path, "script"), _said(error),
+        raise InputError(str(script.path), _line(error, script.path, "script"), _error_text(error),
                          "a script that runs") from error
     functions = {name: each for name, each in scope.items() if inspect.isfunction(each)}
     function: Callable[..., Any] = functions[choose(script.function, functions, source=str(script.path),
@@ -128,17 +128,17 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str], s
         return function(**wanted)
     except (Exception, SystemExit) as error:
         shown = ", ".join(f"{name} = {value:.6g}" for name, value in wanted.items())
-        raise InputError(str(script.path), _line(error, script.path, f"{script.function}({shown})"), _said(error),
+        raise InputError(str(script.path), _line(error, script.path, f"{script.function}({shown})"), _error_text(error),
                          "a solid") from error
 
 
-def _said(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _line(error: BaseException, path: Path, what: str) -> str:
-    """The line of the script that failed, with `what` was run: the last line of that file in the traceback."""
+def _line(error: BaseException, path: Path, call: str) -> str:
+    """The failed line of the script, and the call."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):
         lines.append(error.lineno)
-    return f"line {lines[-1]}, {what}" if lines and lines[-1] is not None else what
+    return f"line {lines[-1]}, {call}" if lines and lines[-1] is not None else call

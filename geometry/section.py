@@ -1,6 +1,6 @@
-"""The half section of a chip in the (r, z) plane: rectangles, electrodes, and the lines all of them lie on.
+"""Sections in the (r, z) plane: rectangles, electrodes and breaks.
 
-Lengths in metres, the axis at r = 0, z upwards (Acevedo-Espinosa et al. (RP-UEIS), Fig. 1).
+Lengths are in metres, the axis is r = 0 and z points upwards (Acevedo-Espinosa et al. (RP-UEIS), Fig. 1).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from workbench.files.errors import choose
 #: Marks an empty cell of :meth:`Section.grid`.
 VOID = -1
 
-#: Further names of the halves of a live electrode with these signs.
+#: Further names of the halves of a live electrode, by their sign.
 _BY_SIGN = {"-": ELECTRODE_REVERSED, "0": ELECTRODE_IDLE}
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A part of a region, bounded by two radii and two heights (metres)."""
+    """Part of a region, between two radii and two heights (m)."""
 
     region: str
     r_inner: float
@@ -49,7 +49,7 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Electrode:
-    """An electrode: the horizontal line from ``r_inner`` to ``r_outer`` at height ``z`` (metres)."""
+    """An electrode: a line at the height ``z`` (m). It runs from ``r_inner`` to ``r_outer`` (m)."""
 
     name: str
     r_inner: float
@@ -59,16 +59,15 @@ class Electrode:
 
 @dataclass(frozen=True)
 class Section:
-    """The half section: rectangles that do not overlap, and electrodes on them.
+    """The section: rectangles that do not overlap, and electrodes on them.
 
-    Coordinates of one line are the same float (:func:`cut_section` sees to it), so they compare exactly. ``measure``
-    says what the section is one of; in a straight one, radii are places x (m), which may be negative, and an electrode
-    may have several pieces of one name, and a piece several names: a half of the live electrode at minus the voltage or
-    at ground has a further one.
+    Coordinates of one line are the same float (see :func:`cut_section`), so they compare exactly. ``measure`` is that
+    of the section. In a straight section, radii are places x (m), which may be negative, an electrode may have several
+    pieces, and a half of the live electrode at minus the voltage or at ground has a second name.
 
     Raises:
         ValueError: an axisymmetric section with negative radii, or a live electrode that reaches a plane of odd
-            symmetry, on which its potential would be zero.
+            symmetry, where its potential is zero.
     """
 
     rectangles: tuple[Rectangle, ...]
@@ -91,18 +90,18 @@ class Section:
 
     @cached_property
     def r_breaks(self) -> tuple[float, ...]:
-        """Every radius at which a rectangle or electrode begins or ends, increasing (metres)."""
+        """Increasing radii (m) at which a rectangle or electrode begins or ends."""
         pieces: tuple[Rectangle | Electrode, ...] = (*self.rectangles, *self.electrodes)
         return tuple(sorted({r for piece in pieces for r in (piece.r_inner, piece.r_outer)}))
 
     @cached_property
     def z_breaks(self) -> tuple[float, ...]:
-        """Every height at which a rectangle or electrode begins or ends, increasing (metres)."""
+        """Increasing heights (m) at which a rectangle or electrode begins or ends."""
         lines = {z for rectangle in self.rectangles for z in (rectangle.z_bottom, rectangle.z_top)}
         return tuple(sorted(lines | {electrode.z for electrode in self.electrodes}))
 
     def grid(self) -> NDArray[np.int64]:
-        """The region that fills each cell between the breaks.
+        """The region of each cell between the breaks.
 
         Returns:
             (len(z_breaks) - 1, len(r_breaks) - 1) indices into ``regions``, :data:`VOID` for an empty cell.
@@ -137,14 +136,11 @@ class Section:
         return [rectangle for rectangle in self.rectangles if rectangle.region == region]
 
     def boundary_names(self) -> tuple[str, ...]:
-        """Names of all boundaries a mesh of this section has, sorted.
-
-        An electrode is counted besides the boundary it lies on: ``electrode_live`` is also part of
-        ``transducer|outside`` or of the interface with the layer it touches.
-        """
-        # A frame of void around the cells turns every outer edge into an edge between two cells.
+        """Sorted names of all boundaries of this section. An electrode has a name besides that of its boundary:
+        ``electrode_live`` is also part of ``transducer|outside`` or of the interface with the next layer."""
+        # A frame of void around the cells makes every outer edge an edge between two cells.
         cells = np.pad(self.grid(), 1, constant_values=VOID)
-        # Columns of vertical edges by the lines at which the section ends while the device goes on.
+        # Columns of the vertical edges on the lines of symmetry.
         ends = {self.r_breaks.index(place): name for name, place in self.measure.ends(self.r_breaks).items()}
         names = {electrode.name for electrode in self.electrodes}
         for one, other, vertical in ((cells[:, :-1], cells[:, 1:], True), (cells[:-1], cells[1:], False)):
@@ -159,27 +155,23 @@ class Section:
 
 
 def boundary_name(regions: tuple[str, ...], a: int, b: int) -> str:
-    """Name of the boundary between the regions with these indices, one of which may be :data:`VOID`."""
+    """Name of the boundary between regions by index; one may be :data:`VOID`."""
     if VOID in (a, b):
         return outside(regions[max(a, b)])
     return interface(regions[a], regions[b])
 
 
 def cut_section(chip: Chip) -> Section:
-    """The half section of `chip` with its cavity, filled or not, and without its ports.
-
-    Breaks that differ by less than 1 nm, the rounding of sums of thicknesses included, become one.
-    """
+    """The section of a chip with its cavity and without ports. Breaks within 1 nm of each other, the rounding of sums
+    of thicknesses, become one."""
     return section_of_layers(chip.layers, chip.electrodes, chip.measure)
 
 
 def section_of_layers(
     layers: Sequence[Layer], electrodes: Electrodes, measure: Measure = ABOUT_AXIS
 ) -> Section:
-    """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile.
-
-    A straight section without a plane of symmetry is whole: every layer reaches to both sides of its middle.
-    """
+    """The section of layers as discs and rings, whatever their profile. A straight section without a plane of symmetry
+    is whole: every layer extends to both sides of its middle."""
     is_whole = measure.is_whole
     start = -math.inf if is_whole else 0.0
     rectangles = [Rectangle(layer.region, left, right, layer.z_bottom, layer.z_top)
@@ -209,8 +201,7 @@ def section_of_layers(
 
 
 def _faces(transducer: Layer, electrodes: Electrodes) -> list[Electrode]:
-    """The live electrode and the ground electrode of a transducer; those of a chip's `electrodes` if it is the lowest.
-    """
+    """The live and the ground electrode of a transducer. The lowest transducer has the chip's `electrodes`."""
     own = electrodes if transducer.live is None else Electrodes(transducer.live)
 
     def face(name: str, part: ElectrodeDisc, *, on_top: bool) -> Electrode:
@@ -223,7 +214,7 @@ def _faces(transducer: Layer, electrodes: Electrodes) -> list[Electrode]:
 
 
 def _between(layer: Layer, start: float) -> Iterator[tuple[float, float]]:
-    """The sides of the pieces of a layer beside its holes, from `start` (m) on, from left to right."""
+    """The sides of a layer's pieces beside its holes, left to right. They begin at `start` (m)."""
     left, right = max(layer.sides[0], start), layer.sides[1]
     for low, high in layer.holes:
         if low > left:
@@ -233,8 +224,8 @@ def _between(layer: Layer, start: float) -> Iterator[tuple[float, float]]:
 
 
 def _whole(half: Electrode, middle: float) -> list[Electrode]:
-    """An electrode right of the `middle` (m) of its plate, from there, and its mirror image, from left to right; one
-    piece if they touch."""
+    """An electrode and its mirror image, left to right. The `middle` (m) is that of its plate. They are one piece if
+    they touch."""
     if half.r_inner == 0.0:
         return [replace(half, r_inner=middle - half.r_outer, r_outer=middle + half.r_outer)]
     return [replace(half, r_inner=middle - half.r_outer, r_outer=middle - half.r_inner),
@@ -242,7 +233,7 @@ def _whole(half: Electrode, middle: float) -> list[Electrode]:
 
 
 def _merged(values: Iterable[float]) -> dict[float, float]:
-    """Every value, mapped to the first of the run of values that equal it within rounding."""
+    """Every value, mapped to the first equal one, within rounding."""
     merged: dict[float, float] = {}
     first = -math.inf
     for value in sorted(set(values)):

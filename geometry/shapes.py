@@ -1,17 +1,16 @@
-"""Layers that are not discs with plane faces and upright sides: displacements of the lines of the section.
+"""Layers with sloping, bulging or curved sides: displacements of the section's lines.
 
-The section of a chip is cut by its breaks into rectangles. A shape moves points of some of their sides: points of an
-upright side along r, points of a level side along z. Points inside follow: a point between two upright sides moves
-along r by linear interpolation of their displacements at its height, and likewise along z between two level sides.
-Neighbouring rectangles share a side, so nothing tears, and rectangles without moved sides stay exactly as they are.
+The breaks cut the section into rectangles. A shape displaces points of some of their sides: of upright sides along r,
+of level sides along z. Points inside follow by linear interpolation between two opposite sides. Neighbouring rectangles
+share a side, so the section stays connected, and rectangles without displaced sides stay unchanged.
 
-- ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; continuations of the hole
-  above move along.
-- ``barrel`` of a layer: the bulge of its outer side at mid-height, in a parabola; lines within the layer that others
-  end at move along, in proportion to their distance from its hole or axis.
-- ``bow`` of a layer: the height of its axis above its rim, in a parabola; both its faces.
-- ``dome`` of a layer: its excess thickness on the axis over the rim, in a parabola of its upper face; the layer above,
-  usually a gel, fills the space between.
+- ``draft`` of a layer around the cavity: the angle by which its hole widens upwards; continuations of the hole above
+  move along.
+- ``barrel`` of a layer: the parabolic bulge of its outer side at mid-height; breaks within the layer move along, in
+  proportion to their distance from its hole or axis.
+- ``bow`` of a layer: the height of its middle above its edge, as a parabola, of both faces.
+- ``dome`` of a layer: the excess thickness of its middle over its edge, as a parabola of the upper face; the layer
+  above, usually a gel, fills the gap.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ Moved = Callable[[Real], Real]
 
 @dataclass(frozen=True)
 class Side:
-    """Displacements (m) of the points of a line of the section across it, from `begin` to `end` (m) along it.
+    """Displacements (m) across a section line from `begin` to `end` (m).
 
-    An upright line at the radius ``at`` moves along r as a function of z, a level one at the height ``at`` along z as a
-    function of r. Points beside it follow, less and less, until the lines at ``reach`` (m), by default the next ones.
+    An upright line at the radius ``at`` moves along r as a function of z, a level line at the height ``at`` along z as
+    a function of r. The displacement decreases linearly to zero at the lines ``reach`` (m), by default the next breaks.
     """
 
     upright: bool
@@ -51,8 +50,7 @@ class Side:
     reach: tuple[float, float] | None = None
 
     def across(self, along: Real) -> Real:
-        """Displacements of points of cells (nodes, cells) at places along the line (m); zero for cells outside its
-        ends."""
+        """Displacements (nodes, cells) at places `along` the line (m). They are zero beyond its ends."""
         middle = along.mean(axis=0)
         inside = (middle > self.begin) & (middle < self.end)
         return np.where(inside, self.moved(along), 0.0)
@@ -60,11 +58,11 @@ class Side:
 
 @dataclass(frozen=True)
 class ShapeReach:
-    """The dependence of the points that a shape moves on its size and on the lengths of the chip.
+    """Dependence of the displaced points on the shape's size and on lengths.
 
-    They move along r if it is ``upright``, else along z, in proportion to its size in metres; for an ``angle``, to its
-    tangent and to the thickness of the layer that has it. ``within`` (m) is the radius over which the size is spread,
-    if the displacement varies over the section; 0 if it is equal at all radii.
+    Points move along r if ``upright``, else along z. The displacement is proportional to the size in metres; for an
+    ``angle``, to its tangent and the layer's thickness. ``within`` (m) is the radius over which the displacement
+    varies; 0 if it is uniform.
     """
 
     upright: bool
@@ -86,17 +84,14 @@ def reach(layer: Layer, shape: str) -> ShapeReach:
 
 
 def possible(chip: Chip) -> dict[str, tuple[str, str]]:
-    """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions.
-
-    A chip with profiles has none, since they state all of its shape.
-    """
+    """Every possible shape of a chip: layer and shape by dimension. A chip with profiles has none."""
     layers = () if chip.is_profiled else chip.layers
     return {f"{layer.region}.{shape}": (layer.region, shape) for layer in layers for shape in SHAPES
             if shape != "draft" or layer.cavity_radius is not None}
 
 
 def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
-    """A copy with shapes of these names among its dimensions: of size 0 if the chip states none.
+    """A copy with these shapes among its dimensions. Their size is 0 if not stated.
 
     Raises:
         InputError: no layer can have such a shape.
@@ -113,10 +108,8 @@ def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
 
 
 def sides(chip: Chip, section: Section) -> Iterator[Side]:
-    """The sides that the shapes of a chip's layers move in its `section`.
-
-    Where the section shows both sides of the middle, the left ones are the mirror images of the right ones.
-    """
+    """The sides that the shapes of layers displace in `section`. In a whole section, the left sides mirror the right
+    ones."""
     for number, layer in enumerate(chip.layers):
         low, high = layer.z_bottom, layer.z_top
         if layer.draft is not None:
@@ -138,8 +131,8 @@ def sides(chip: Chip, section: Section) -> Iterator[Side]:
 
 
 def _drafted(chip: Chip, section: Section, number: int, place: int, outwards: float) -> Iterator[Side]:
-    """The sides that the draft of a layer moves, `outwards` by its height: the walls of its hole at a `place` among its
-    holes, as far as they are in the section, and their continuation above."""
+    """The sides that a draft displaces, `outwards` by its height. They are the walls of hole number `place` in the
+    section, and their continuation above."""
     layer = chip.layers[number]
     low, high = layer.z_bottom, layer.z_top
     for side, sign in enumerate((-1.0, 1.0)):
@@ -155,14 +148,14 @@ def _drafted(chip: Chip, section: Section, number: int, place: int, outwards: fl
         shift = slope * (high - low)
         for above, further in zip(chip.layers[number + 1:number + 2 + last], goes_on, strict=False):
             bottom, top = above.z_bottom, above.z_top
-            # At the end of the hole the line returns within the layer above, of which it bounds nothing.
+            # Above the end of the hole the displacement decreases to zero within the next layer.
             yield Side(True, at, bottom, top,
                        _sloping(0.0, bottom, shift) if further else _sloping(shift / (bottom - top), top), reach)
 
 
 def _reach(section: Section, at: float, heights: tuple[float, float], room: float) -> tuple[float, float]:
-    """The lines (m) on both sides of an upright one up to which the points beside it follow it: the next ones, but for
-    those that bound nothing between two `heights` (m) and are nearer than the `room` (m) that it may take."""
+    """The lines (m) beside an upright line where its displacement ends. They are the next breaks. Breaks without a
+    boundary between two `heights` (m) are skipped if they are nearer than `room` (m)."""
     breaks, grid = section.r_breaks, section.grid()
     rows = [j for j, z in enumerate(section.z_breaks[:-1]) if heights[0] - SAME_LENGTH < z < heights[1] - SAME_LENGTH]
     here = min(range(len(breaks)), key=lambda k: abs(breaks[k] - at))
@@ -182,16 +175,17 @@ def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
 
 
 def _bulging(size: float, begin: float, end: float) -> Moved:
-    """A parabola with the value `size` in the middle and zero at both ends."""
+    """A parabola: `size` in the middle, zero at both ends."""
     return lambda along: 4.0 * size * (along - begin) * (end - along) / (end - begin) ** 2
 
 
 def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
-    """Coordinates (2, nodes, cells) in metres of the nodes of a mesh of a chip's straight section, moved by the shapes
-    of its layers; None if no layer has a shape.
+    """Node coordinates (2, nodes, cells) in metres, displaced by the layers' shapes.
+
+    None if no layer has a shape.
 
     Args:
-        local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
+        local: (2, nodes) node coordinates within a cell, 0 to 1 along r and along z.
     """
     if not isinstance(mesh.section, Section):
         return None
@@ -204,14 +198,14 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
 
 
 def _moved(found: Sequence[Side], section: Section, r: Real, z: Real) -> Real:
-    """New coordinates (2, nodes, cells) of points (nodes, cells) of cells of a section."""
+    """Displaced coordinates (2, nodes, cells) of points (nodes, cells)."""
     return np.stack([_along(own, across, along, breaks) for own, across, along, breaks in (
         ([side for side in found if side.upright], r, z, section.r_breaks),
         ([side for side in found if not side.upright], z, r, section.z_breaks))])
 
 
 def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
-    """The outline of every layer, and of the cavity in every layer, anticlockwise, by region: lines and parabolas."""
+    """Anticlockwise outlines of every layer and cavity, by region. They are lines and parabolas."""
     section = cut_section(chip)
     found = list(sides(chip, section))
     result = []
@@ -227,7 +221,7 @@ def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
 
 
 def _cell(found: Sequence[Side], section: Section, column: int, row: int) -> Real:
-    """Corners, middles of the sides and middle of a cell between the breaks, after the move: (2, 3, 3)."""
+    """Displaced points (2, 3, 3) of a cell. They are its corners, side middles and middle."""
     ends = (section.r_breaks[column:column + 2], section.z_breaks[row:row + 2])
     r, z = np.meshgrid(*([low, 0.5 * (low + high), high] for low, high in ends), indexing="ij")
     return _moved(found, section, r.reshape(9, 1), z.reshape(9, 1)).reshape(2, 3, 3)
@@ -241,7 +235,7 @@ def _through(points: Real) -> Arc:
 
 
 def _along(found: Sequence[Side], across: Real, along: Real, breaks: Sequence[float]) -> Real:
-    """New coordinates across the lines of points (nodes, cells) at places `across` and `along` them."""
+    """Displaced coordinates across lines, of points (nodes, cells) at `across` and `along`."""
     lines, middle = np.array(breaks), across.mean(axis=0)
     result = across.copy()
     for side in found:

@@ -1,8 +1,7 @@
-"""The parts of a chip as solids, for drawing, printing and checking.
+"""The parts of a chip as solids, in millimetres.
 
-Every solid is made from explicit coordinates: discs about the z axis, or blocks along y of the length of a straight
-chip with their middle at y = 0; minus the cavity, minus the ports. Lengths are in **millimetres** here, as in every CAD
-file; heights are the chip's own.
+Every solid has explicit coordinates: discs about the z axis, or blocks along y with their middle at y = 0, minus cavity
+and ports. Heights are the chip's own.
 """
 
 from __future__ import annotations
@@ -23,22 +22,18 @@ from geometry.shapes import outlines
 if TYPE_CHECKING:
     from cadquery import Compound, Face, Shape, Solid
 
-#: Largest relative difference between the volume of a solid and the chip's arithmetic. The kernel integrates plain
-#: cylinders to rounding. It describes the edge of a channel in a round wall by a spline, which costs some 1e-8 of the
-#: channel, 1e-11 of the part.
+#: Largest relative difference between the volumes of a solid and of the chip's dimensions. The kernel integrates
+#: cylinders exactly; it describes the edge of a channel in a round wall by a spline, an error of 1e-8 of the channel.
 ROUND_TOLERANCE = 1e-9
 
 
-#: Largest relative difference for shaped layers: the kernel integrates such surfaces numerically, to 1e-9 in trials.
+#: Tolerance for shaped layers: the kernel integrates their surfaces numerically, to 1e-9 in trials.
 SHAPED_TOLERANCE = 1e-7
 
 
 def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
-    """The layers of each part that is made in one piece, by the region of its lowest layer.
-
-    A substrate and the sidewall on it are one piece if they are of one material: the printed part of Fig. 3 of
-    Acevedo-Espinosa et al. (RP-UEIS). Every other layer is a part by itself.
-    """
+    """The layers of each one-piece part, by its lowest region. A substrate and a sidewall of one material are one
+    piece: the printed part in Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS). Every other layer is a separate part."""
     printed = ("substrate", "sidewall")
     pieces: list[tuple[Layer, ...]] = []
     for layer in chip.layers:
@@ -51,7 +46,7 @@ def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
 
 
 def part_volumes(chip: Chip) -> dict[str, float]:
-    """Volume of every part in cubic metres from the chip's arithmetic, less the ports; the cavity without them."""
+    """Volume (m^3) of every part without ports, from the chip's dimensions."""
     found = volumes(chip)
     drilled = chip.port_axis()[0].region if chip.ports is not None else None
     by_part = {
@@ -63,11 +58,11 @@ def part_volumes(chip: Chip) -> dict[str, float]:
 
 
 def ports_volume(chip: Chip) -> float:
-    """Volume of wall that the ports of `chip` remove, cubic metres.
+    """Volume (m^3) of wall that the ports of a chip remove.
 
-    A channel of radius a along x between the cylinders r = b and r = c holds ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2
-    - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth and periodic, so the midpoint rule
-    converges to rounding.
+    A channel of radius a along x between the cylinders r = b and r = c has the volume ``2 int_{-a}^{a} sqrt(a^2 - y^2)
+    (sqrt(c^2 - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth and periodic, so the midpoint
+    rule converges to rounding.
 
     Raises:
         InputError: the chip has no ports.
@@ -87,16 +82,14 @@ def ports_volume(chip: Chip) -> float:
 
 
 def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
-    """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres: solids, and
-    compounds of two for the walls on both sides of a straight channel. The chip is made whole, whatever of it is
-    meshed.
+    """Every part of a chip and its fluid (mm), by region.
 
-    The ports are straight channels through the wall, at the height and of the diameter the chip states: Fig. 3 of
-    Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet of the printed substrate and gives no size. The fluid
-    in them is not part of the solid ``cavity``.
+    The chip is whole, even if a part of it is meshed. Walls on both sides of a straight channel are a compound. The
+    ports are straight channels through the wall; Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS) shows them without a size.
+    The fluid in them is not part of ``cavity``.
 
     Raises:
-        SolidError: CadQuery is not installed, or a solid is invalid or differs in volume from the chip's arithmetic.
+        SolidError: CadQuery is not installed, or a solid is invalid or differs in volume from the chip's dimensions.
     """
     expected = part_volumes(chip)
     cadquery = cadquery_module()
@@ -104,7 +97,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
     drilled = chip.port_axis()[0].region if channels else None
     bodies = _of_outlines(chip) if chip.is_shaped else _discs(cadquery, chip)
     fused = {region: _fused(each) for region, each in bodies.items()}
-    # The walls on both sides of a straight channel, which a layer below or above of one part with them joins.
+    # Walls on both sides of a straight channel, unless a layer of the same part joins them.
     apart = {layer.region for layer in chip.layers if len(fused[layer.region].Solids()) > 1}
     made: dict[str, Solid | Compound] = {}
     for name, layers in parts(chip).items():
@@ -112,7 +105,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid | Compound]:
         volume_of_ports = 0.0
         if drilled in {layer.region for layer in layers}:
             shape = shape.cut(*channels)
-            # In walls that are not round cylinders, the formula for the volume of channels does not hold.
+            # The formula for the volume of ports holds only for round walls.
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
         made[name] = _checked(name, shape, expected[name], ROUND_TOLERANCE if not chip.is_shaped else (
             SHAPED_TOLERANCE + volume_of_ports / expected[name]),
@@ -129,7 +122,7 @@ def _cavities(chip: Chip) -> dict[str, tuple[Layer, ...]]:
 
 
 def _pieces(chip: Chip) -> int:
-    """Number of pieces of a wall around the cavity: two beside a straight channel, and one more between any two."""
+    """Number of pieces of the wall. There are two beside a straight channel, and one between neighbouring channels."""
     return chip.measure.sides + (chip.holes[0].channels - 1 if chip.holes else 0)
 
 
@@ -142,7 +135,7 @@ def _discs(cadquery: ModuleType, chip: Chip) -> dict[str, list[Shape]]:
 
 
 def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:
-    """Layers and the cavity by region, made from their outlines: turned about the axis, or as long as the chip."""
+    """Layers and cavity by region, made from their outlines."""
     from geometry import cad
 
     faces: dict[str, list[Face]] = {}
@@ -155,8 +148,8 @@ def _of_outlines(chip: Chip) -> dict[str, list[Shape]]:
 
 
 def _bodies(face: Face, measure: Measure) -> list[Shape]:
-    """The bodies that a face of the section (mm) stands for: one of revolution, or a prism and its image beyond a plane
-    of symmetry."""
+    """The bodies of a section face (mm): of revolution, or prisms. A plane of symmetry adds the mirror image of the
+    prism."""
     if not isinstance(measure, Straight):
         return [revolution.revolved(face)]
     cadquery, long = cadquery_module(), MILLIMETRES * measure.length
@@ -166,7 +159,7 @@ def _bodies(face: Face, measure: Measure) -> list[Shape]:
 
 
 def _full(cadquery: ModuleType, distance: float, layer: Layer, measure: Measure, middle: float = 0.0) -> Shape:
-    """A layer without a hole that reaches to a `distance` (m) from the axis, or to both sides of a `middle` (m)."""
+    """A layer without a hole. It extends to a `distance` (m) from the axis, or on both sides of a `middle` (m)."""
     height, up = MILLIMETRES * layer.thickness.value, cadquery.Vector(0.0, 0.0, 1.0)
     bottom, reach = MILLIMETRES * layer.z_bottom, MILLIMETRES * distance
     body: Shape
@@ -215,17 +208,14 @@ def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
 
 
 def volume(shape: Shape) -> float:
-    """Volume of a solid of :func:`chip_solids` in cubic metres.
-
-    The integration is adaptive: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel
-    that ends in round walls.
-    """
+    """Volume (m^3) of a solid of :func:`chip_solids`. The integration is adaptive: CadQuery's default has a fixed
+    number of points and errors up to 1 % in a channel that ends in round walls."""
     return float(shape.Volume(tol=0.1 * ROUND_TOLERANCE)) / MILLIMETRES**3
 
 
 def _checked(name: str, shape: Shape, expected: float, tolerance: float, pieces: int = 1) -> Solid | Compound:
-    """The one solid that `shape` holds (booleans return it wrapped in a compound), of the `expected` volume (m^3), or
-    the compound of as many solids as it has `pieces`."""
+    """The checked solid in `shape`, or a compound of its `pieces`. Booleans return a solid wrapped in a compound.
+    `expected` is its volume (m^3)."""
     found = shape.Solids()
     if len(found) != pieces or not shape.isValid():
         raise SolidError(f"{name!r} should be {'one valid solid' if pieces == 1 else f'{pieces} valid solids'} and is "

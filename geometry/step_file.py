@@ -1,8 +1,8 @@
-"""All solids of a STEP file and their names, however the file nests and names them.
+"""The solids of a STEP file with their names.
 
-A solid has the name of its instance in the assembly, else that of its product, else ``part 1``, ``part 2``, ... by its
-place among all solids of the file. Names that writers make up (numbers, ``NAUO3``, ``Open CASCADE STEP translator``) do
-not count. Several solids of one name are numbered: ``disc (1)``, ``disc (2)``.
+A solid has the name of its instance in the assembly, else that of its product, else ``part 1``, ``part 2``, ... in file
+order. Names made by programs (numbers, ``NAUO3``, ``Open CASCADE STEP translator``) are ignored. Several solids of one
+name are numbered: ``disc (1)``, ``disc (2)``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from workbench.files.errors import InputError, nearest_names, one_of
 if TYPE_CHECKING:
     from cadquery import Solid
 
-#: Names that no person gave: entity counters, instance numbers, and fillers of translators.
+#: Names made by programs: entity counters, instance numbers, fillers of translators.
 _MADE_UP = re.compile(r"\s*|\d+|NAUO\d+|=>\[[\d:]*\]|Open CASCADE .*|(COMP)?SOLID|COMPOUND|SHELL|NONE|UNNAMED\d*|"
                       r"ASSEMBLY", re.IGNORECASE)
 
@@ -41,21 +41,21 @@ class Named:
 
 
 def step_parts(path: Path, scale: float, content: str) -> dict[str, Solid]:
-    """The solids of a STEP file by name, in millimetres if the unit of the file is `scale` metres.
+    """The solids (mm) of a STEP file by name. `scale` (m) is the file's unit.
 
     `content` distinguishes versions of the file.
 
     Raises:
-        InputError: no STEP file, no solids, or a size that no chip has.
+        InputError: not a STEP file, no solids, or an unusual size.
     """
     return {each.name: each.solid for each in _scaled(path, scale, content)}
 
 
 def step_part(path: Path, scale: float, content: str, part: str) -> Solid:
-    """The solid of that name, or of another name that only it has.
+    """The solid of that name, or of an unambiguous other name.
 
     Raises:
-        InputError: as in :func:`step_parts`, or there is none of that name, or several.
+        InputError: as in :func:`step_parts`, or no solid or several have the name.
     """
     listed = _scaled(path, scale, content)
     wanted = _composed(part)
@@ -87,8 +87,8 @@ def _scaled(path: Path, scale: float, content: str) -> tuple[Named, ...]:
     if not SMALLEST <= width <= LARGEST:
         likely = "m" if width < SMALLEST else "um"
         raise InputError(str(path), "STEP file", f"parts that are {width:.4g} mm wide together",
-                         f"{SMALLEST:g} mm to {LARGEST / 1e3:g} m: if its numbers are not in the unit that it names, "
-                         f'profile.scale is the length of one in the chip file, as in scale = "1 {likely}"')
+                         f"{SMALLEST:g} mm to {LARGEST / 1e3:g} m: if the file states a wrong unit, state it as "
+                         f'profile.scale in the chip file, such as scale = "1 {likely}"')
     return listed
 
 
@@ -119,8 +119,7 @@ def _read(path: Path, content: str) -> tuple[Named, ...]:
 
 
 def _solids(path: Path) -> Iterator[tuple[list[str], list[str], Solid]]:
-    """Every solid at its place in the assembly, its names (of the instance, the product, the solid), and other names.
-    """
+    """Every solid in its place, its names, and other names. The names are those of instance, product and solid."""
     from OCP.IFSelect import IFSelect_RetDone
     from OCP.Interface import Interface_Static
     from OCP.STEPCAFControl import STEPCAFControl_Reader
@@ -146,10 +145,8 @@ def _solids(path: Path) -> Iterator[tuple[list[str], list[str], Solid]]:
 
 
 def _as_utf_8(path: Path, folder: Path) -> Path:
-    """The file itself if it is UTF-8, else a copy in UTF-8: the kernel would lose letters of other encodings.
-
-    Windows-1252 is read as Latin-1, which it extends; other encodings give wrong letters, but none is lost.
-    """
+    """The file itself if it is UTF-8, else a copy in UTF-8. The kernel would lose letters of other encodings.
+    Windows-1252 is read as Latin-1, which it extends; other encodings give wrong letters, but lose none."""
     data = path.read_bytes()
     try:
         data.decode("utf-8")
@@ -163,10 +160,8 @@ def _as_utf_8(path: Path, folder: Path) -> Path:
 def _below(
     shapes: Any, label: Any, place: Any, names: list[str], within: str
 ) -> Iterator[tuple[list[str], list[str], Solid]]:
-    """The solids of a label of the document: of an assembly, an instance, or a part.
-
-    `names` are those of the instance, `within` is the name of the assembly around it.
-    """
+    """The solids of a label: an assembly, an instance or part. `names` are those of the instance, `within` is the name
+    of the assembly."""
     from OCP.TDF import TDF_Label, TDF_LabelSequence
 
     cadquery = cadquery_module()
@@ -192,16 +187,16 @@ def _below(
     called_so = [*names, *own]
     for solid in solids:
         of_solid = [name for shape, found in labelled if shape.isSame(solid) for name in found]
-        # Several solids in one part take their own names first.
+        # Several solids in one part have their own names first.
         both = [*of_solid, *called_so] if len(solids) > 1 else [*called_so, *of_solid]
         paths = [f"{within}/{name}" for name in both] if within else []
-        # CadQuery names the object of an assembly X that holds others X_part.
+        # CadQuery calls the object of an assembly X with children X_part.
         paths += [within] if f"{within}_part" in both else []
         yield both, paths, solid.moved(place)
 
 
 def _name(label: Any) -> list[str]:
-    """The name of a label, repaired if it was encoded twice, and as it is written."""
+    """The name of a label, repaired and as written."""
     from OCP.TDataStd import TDataStd_Name
 
     attribute = TDataStd_Name()
@@ -212,12 +207,12 @@ def _name(label: Any) -> list[str]:
 
 
 def _composed(name: str) -> str:
-    """A name in composed characters: some systems write an umlaut as a letter and two dots."""
+    """A name in composed characters. Some systems write an umlaut as two characters."""
     return unicodedata.normalize("NFC", name)
 
 
 def _mended(name: str) -> str:
-    """Repair a name whose UTF-8 was taken for Latin-1 or Windows-1252 and encoded again."""
+    """A name whose UTF-8 was read as Latin-1 or Windows-1252, repaired."""
     for _ in range(2):
         for encoding in ("latin-1", "cp1252"):
             try:

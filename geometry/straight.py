@@ -1,6 +1,6 @@
-"""Straight chips: a stack of plates with a channel along it, by its cross-section in plane strain.
+"""Straight chips: plates along a channel, in plane strain.
 
-The keys of a chip file that say so, and what such a chip may not have yet.
+This module reads the keys of straight chips and checks their limits.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ GEOMETRIES = ("axisymmetric", "straight")
 #: Largest number of channels side by side.
 MOST_CHANNELS = 50
 
-#: Words for the value of ``halves`` in a message.
+#: Description of ``halves`` in messages.
 _HALVES = 'the signs of the left and of the right half, each "+", "-" or "0": ["+", "-"], ["+", "0"]'
 
-#: Keys of a round chip's layers and electrodes, and the advice for a straight one.
+#: Suffixes of the keys of round chips, and those of straight chips.
 _OF_ROUND = {"radius": "half_width", "diameter": "width"}
 
 
 def read_measure(head: FileTable) -> Measure:
-    """The measure that the table ``[chip]`` states by its keys ``geometry``, ``length`` and ``symmetry``.
+    """The measure of the table ``[chip]``: keys ``geometry``, ``length``, ``symmetry``.
 
     Raises:
         InputError: an unknown value, or a key of straight chips in a round one.
@@ -43,7 +43,7 @@ def read_measure(head: FileTable) -> Measure:
         return Axisymmetric()
     length = head.optional_quantity("length", "length")
     if length is not None and not length > 0.0:
-        raise head.error("length", "a length above zero, that of the chip into the paper")
+        raise head.error("length", "a length above zero: that of the chip into the paper")
     symmetry = choose(head.text("symmetry", "even"), [each.value for each in Parity], source=head.source,
                       field=head.at("symmetry"))
     return Straight(PER_METRE if length is None else length, Parity(symmetry),
@@ -51,7 +51,7 @@ def read_measure(head: FileTable) -> Measure:
 
 
 def read_halves(table: FileTable) -> tuple[tuple[str, str] | None, str | None]:
-    """The signs of the halves of a split electrode and their wiring, from its table; None if not stated.
+    """The signs of the electrode halves, and their wiring. Both are None if not stated.
 
     Raises:
         InputError: not two of the known signs, or an unknown wiring.
@@ -68,8 +68,7 @@ def read_halves(table: FileTable) -> tuple[tuple[str, str] | None, str | None]:
 
 
 def refuse_round_keys(table: FileTable) -> None:
-    """Raise for keys of round chips in a layer, or in the electrodes, of a straight one, and for keys of what it cannot
-    have yet, with the advice for each."""
+    """Raise for keys of round chips in a straight one. Unsupported keys of straight chips raise too."""
     for key in table:
         if key.casefold() in NOT_STRAIGHT:
             raise InputError(table.source, table.at(key), table.content[key], NOT_STRAIGHT[key.casefold()])
@@ -83,13 +82,12 @@ def refuse_round_keys(table: FileTable) -> None:
 def check_straight(
     measure: Measure, layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None, file: str
 ) -> None:
-    """Check that a straight chip has only what such chips may have so far.
+    """Check the limits of a straight chip.
 
     Raises:
-        InputError: ports, channels that touch or differ from layer to layer, planes of symmetry that do not bound the
-            section, an offset beside one, a channel that is not in the middle of a layer with a profile, a layer
-            beside the one below, a live electrode across a plane of odd symmetry, or halves of it with signs or a
-            wiring that the chip cannot have.
+        InputError: ports; channels that touch or differ from layer to layer; planes of symmetry that do not bound the
+            section, or an offset beside one; a channel outside the middle of a profiled layer; a layer beside the one
+            below; a live electrode across a plane of odd symmetry; invalid signs or wiring of its halves.
     """
     if isinstance(measure, Axisymmetric):
         for key, value in (("halves", electrodes.halves), ("wiring", electrodes.wiring)):
@@ -111,8 +109,8 @@ def check_straight(
                              "sides")
         for key, offset in (("offset", layer.offset), ("cavity_offset", layer.cavity_offset)):
             if offset and measure.planes:
-                raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset where a plane of "
-                                 'symmetry is; symmetry = "none" under [chip] meshes both sides')
+                raise InputError(file, f"layers[{i}].{key}", millimetres(offset), "no offset in a chip with a "
+                                 'plane of symmetry; symmetry = "none" under [chip] meshes both sides')
     for i, (below, layer) in enumerate(itertools.pairwise(layers), 1):
         if min(layer.sides[1], below.sides[1]) < max(layer.sides[0], below.sides[0]) + SAME_LENGTH:
             left, right = map(millimetres, below.sides)
@@ -122,7 +120,7 @@ def check_straight(
 
 
 def _check_halves(measure: Straight, layers: Sequence[Layer], electrodes: Electrodes, file: str) -> None:
-    """Check that the live electrode is split if its halves differ, and that the symmetry and the wiring suit them."""
+    """Check that electrode halves match split, symmetry and wiring."""
     halves, gap = electrodes.halves, electrodes.live_disc.inner_radius
     if (measure.left is Parity.ODD or halves is not None) and (gap is None or gap.value <= SAME_LENGTH):
         raise InputError(file, "electrodes.live_inner_half_width", None if gap is None else dimension_text(gap),
@@ -160,7 +158,7 @@ def are_opposite(measure: Measure, electrodes: Electrodes) -> bool:
 
 
 def check_stated_length(measure: Measure, file: str, subject: str) -> None:
-    """Check that a straight chip states its length, on which the `subject` depends.
+    """Check that a straight chip states its length. The `subject` depends on it.
 
     Raises:
         InputError: it does not.
@@ -171,21 +169,21 @@ def check_stated_length(measure: Measure, file: str, subject: str) -> None:
 
 
 def straight_findings(measure: Measure, electrodes: Electrodes) -> tuple[str, ...]:
-    """Sentences on keys that a straight chip leaves out, and on the wiring of its halves."""
+    """Findings on missing keys and the wiring of a straight chip."""
     if isinstance(measure, Axisymmetric):
         return ()
     found = []
     if "symmetry" in measure.assumed:
-        found.append('the chip states no symmetry: the field is even, and half a wave across the channel is left out; '
-                     'symmetry = "odd" (a split electrode at +V and -V) or "none" under [chip] has it, "even" states '
-                     "that it is meant")
+        found.append('the chip states no symmetry: the field is even, so it has no half-wave modes across the channel; '
+                     'symmetry = "odd" (a split electrode at +V and -V) or "none" under [chip] includes them, "even" '
+                     "confirms the assumption")
     if "length" in measure.assumed:
-        found.append("the chip states no length: Z, currents, powers and heat are those of 1 m of it; state its length "
+        found.append("the chip states no length: Z, currents, powers and heat are for 1 m of it; state the length "
                      'under [chip], such as length = "35 mm". E_ac, temperatures and times at a stated voltage do not '
                      "depend on it")
     if electrodes.wiring == BETWEEN:
         found.append("one amplifier drives the chip between the halves of its electrode: the voltage is that between "
-                     "them, half of it on each against ground, and Z is the impedance between them")
+                     "them, with half of it on each against ground, and Z is the impedance between them")
     if electrodes.wiring == TWO_AMPLIFIERS:
         found.append("two amplifiers drive the halves of the electrode, each behind its own resistance: Z is the "
                      "voltage of one over the sum of both currents, and each amplifier sees 2 Z")
@@ -193,7 +191,7 @@ def straight_findings(measure: Measure, electrodes: Electrodes) -> tuple[str, ..
 
 
 def _check_channels(layer: Layer, layers: Sequence[Layer], place: int, file: str) -> None:
-    """Check that the channels of a layer are those of all, do not touch, and are drawn one by one."""
+    """Check that a layer's channels match the first and do not touch."""
     pitch, first = layer.pitch, next(each for each in layers if each.cavity_radius is not None)
     if (layer.channels > 1) != (pitch > 0.0) or pitch < 0.0:
         raise InputError(file, f"layers[{place}].pitch", millimetres(pitch) if pitch else None,
@@ -206,12 +204,12 @@ def _check_channels(layer: Layer, layers: Sequence[Layer], place: int, file: str
         raise InputError(file, f"layers[{place}].channels", f"{layer.channels}, {millimetres(pitch)} apart",
                          f"{first.channels}, {millimetres(first.pitch)} apart, as in {first.region!r}")
     if layer.channels > 1 and any(each.profile is not None for each in layers):
-        raise InputError(file, f"layers[{place}].channels", layer.channels, "one channel in a chip of which a layer "
-                         "has a profile; of several, state draft where their walls slope")
+        raise InputError(file, f"layers[{place}].channels", layer.channels, "one channel in a chip in which a layer "
+                         "has a profile; for several channels, state the draft of their walls")
 
 
 def head_keys(measure: Measure) -> Mapping[str, str]:
-    """The keys of ``[chip]`` that say that a chip is straight, but for its length; none for a round one.
+    """The keys of ``[chip]`` for a straight chip, without length. A round chip has none.
 
     Raises:
         InputError: a section between two planes of symmetry, which no chip file describes.

@@ -1,7 +1,7 @@
-"""Lengths of a chip as parameters: their ranges, shared radii, and the parts of a mesh that follow each of them.
+"""Lengths as parameters: ranges, shared radii, and moved mesh parts.
 
-Between two breaks of the section the map from old to new coordinates is linear, in r and in z apart, so a quadrilateral
-with straight sides stays one, and a dimension of the chip becomes a parameter like a modulus: no remeshing.
+Between two breaks of the section the map from old to new coordinates is linear in r and in z, so straight
+quadrilaterals stay straight. A dimension is thus a parameter like a modulus, without remeshing.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from geometry.parts import discs, hole_names, largest_shape
 from geometry.section import cut_section
 from workbench.files.errors import InputError
 
-#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are a ninth shorter.
+#: Least share of the distance to zero, or to the next break, that remains after a length moves. Doubled, ranges are a
+#: ninth shorter.
 KEPT_SHARE = 0.1
 
 
 def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
-    """Limits (m or rad) of a dimension of `chip` that the cells of one mesh allow.
+    """Limits (m or rad) of a dimension for one mesh.
 
-    For a radius they are the next breaks of the section; for a shape the limits of its layer; else, and if there is no
-    break, zero and infinity. All radii of the same length change together.
+    For a radius they are the next breaks of the section; for a shape the limits of its layer; otherwise zero and
+    infinity. All radii of one length change together.
 
     Raises:
         KeyError: the chip has no dimension of that name.
@@ -47,7 +48,7 @@ def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
     for place, (_, sign) in movers.items():
         for other in lines:
             apart = sign * (other - place)
-            # A line that moves towards this one leaves half of the way.
+            # A line that moves towards this one has half of the way.
             share = 0.5 if movers.get(other, ("", 0)) == (first, -sign) else 1.0
             if apart > SAME_LENGTH:
                 high = min(high, value + share * apart)
@@ -57,18 +58,19 @@ def mesh_limits(chip: Chip, name: str) -> tuple[float, float]:
 
 
 def moved_places(chip: Chip, names: Collection[str]) -> dict[float, tuple[str, int]]:
-    """The breaks of a chip's section across (m) that its radii or half widths of these canonical `names` move: the name
-    for each, and whether the break moves as it does (1) or against it (-1), as the left side of something does.
+    """The breaks across the section (m) that these radii move. `names` are canonical.
+
+    For each break: the name, and whether the break moves with it (1) or against it (-1), as a left side does.
 
     Raises:
-        InputError: a break is moved by one of them and by another one, or otherwise.
+        InputError: two lengths move one break, or one length moves it in two ways.
     """
     first, across, holes = canonical_names(chip), chip.measure.across, hole_names(chip.layers, chip.measure.across)
     breaks, found = cut_section(chip).r_breaks, dict[float, tuple[str, int]]()
     for place, name, sign in _sides_across(chip, across, holes):
         at = next((each for each in breaks if abs(each - place) < SAME_LENGTH), None)
         if at is None or (sign < 0 and at < SAME_LENGTH and not chip.measure.is_whole):
-            continue  # On the other half, which is not in the section.
+            continue  # It is on the other half, outside the section.
         mover = first[name], sign
         if found.setdefault(at, mover) != mover and {mover[0], found[at][0]} & {*names}:
             raise InputError(chip.file, name, millimetres(place), "a side that does not coincide with one that "
@@ -77,8 +79,8 @@ def moved_places(chip: Chip, names: Collection[str]) -> dict[float, tuple[str, i
 
 
 def _sides_across(chip: Chip, across: str, holes: Mapping[str, str]) -> Iterator[tuple[float, str, int]]:
-    """Places (m) of the left (-1) and right (1) sides of layers, holes and electrodes, with the dimensions that move
-    them; `holes` are the names of those of the cavity, by layer."""
+    """Places (m) of left (-1) and right (1) sides. Each has the dimension that moves it. `holes` are the names of the
+    cavity's radii by layer."""
     for layer in chip.layers:
         for side, sign in zip(layer.sides, (-1, 1), strict=True):
             yield side, f"{layer.region}.{across}", sign
@@ -92,8 +94,9 @@ def _sides_across(chip: Chip, across: str, holes: Mapping[str, str]) -> Iterator
 
 
 def admissible_range(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
-    """Admissible range (m or rad) of a dimension of `chip`: within the given bounds and nine tenths of the way to the
-    next break.
+    """Admissible range (m or rad) of a dimension, within the given bounds.
+
+    It covers nine tenths of the way to the next break.
 
     Raises:
         KeyError: the chip has no dimension of that name.
@@ -107,9 +110,8 @@ def admissible_range(chip: Chip, name: str, low: float = -math.inf, high: float 
 class Piece:
     """A part of a region or boundary.
 
-    ``name`` is its name on the mesh; ``layer`` the layer of the stack whose thickness it follows ("" for a level part);
-    ``column`` the two radii (m) of the column it lies in (None for a column that never moves; one radius twice for
-    facets along z).
+    ``name`` is its name on the mesh; ``layer`` is the layer whose thickness moves it ("" for a level part); ``column``
+    are the two radii (m) of its column (None if they never move; one radius twice for facets along z).
     """
 
     name: str
@@ -118,8 +120,8 @@ class Piece:
 
 
 def canonical_names(*chips: Chip) -> dict[str, str]:
-    """Canonical name of every radius of some chips: the first among the names of radii of one length in any chip, which
-    move together."""
+    """Canonical name of every radius. It is the first name among radii of one length. Radii that are equal in any of
+    the chips move together and share the name."""
     first: dict[str, str] = {}
     for chip in chips:
         known = {name: each.value for name, each in chip.dimensions().items() if name.endswith(ACROSS)}
@@ -127,29 +129,29 @@ def canonical_names(*chips: Chip) -> dict[str, str]:
             alike = [other for other, length in known.items() if abs(length - value) < SAME_LENGTH]
             names = [first[other] for other in alike if other in first] or [name]
             for other, chosen in [*first.items(), *((other, names[0]) for other in alike)]:
-                # Radii that were apart and coincide here share one name from now on.
+                # Radii that differed in an earlier chip and coincide here share one name from now on.
                 first[other] = names[0] if chosen in names else chosen
     return first
 
 
 def moving_together(chip: Chip, name: str) -> tuple[str, ...]:
-    """The lengths of `chip` that change with the one called `name`: for a radius, all that coincide with it."""
+    """The lengths that change with `name`. For a radius, they are all equal radii."""
     first = canonical_names(chip)
     return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
 
 
 def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[SectionMesh, dict[str, list[Piece]]]:
-    """A copy of the mesh that also names the parts of every region and boundary that follow a length of the chip.
+    """A copy of the mesh with names for parts that move.
 
-    A region that spans several layers (a cavity through two) has a part for each. The facets of a boundary along z
-    belong to the layer they stand in, and all others to :data:`geometry.names.LEVEL`. Each column of the section that
-    one of the places `moving` (m) across bounds is a further part, and so are facets along z at such a place.
+    A region that spans several layers has a part for each. Facets along z belong to their layer, all others to
+    :data:`geometry.names.LEVEL`. A column of the section that one of the places `moving` (m) bounds is a further part;
+    so are facets along z at such a place.
 
     Returns:
-        the mesh, and the pieces of every place: of regions, boundaries and their parts by layers.
+        the mesh, and the pieces of every region, of every boundary and of their parts by layers.
 
     Raises:
-        MeshError: `mesh` is not of this chip, or has no break at a radius.
+        MeshError: `mesh` is not of this chip, or has no break at a place.
     """
     if cut_section(chip) != mesh.section:
         raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
@@ -165,7 +167,7 @@ def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[
     of_cell = np.searchsorted(levels, z[mesh.mesh.t].mean(axis=0))
     ends, radii = z[mesh.mesh.facets], r[mesh.mesh.facets]
     of_facet = np.where(ends[0] == ends[1], -1, np.searchsorted(levels, ends.mean(axis=0)))
-    # Numbers of columns; after the last one, of radii; -1 for columns that never move.
+    # Numbers of columns, then of radii; -1 for columns that never move.
     last = breaks.size - 1
     inside = np.array([*(k if follows[k] or follows[k + 1] else -1 for k in range(last)),
                        *(last + k if follows[k] else -1 for k in range(breaks.size))])

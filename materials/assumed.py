@@ -1,16 +1,15 @@
-"""The loss that a lossless ceramic is assumed to have in a simulation.
+"""The assumed loss of a lossless ceramic in a simulation.
 
-Many sources print no loss, and a resonance without any has no height: the impedance at it is arbitrary, and the solve
-there singular. The assumed values are the round ones that makers print for the two classes of lead zirconate titanate
-(types I to VI of MIL-STD-1376B): mechanical quality factor Q_m of the radial mode of a disc and dielectric loss tan
-delta at 1 kHz, both at small signals,
+Many sources print no loss, and a resonance without loss has no finite height. The assumed values are those that makers
+print for the two classes of lead zirconate titanate (types I to VI of MIL-STD-1376B): mechanical quality factor Q_m of
+the radial mode of a disc and dielectric loss tan delta at 1 kHz, both at small signals,
 
 - hard (type I, PZT-4): Q_m 500, tan delta 0.004 (makers: 400 to 800 and 0.003 to 0.005),
 - soft (type II, PZT-5A; type VI, PZT-5H): Q_m 75, tan delta 0.02 (makers: 60 to 80 and 0.015 to 0.025),
 
-as in the data sheets of SP-4 and SP-5A (Sparkler Ceramics) and of PIC255 (PI Ceramic: 80 and 0.020). They are applied
-to every stiffness at constant field, c (1 - i / Q_m), and to the permittivities at constant strain, eps (1 + i tan
-delta), e^{-i w t}; the piezoelectric constants e stay real.
+as in the data sheets of SP-4 and SP-5A (Sparkler Ceramics) and of PIC255 (PI Ceramic: 80 and 0.020). They apply to
+every stiffness at constant field, c (1 - i / Q_m), and to the permittivities at constant strain, eps (1 + i tan delta),
+e^{-i w t}; the piezoelectric constants e stay real.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from materials.kinds import Material, Piezoelectric
 
 @dataclass(frozen=True)
 class AssumedLoss:
-    """A mechanical quality factor and a dielectric loss tangent. With twice the quality factor, peaks are twice as
-    high."""
+    """A mechanical quality factor and a dielectric loss tangent."""
 
     mechanical_q: float
     dielectric_loss_tangent: float
@@ -33,7 +31,7 @@ class AssumedLoss:
 #: Assumed losses by class of ceramic (`materials.kinds.CERAMICS`).
 ASSUMED = {"hard": AssumedLoss(500.0, 0.004), "soft": AssumedLoss(75.0, 0.02)}
 
-#: The class of a ceramic whose source does not state it.
+#: The assumed class of a ceramic whose source does not state it.
 UNSTATED = "soft"
 
 
@@ -43,8 +41,8 @@ def is_lossless(material: Material) -> bool:
 
 
 def with_assumed_loss(material: Material) -> tuple[Material, str]:
-    """The material with the assumed loss, and a note on it, if it is a lossless piezoelectric; otherwise as it is, and
-    ""."""
+    """The material with the assumed loss and a note, if lossless. Only piezoelectric materials change; others return as
+    they are, with an empty note."""
     if not isinstance(material, Piezoelectric) or not is_lossless(material):
         return material, ""
     loss = ASSUMED[material.ceramic or UNSTATED]
@@ -56,6 +54,6 @@ def with_assumed_loss(material: Material) -> tuple[Material, str]:
             changed[name] = number * (1.0 + 1j * loss.dielectric_loss_tangent)
     named = material.ceramic or f"{UNSTATED} (its entry does not state it)"
     return replace(material, **changed), (
-        f"{material.name} states no loss; assumed is that of a {named} ceramic, Q_m {loss.mechanical_q:g} and tan "
-        f"delta {loss.dielectric_loss_tangent:g}. Heights and widths of resonances rest on it: state mechanical_q and "
-        "dielectric_loss_tangent in an entry of your own, or fit the disc")
+        f"{material.name} states no loss; the assumed loss is that of a {named} ceramic, Q_m {loss.mechanical_q:g} "
+        f"and tan delta {loss.dielectric_loss_tangent:g}. Heights and widths of resonances depend on it: state "
+        "mechanical_q and dielectric_loss_tangent in an entry of your own, or fit the disc")

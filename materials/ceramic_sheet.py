@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 
-#: Constants of the strain-charge form, each with its dimension. Shear along the poling needs the last three alone.
+#: Constants of the strain-charge form and their dimensions. OF_SHEAR act only in shear along the poling.
 CONSTANTS = {
     **dict.fromkeys(("s11", "s12", "s13", "s33"), "compliance"),
     **dict.fromkeys(("d31", "d33"), "piezoelectric charge"), "free_eps33": "permittivity",
@@ -29,7 +29,7 @@ CONSTANTS = {
 }
 OF_SHEAR = ("s44", "d15", "free_eps11")
 
-#: Further figures that a sheet may print, each with its dimension.
+#: Further figures of data sheets, with their dimensions.
 FIGURES = {
     **dict.fromkeys(("kp", "kt", "k31", "k33", "k15", "poisson_ratio"), "dimensionless"),
     **dict.fromkeys(("Np", "Nt", "N31", "N33", "N15"), "frequency constant"),
@@ -41,17 +41,17 @@ FIGURES = {
 #: Figures between 0 and 1.
 _SHARES = ("kp", "kt", "k31", "k33", "k15", "poisson_ratio")
 
-#: Relative difference of a printed figure from the derived one that is reported. Sheets print two or three digits, and
-#: makers give 5 to 10 %. Doubled, a contradiction as large as these tolerances passes.
+#: Largest relative difference of a printed figure from the derived one. Sheets print two or three digits, with
+#: tolerances of 5 to 10 %. Doubled, a contradiction of this size passes.
 CONTRADICTS = 0.02
 
-#: Ratio of d31 to d33 above which equal signs are refused: lead titanates, nearly uncoupled across, may have either.
+#: Ratio of d31 to d33 above which equal signs raise; lead titanates, nearly uncoupled across, may have either sign.
 UNCOUPLED = 0.1
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One number from others: ``formula`` in the names of the sheet, ``value`` of the ``needs`` in their order."""
+    """A rule for one number. ``formula`` uses the names of the sheet; ``value`` takes the ``needs`` in order."""
 
     target: str
     needs: tuple[str, ...]
@@ -63,7 +63,7 @@ class Rule:
 
 
 def radial_root(poisson_ratio: float) -> float:
-    """The lowest root x of (1 - sigma) J1(x) = x J0(x): 2.05 for a ceramic."""
+    """The lowest root x of (1 - sigma) J1(x) = x J0(x). It is 2.05 for a ceramic."""
     from scipy.optimize import brentq
     from scipy.special import j0, j1
 
@@ -81,12 +81,12 @@ def _poisson_from_radial(radial: float, s11: float, density: float) -> float:
 
 
 def _s13(share: float, s11: float, s12: float, s33: float) -> float:
-    """s13 from B of the module's page."""
+    """s13 from B of the module's docstring."""
     return -share * math.sqrt((s11 + s12) * s33 / 2.0)
 
 
 def _s13_by_couplings(kp: float, kt: float, k33: float, s11: float, s12: float, s33: float) -> float:
-    """The smaller |s13| of the two with that kt; where rounding leaves none, the one with the nearest kt."""
+    """The smaller |s13| of the two with that kt. If rounding allows none, the one with the nearest kt."""
     clamped = kt**2 * (1.0 - kp**2)
     square = max(clamped * (kp**2 + clamped - k33**2), 0.0)
     share = kp / k33 if square == 0.0 else (kp * k33 - math.sqrt(square)) / (kp**2 + clamped)
@@ -100,7 +100,7 @@ def _s13_by_stiffness(c33: float, kp: float, k33: float, s11: float, s12: float,
 
 _EPS = VACUUM_PERMITTIVITY
 
-#: The rules of every number, the better conditioned first.
+#: The rules of every number, the best conditioned first.
 RULES = (
     Rule("s11", ("Y11",), "1 / Y11", lambda y: 1.0 / y),
     Rule("s11", ("N31", "density"), "1 / (4 density N31^2)", lambda n, rho: 1.0 / (4.0 * rho * n**2)),
@@ -155,7 +155,8 @@ RULES = (
 
 
 def sheet_figures(constants: Mapping[str, float], density: float) -> dict[str, float]:
-    """All of :data:`FIGURES` from the ten :data:`CONSTANTS` (real, SI, permittivities relative) and the density."""
+    """All :data:`FIGURES` from the ten :data:`CONSTANTS` and the density. They are real, in SI, with relative
+    permittivities."""
     s11, s12, s13, s33, d31, d33, free33, s44, d15, free11 = (constants[name] for name in CONSTANTS)
     k31, k33, k15 = (abs(d) / math.sqrt(s * e * _EPS) for d, s, e in (
         (d31, s11, free33), (d33, s33, free33), (d15, s44, free11)))
@@ -178,7 +179,7 @@ def sheet_figures(constants: Mapping[str, float], density: float) -> dict[str, f
 
 @dataclass(frozen=True)
 class Sheet:
-    """The numbers of one data sheet (SI, real) in the ``file``, and how each further one came about."""
+    """The real numbers (SI) of a data sheet, printed and derived."""
 
     file: str
     printed: Mapping[str, float]
@@ -195,7 +196,7 @@ class Sheet:
                 raise InputError(self.file, name, self.printed[name], "a number above zero")
 
     def resolve(self, name: str, pending: Collection[str] = ()) -> bool:
-        """Whether the number is there, derived by the first rule of its that can be followed."""
+        """Whether a number is printed or derivable. The first usable rule derives it."""
         if name in self.numbers:
             return True
         waiting = {*pending, name}
@@ -215,31 +216,31 @@ class Sheet:
         if not math.isfinite(found):
             raise InputError(self.file, rule.target, f"{rule} of " + ", ".join(
                 f"{name} {number:.4g}" for name, number in given.items()),
-                "numbers of which this is real: one of them contradicts the others, or is misprinted")
+                "numbers for which it is real: one of them contradicts the others, or is misprinted")
         return float(found)
 
     def missing(self, names: Iterable[str]) -> list[str]:
-        """Those of `names` that neither the sheet nor a rule gives."""
+        """The `names` that neither the sheet nor a rule gives."""
         return [name for name in names if not self.resolve(name)]
 
     def lacks(self, name: str) -> InputError:
-        """The error that a constant is neither printed nor follows."""
+        """The error for a constant that is neither printed nor derivable."""
         rules = [rule for rule in RULES if rule.target == name]
         inner = [rule for rule in RULES if rule.target not in CONSTANTS and rule.target not in self.numbers
                  and any(rule.target in each.needs for each in rules)]
-        return InputError(self.file, name, "nothing", f"{name}, or what gives it with the rest of the sheet: "
+        return InputError(self.file, name, "nothing", f"{name}, or numbers that give it with the rest of the sheet: "
                           + "; ".join(map(str, (*rules, *inner))))
 
 
 def check_signs(numbers: Mapping[str, float], shown: Mapping[str, str], file: str) -> None:
-    """Raise if numbers of the strain-charge form have signs that no poled ceramic has, or s12 is too large.
+    """Raise if strain-charge constants have wrong signs, or s12 is too large.
 
     Args:
         numbers: of :data:`CONSTANTS`, SI; some may be missing.
-        shown: each as it stands in the file.
+        shown: each as written in the file.
 
     Raises:
-        InputError: with the number and the file's own words for it.
+        InputError: with the number as written in the file.
     """
     for name in ("s11", "s33", "s44", "free_eps33", "free_eps11"):
         if not numbers.get(name, 1.0) > 0.0:
@@ -259,10 +260,10 @@ def check_signs(numbers: Mapping[str, float], shown: Mapping[str, str], file: st
 
 
 def check_sizes(numbers: Mapping[str, float], shown: Mapping[str, str], file: str) -> None:
-    """Raise if the numbers of the strain-charge form make no stable ceramic.
+    """Raise if the strain-charge constants are those of no stable ceramic.
 
     Raises:
-        InputError: with the coupling factor or compliance at fault and the numbers that it follows from.
+        InputError: with the coupling factor or compliance at fault and the numbers that give it.
     """
     s11, s12, s13, s33, d31, d33, free33, s44, d15, free11 = (numbers[name] for name in CONSTANTS)
     most = math.sqrt((s11 + s12) * s33 / 2.0)
@@ -290,13 +291,11 @@ def check_sizes(numbers: Mapping[str, float], shown: Mapping[str, str], file: st
 def contradictions(
     printed: Mapping[str, float], tolerances: Mapping[str, float], derived: Mapping[str, float]
 ) -> list[str]:
-    """Sentences on the `printed` figures that differ from the `derived` ones by more than :data:`CONTRADICTS`.
-
-    `tolerances` (SI) are the declared roundings and uncertainties, beyond which the difference has to lie too.
-    """
+    """Sentences on `printed` figures that contradict the `derived` ones. A difference counts beyond :data:`CONTRADICTS`
+    and beyond the `tolerances` (SI), the declared roundings and uncertainties."""
     found = []
     for name, number in printed.items():
         if name in derived and abs(derived[name] - number) > max(CONTRADICTS * abs(number), tolerances.get(name, 0.0)):
-            found.append(f"{name} is printed as {number:.4g} and follows as {derived[name]:.4g} "
+            found.append(f"{name} is printed as {number:.4g} and derived as {derived[name]:.4g} "
                          f"({100.0 * (derived[name] / number - 1.0):+.1f} %)")
     return found

@@ -1,7 +1,7 @@
-"""Completes the constants of a ceramic whose data sheet does not print all of them, and says where each comes from.
+"""Completion of a ceramic's constants that its data sheet does not print.
 
 A constant is *printed*, *derived* from the rest of the sheet (:mod:`materials.ceramic_sheet`), or *assumed*. Only those
-that shear along the poling alone needs may be assumed; they are those of another ceramic, which the entry names::
+of shear along the poling may be assumed; they come from another ceramic, which the entry names::
 
     like = "pzt5a/erturk_2011"
 """
@@ -34,12 +34,12 @@ from workbench.files.tables import FileTable
 
 
 class SheetWarning(UserWarning):
-    """Constants of a ceramic are derived or assumed, or figures of its data sheet contradict each other."""
+    """A ceramic has derived or assumed constants, or contradicts its sheet."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """The materials that an entry may name: a function that loads one, and one that lists the names."""
+    """The materials that an entry may name: a loader and a list."""
 
     load: Callable[[str], Material]
     names: Callable[[], Iterable[str]]
@@ -47,7 +47,7 @@ class Library:
 
 @dataclass(frozen=True)
 class StandIn:
-    """The ceramic that an entry is ``like``: its constants in strain-charge form (real, SI)."""
+    """The ceramic that an entry is ``like``. Its constants are in strain-charge form (real, SI)."""
 
     name: str
     source: str
@@ -55,29 +55,29 @@ class StandIn:
 
     @classmethod
     def of(cls, ceramic: Piezoelectric) -> StandIn:
-        """A loaded ceramic as a stand-in."""
+        """The constants of a loaded ceramic."""
         numbers = {name: number.real for name, number in ceramic.parameters().items() if name != "density"}
         found = {name: complex(number).real for name, number in conversions.strain_charge(**numbers).items()}
         return cls(ceramic.name, ceramic.source, found)
 
     def distance(self, numbers: Mapping[str, float]) -> float:
-        """Root mean square of the logarithmic ratios to `numbers`, of those that both have."""
+        """Root mean square of the logarithmic ratios of common constants."""
         ratios = [math.log(abs(numbers[name] / number)) ** 2 for name, number in self.constants.items()
                   if numbers.get(name, 0.0) and number]
         return math.sqrt(sum(ratios) / len(ratios)) if ratios else math.inf
 
 
 def stand_in(table: FileTable, library: Library | None) -> StandIn | None:
-    """The ceramic that an entry names under ``like``; None if it names none.
+    """The ceramic that an entry names under ``like``, or None.
 
     Raises:
-        InputError: it is no ceramic, is of the other class, or needs another ceramic itself.
+        InputError: it is not a ceramic, has the other class, or needs another ceramic itself.
     """
     name = table.optional_text("like")
     if name is None:
         return None
     if library is None:
-        raise table.error("like", "a ceramic that states all its constants: this one needs another itself")
+        raise table.error("like", "a ceramic that states all its constants: this one needs another ceramic itself")
     ceramic = library.load(name)
     if not isinstance(ceramic, Piezoelectric):
         raise table.error("like", "a piezoelectric material")
@@ -88,7 +88,7 @@ def stand_in(table: FileTable, library: Library | None) -> StandIn | None:
 
 
 def nearest(numbers: Mapping[str, float], table: FileTable, library: Library | None) -> StandIn | None:
-    """The ceramic of the class of an entry whose constants are nearest to `numbers`; None if there is none."""
+    """The ceramic with constants nearest to `numbers`, or None. It has the class of the entry."""
     own, found = table.text("ceramic", ""), []
     for name in () if library is None else library.names():
         try:
@@ -102,7 +102,7 @@ def nearest(numbers: Mapping[str, float], table: FileTable, library: Library | N
 
 @dataclass(frozen=True)
 class Completion:
-    """The ``entries`` of the constants that a sheet lacks, as a file would state them, and the ``finding``."""
+    """The missing constants as ``entries`` of a file, and the ``finding``."""
 
     entries: Mapping[str, dict[str, object]]
     finding: str
@@ -111,17 +111,17 @@ class Completion:
 def complete(
     table: FileTable, values: Mapping[str, Value], dimensions: Mapping[str, str], library: Library | None, *, name: str
 ) -> Completion:
-    """The constants in strain-charge form that the sheet of a ceramic does not print.
+    """The strain-charge constants that the sheet of a ceramic does not print.
 
     Args:
         table: the entry, called `name`.
-        values: of the entry, as read.
-        dimensions: of these.
+        values: its numbers.
+        dimensions: the dimensions of these.
         library: the materials that it may name.
 
     Raises:
-        InputError: a constant that neither is printed, nor follows, nor is one of shear with a ceramic to take it from;
-            signs or sizes that no ceramic has; a printed loss beside derived constants.
+        InputError: a constant is neither printed nor derivable, nor one of shear with a ceramic under ``like``; signs
+            or sizes that no ceramic has; a printed loss beside derived constants.
     """
     printed = {key: value.value.real for key, value in values.items() if key in (*CONSTANTS, *FIGURES, "density")}
     shown = {key: shown_value(values[key], dimensions[key]) for key in printed}
@@ -162,7 +162,7 @@ def complete(
 
 
 def check_constants(file: str, values: Mapping[str, Value]) -> None:
-    """Raise if the constants of an entry in strain-charge form have signs or sizes that no ceramic has."""
+    """Raise if strain-charge constants have signs or sizes that no ceramic has."""
     numbers = {key: values[key].value.real for key in CONSTANTS}
     shown = {key: shown_value(values[key], dimension) for key, dimension in CONSTANTS.items()}
     check_signs(numbers, shown, file)
@@ -170,25 +170,23 @@ def check_constants(file: str, values: Mapping[str, Value]) -> None:
 
 
 def doubts(ceramic: Piezoelectric, values: Mapping[str, Value], form: Collection[str]) -> str:
-    """A sentence on figures that contradict the constants of a ceramic, and on the sign of e31; "" for none.
-
-    `values` are those of its entry, of which `form` names the constants.
-    """
-    constants, said = StandIn.of(ceramic).constants, []
+    """A sentence on contradictory figures and the sign of e31, or "". `values` are those of the entry; `form` names its
+    constants."""
+    constants, notes = StandIn.of(ceramic).constants, []
     if ceramic.fit is None and constants["d31"] < 0.0 < complex(ceramic.e31).real:
-        said.append(f"e31 is {complex(ceramic.e31).real:.4g} C/m^2 and lead zirconate titanates have e31 < 0 < e33: "
-                    "sheets leave the minus sign out")
+        notes.append(f"e31 is {complex(ceramic.e31).real:.4g} C/m^2 and lead zirconate titanates have e31 < 0 < e33: "
+                     "sheets omit the minus sign")
     printed = {key: value for key, value in values.items() if key in FIGURES and key not in form}
     if printed:
         tolerances = {key: value.rounding + (value.uncertainty or 0.0) for key, value in printed.items()}
         found = contradictions({key: value.value.real for key, value in printed.items()}, tolerances,
                                sheet_figures(constants, ceramic.density))
-        said += ["figures of the sheet contradict its constants, which are used: " + "; ".join(found)] if found else []
-    return f"{ceramic.name}: {'. '.join(said)}" if said else ""
+        notes += ["figures of the sheet contradict its constants, which are used: " + "; ".join(found)] if found else []
+    return f"{ceramic.name}: {'. '.join(notes)}" if notes else ""
 
 
 def announce(findings: Iterable[str], notes: list[str] | None) -> None:
-    """Add the `findings` that are not empty to `notes`, or warn of them for the caller of ``Registry.load``."""
+    """Append findings that are not empty to `notes`, or warn of them."""
     for finding in filter(None, findings):
         if notes is not None:
             notes.append(finding)
@@ -197,7 +195,7 @@ def announce(findings: Iterable[str], notes: list[str] | None) -> None:
 
 
 def as_printed(values: Mapping[str, Value]) -> dict[str, Value]:
-    """The `values` of a sheet that is to be completed, with the note that they are printed."""
+    """The values of a sheet before completion, noted as printed."""
     return {key: replace(value, note=f"printed; {value.note}".removesuffix("; ")) if key in CONSTANTS else value
             for key, value in values.items()}
 
@@ -209,13 +207,13 @@ def shown_value(value: Value, dimension: str) -> str:
 
 
 def _shown(number: float, dimension: str) -> str:
-    """A derived number in the unit that sheets print it in."""
+    """A derived number in the usual unit of data sheets."""
     unit = {"compliance": "1/TPa", "piezoelectric charge": "pC/N"}.get(dimension, "1")
     return f"{number / UNITS[dimension][unit]:.4g} {unit}".removesuffix(" 1")
 
 
 def _chain(sheet: Sheet, constant: str) -> str:
-    """The rules that give a constant: its own, and those of the figures it rests on."""
+    """The rules for a constant and for the figures in them."""
     rules: list[Rule] = [sheet.derived[constant]]
     for rule in rules:
         rules += [sheet.derived[need] for need in rule.needs if need in sheet.derived and need not in CONSTANTS
@@ -224,7 +222,7 @@ def _chain(sheet: Sheet, constant: str) -> str:
 
 
 def _refuse_losses(table: FileTable, made: list[str]) -> None:
-    """Raise if a printed constant has a loss of its own while others are `made`: theirs would be unknown."""
+    """Raise if a printed constant has a loss while others are derived."""
     for key in CONSTANTS if made else ():
         entry = table.content.get(key)
         if isinstance(entry, Mapping) and any(word in entry for word in WORDS):

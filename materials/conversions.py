@@ -1,7 +1,7 @@
-"""Conversions of a material's constants from one set to another. SI throughout, time factor e^{-i w t}.
+"""Conversions of a material's constants. SI units, time factor e^{-i w t}.
 
 A modulus M = M' + i M'' of a passive solid has M'' <= 0. The loss tangents here are positive for a passive solid, -M''
-/ M', as Table 4 of Acevedo-Espinosa et al. (RP-UEIS) prints them (its text below eq. 18 leaves the sign out).
+/ M', as in Table 4 of Acevedo-Espinosa et al. (RP-UEIS); its text below eq. 18 omits the sign.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from workbench.files.quantities import VACUUM_PERMITTIVITY
 
 
 def young_and_poisson(bulk_modulus: complex, shear_modulus: complex) -> tuple[complex, complex]:
-    """Young's modulus (Pa) and Poisson's ratio from the bulk and shear moduli (Pa)."""
+    """Young's modulus (Pa) and Poisson's ratio from two moduli (Pa)."""
     denominator = 3 * bulk_modulus + shear_modulus
     return 9 * bulk_modulus * shear_modulus / denominator, (3 * bulk_modulus - 2 * shear_modulus) / (2 * denominator)
 
@@ -24,15 +24,16 @@ def bulk_and_shear(youngs_modulus: complex, poisson_ratio: complex) -> tuple[com
 
 
 def shear_from_longitudinal(longitudinal_modulus: complex, poisson_ratio: complex) -> complex:
-    """Shear modulus (Pa) from the longitudinal modulus K + 4 G / 3 (Pa) and Poisson's ratio."""
+    """Shear modulus (Pa) from the longitudinal modulus and Poisson's ratio. The longitudinal modulus is K + 4 G / 3
+    (Pa)."""
     return longitudinal_modulus * (1 - 2 * poisson_ratio) / (2 * (1 - poisson_ratio))
 
 
 def wave_modulus(speed: complex, *, density: float) -> complex:
-    """The modulus (Pa) of a wave, from a complex `speed` whose real part is the phase speed w / Re k (m/s).
+    """The modulus (Pa) of a wave from its complex speed (m/s).
 
-    The imaginary part of `speed` is the loss: the modulus is rho (w / k)^2 with w / k = v^2 / conj(speed) for the phase
-    speed v (see :mod:`materials.loss`).
+    The real part of `speed` is the phase speed w / Re k. The imaginary part is the loss: the modulus is rho (w / k)^2
+    with w / k = v^2 / conj(speed) for the phase speed v (see :mod:`materials.loss`).
     """
     phase = complex(speed).real
     return density * (phase**2 / complex(speed).conjugate()) ** 2 if complex(speed).imag else density * speed**2
@@ -53,10 +54,10 @@ def loss_tangents(bulk_modulus: complex, shear_modulus: complex) -> tuple[float,
 def attenuations(
     bulk_modulus: complex, shear_modulus: complex, *, density: float, frequency: float
 ) -> tuple[float, float]:
-    """Absorption (Np/m) of longitudinal and shear waves at `frequency` (Hz), for weak absorption.
+    """Attenuations (Np/m) of longitudinal and shear waves, for weak absorption.
 
-    alpha = (k' / 2) tan delta. Eq. 18b of the RP-UEIS paper prints k'' in place of k', but its Table 4 was computed
-    with k' (the wavenumber w / c), which is also what the weak-absorption expansion of k gives.
+    alpha = (k' / 2) tan delta, at `frequency` (Hz). Eq. 18b of the RP-UEIS paper prints k'' in place of k', but its
+    Table 4 was computed with k' (the wavenumber w / c), which is also the weak-absorption expansion of k.
     """
     omega = 2 * math.pi * frequency
     speeds = wave_speeds(bulk_modulus, shear_modulus, density=density)
@@ -77,7 +78,8 @@ def nepers_per_metre(decibels_per_metre: float) -> float:
 def _inverted(
     matrix: tuple[complex, ...], rows: tuple[complex, ...]
 ) -> tuple[tuple[complex, ...], tuple[complex, ...]]:
-    """The inverse of a 6mm matrix (11, 12, 13, 33, 44), and the products of rows (31, 33, 15) with it."""
+    """Inverse of a 6mm matrix, and products of rows with it. The matrix has the entries (11, 12, 13, 33, 44), the rows
+    (31, 33, 15)."""
     (a11, a12, a13, a33, a44), (r31, r33, r15) = matrix, rows
     determinant = (a11 + a12) * a33 - 2 * a13**2
     b33, b13 = (a11 + a12) / determinant, -a13 / determinant
@@ -100,7 +102,7 @@ def stress_charge(
     free_eps11: complex,
     free_eps33: complex,
 ) -> dict[str, complex]:
-    """Stress-charge constants of a poled ceramic from the strain-charge constants that datasheets print.
+    """Stress-charge constants of a ceramic from the strain-charge constants of data sheets.
 
     Args are the compliances at constant field (1/Pa), charge constants (C/N = m/V) and relative permittivities at
     constant stress. Returns c11 c12 c13 c33 c44 (Pa), e31 e33 e15 (C/m^2) and eps11 eps33 (relative, constant strain):
@@ -127,10 +129,8 @@ def strain_charge(
     eps11: complex,
     eps33: complex,
 ) -> dict[str, complex]:
-    """Strain-charge constants of a poled ceramic from its stress-charge constants.
-
-    The inverse of :func:`stress_charge`: s = c^-1, d = e s, eps^T = eps + d e^t.
-    """
+    """Strain-charge constants of a poled ceramic from its stress-charge constants. The inverse of
+    :func:`stress_charge`: s = c^-1, d = e s, eps^T = eps + d e^t."""
     (s11, s12, s13, s33, s44), (d31, d33, d15) = _inverted((c11, c12, c13, c33, c44), (e31, e33, e15))
     return {
         "s11": s11, "s12": s12, "s13": s13, "s33": s33, "s44": s44, "d31": d31, "d33": d33, "d15": d15,

@@ -1,4 +1,4 @@
-"""A material as text for people: every number with its unit, uncertainty, source and conditions."""
+"""A material as text: numbers with unit, uncertainty, source and conditions."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from materials.value import Value
 
 
 def describe(material: Material) -> str:
-    """Several lines: name, kind, source, then one line for each number in SI units with its uncertainty and remarks.
-
-    The lines of a fitted material end with its fit.
-    """
+    """Lines with name, kind and source, then one per number. Numbers are in SI, with uncertainties and remarks. The
+    lines of a fitted material end with its fit."""
     lines = [f"{material.name}: {type(material).__name__}, source {material.source}"]
     thermal = {} if isinstance(material, Fluid) else material.thermal()
     for name, number in (material.parameters() | thermal).items():
@@ -89,7 +87,7 @@ def _fit_lines(fit: Fit) -> list[str]:
 
 
 def _strongest(correlation: Correlation) -> str:
-    """The pairs that the data separate worst; the entry has the whole matrix."""
+    """The three largest correlations."""
     names, rows = correlation.names, correlation.rows
     pairs = [(rows[i][j], names[i], names[j]) for i in range(len(names)) for j in range(i)]
     worst = sorted(pairs, key=lambda pair: -abs(pair[0]))[:3]

@@ -13,8 +13,8 @@ from workbench.files.errors import InputError
 class Difference:
     """One number of two materials, SI.
 
-    ``percent`` is the second relative to the first, None if the first is zero; ``deviations`` the difference in units
-    of the combined standard uncertainty, None if either uncertainty is unknown or both are zero.
+    ``percent`` is the second relative to the first, None if the first is zero. ``deviations`` is the difference in
+    units of the combined standard uncertainty, None if an uncertainty is unknown or both are zero.
     """
 
     parameter: str
@@ -25,9 +25,9 @@ class Difference:
 
 
 def differences(first: Material, second: Material) -> tuple[Difference, ...]:
-    """Every number that either material has, real parts and losses (`"c33"`, `"c33 loss"`) apart.
+    """Differences of all numbers; real parts and losses (`"c33 loss"`) are separate.
 
-    A loss is left out if both are zero; so is a number that only one of two fluids has.
+    A loss is omitted if both are zero; so is a number that only one of two fluids has.
 
     Raises:
         InputError: materials of different kinds.

@@ -1,9 +1,9 @@
-"""Reads one data file into one material.
+"""Reading of one data file into one material.
 
-A file states its ``kind`` and the numbers of one *form* of it: one solid may be printed as bulk and shear modulus, as
-Young's modulus and Poisson's ratio, or as wave speeds. The numbers are kept as printed, in ``values``; the form's
-conversion gives the fields of the kind. A loss may be printed as the imaginary part, loss tangent, quality factor or
-attenuation of a number (:mod:`materials.loss`), or once for all constants of a ceramic.
+A file states its ``kind`` and the numbers of one *form* of it: a solid may have bulk and shear modulus, Young's modulus
+and Poisson's ratio, or wave speeds. ``values`` has the numbers as printed; the form converts them to the fields of the
+kind. A loss is an imaginary part, loss tangent, quality factor or attenuation of a number (:mod:`materials.loss`), or
+common to all constants of a ceramic.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from materials.completion import Library, announce, as_printed, check_constants,
 from materials.fit import parse_fit
 from materials.kinds import CERAMICS, CHANNELS, CubicSolid, Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.lines import with_line_number
-from materials.loss import WORDS, Loses, attenuation_of_sound, loss_number
+from materials.loss import WORDS, LossKind, attenuation_of_sound, loss_number
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
 from workbench.files.errors import InputError
@@ -34,7 +34,7 @@ _Numbers = Mapping[str, complex]
 
 @dataclass(frozen=True)
 class Form:
-    """One way a source may print a solid: the dimension of each number, and the conversion to fields."""
+    """One set of numbers for a solid, with dimensions and conversion."""
 
     dimensions: Mapping[str, str]
     convert: Callable[[_Numbers], dict[str, complex]]
@@ -42,12 +42,12 @@ class Form:
 
 @dataclass(frozen=True)
 class EntryKind:
-    """The statements a file of one kind may make. ``forms`` are alternatives, of which exactly one must be complete.
+    """The possible keys of a file of one kind.
 
-    ``words`` are texts from closed lists, which a file must state if ``worded``. ``lossy`` allows complex results of a
-    form. ``once`` are losses that stand for all constants: for each key, the word it stands for and the dimensions of
-    the numbers that it applies to.
-    ``figures`` are further numbers of a data sheet, which may complete the constants of the strain-charge form.
+    ``forms`` are alternatives, of which exactly one must be complete. ``words`` are texts from closed lists, required
+    if ``worded``. ``lossy`` allows complex results of a form. ``common_losses`` apply to all constants: for each key,
+    the word and the dimensions of the numbers. ``figures`` are further numbers of a data sheet, which may complete
+    strain-charge constants.
     """
 
     build: Callable[..., Material]
@@ -57,7 +57,7 @@ class EntryKind:
     words: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     worded: bool = False
     lossy: bool = True
-    once: Mapping[str, tuple[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
+    common_losses: Mapping[str, tuple[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
     figures: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
@@ -101,7 +101,7 @@ def _from_strain_charge(numbers: _Numbers) -> dict[str, complex]:
     return conversions.stress_charge(**{name: numbers[name] for name in CONSTANTS})
 
 
-#: The form of data sheets, which their figures may complete (:mod:`materials.completion`).
+#: The form of data sheets, which figures may complete (:mod:`materials.completion`).
 _STRAIN_CHARGE = Form(CONSTANTS, _from_strain_charge)
 
 _THERMAL = {
@@ -127,7 +127,7 @@ KINDS: Mapping[str, EntryKind] = {
             _STRAIN_CHARGE,
         ),
         words={"ceramic": CERAMICS},
-        once={
+        common_losses={
             "mechanical_q": ("q", ("pressure", "compliance")),
             "dielectric_loss_tangent": ("loss_tangent", ("permittivity",)),
         },
@@ -154,7 +154,7 @@ KINDS: Mapping[str, EntryKind] = {
         forms=(Form(dict.fromkeys(("c11", "c12", "c44"), "pressure"), _unchanged("c11", "c12", "c44")),),
         words={"channel": CHANNELS},
         worded=True,
-        once={"mechanical_q": ("q", ("pressure",))},
+        common_losses={"mechanical_q": ("q", ("pressure",))},
     ),
     "fluid": EntryKind(
         build=Fluid,
@@ -172,28 +172,29 @@ KINDS: Mapping[str, EntryKind] = {
     ),
 }
 
-#: Sign of the loss of a form's numbers, by their dimension.
-_LOSES = {
-    "pressure": Loses.STIFFLY, "compliance": Loses.SOFTLY, "permittivity": Loses.SOFTLY,
-    "piezoelectric charge": Loses.SOFTLY, "speed": Loses.AS_WAVE,
+#: The kind of loss of a form's numbers, by their dimension.
+_LOSS_KINDS = {
+    "pressure": LossKind.MODULUS, "compliance": LossKind.COMPLIANCE, "permittivity": LossKind.COMPLIANCE,
+    "piezoelectric charge": LossKind.COMPLIANCE, "speed": LossKind.WAVE_SPEED,
 }
 _HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit")
 
-#: The form of two wave speeds, each with its own loss.
+#: The form of two wave speeds, each with a loss.
 _FOR_SHEAR = ("longitudinal_speed", "shear_speed")
 
-#: Share of a number as large as :data:`PLAIN` (in its printed unit) below which its loss raises a warning: a quality
-#: factor of ten thousand, ten times that of the hardest ceramics and a hundred times that of polymers. Twice as large,
-#: one of 5000.
+#: Share of a number of at least :data:`PLAIN` (in its printed unit) below which its loss raises a warning: a quality
+#: factor of ten thousand, ten times that of the hardest ceramics. Doubled, 5000.
 QUESTIONABLE, PLAIN = 1e-4, 1e2
 
 
 class LossWarning(UserWarning):
-    """A loss so small beside its number that it was probably meant as a share of it."""
+    """A loss so small that it probably was meant as a share."""
 
 
 def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, source: str) -> Form | None:
-    """The form with exactly the numbers `given`, figures of a sheet apart, or the form that those may complete.
+    """The form with exactly the numbers `given`, or one to complete.
+
+    Figures of a data sheet may be present too.
 
     Raises:
         InputError: there is none; it names the missing numbers.
@@ -216,12 +217,12 @@ def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, sou
                          + "; ".join(" ".join(form.dimensions) for form in kind.forms) + ")")
     surplus = sorted(set(given) - set(nearest.dimensions))
     raise InputError(source, surplus[0], "a number that the others already give",
-                     f"only {' '.join(nearest.dimensions)} beside what every {kind_name} has")
+                     f"only {' '.join(nearest.dimensions)}, besides the numbers that every {kind_name} has")
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """Shared state of the reading of one file: its name for messages, its head, the keys it may cite."""
+    """Shared state while one file is read."""
 
     file: str
     conditions: str
@@ -229,10 +230,10 @@ class _Reader:
     references: Collection[str]
     temperature: float | None
 
-    def value(self, entry: object, dimension: str, *, field: str, loses: Loses) -> Value:
-        """The value of one entry: fixed, or at the requested temperature if the file gives laws."""
+    def value(self, entry: object, dimension: str, *, field: str, kind: LossKind) -> Value:
+        """The value of an entry. A law gives it at the requested temperature."""
         if self.temperature is None:
-            return self._fixed(entry, dimension, field=field, loses=loses)
+            return self._fixed(entry, dimension, field=field, kind=kind)
         if not isinstance(entry, Mapping) or "law" not in entry or "value" in entry:
             raise InputError(self.file, field, "a fixed value",
                              "a law alone, because other numbers of this file depend on temperature")
@@ -240,51 +241,50 @@ class _Reader:
         law = parse_law(entry["law"], factor, source=self.file, field=f"{field}.law")
         at = law.at(self.temperature, source=self.file, field=field)
         rest = {key: item for key, item in entry.items() if key != "law"}
-        value = self._fixed(rest | {"value": at / factor}, dimension, field=field, loses=Loses.NOT)
+        value = self._fixed(rest | {"value": at / factor}, dimension, field=field, kind=LossKind.NONE)
         return dataclasses.replace(value, conditions=f"{value.conditions}, {self.temperature:g} K")
 
-    def _fixed(self, entry: object, dimension: str, *, field: str, loses: Loses) -> Value:
+    def _fixed(self, entry: object, dimension: str, *, field: str, kind: LossKind) -> Value:
         return parse_value(
             entry, dimension, source=self.file, field=field, references=self.references,
-            default_source=self.source, default_conditions=self.conditions, loses=loses,
+            default_source=self.source, default_conditions=self.conditions, kind=kind,
         )
 
 
-def _temperature(table: FileTable, entries: Mapping[str, object], asked: float | None) -> float | None:
-    """The temperature (K) of a file with laws: the requested one, or else the reference temperature it states."""
+def _temperature(table: FileTable, entries: Mapping[str, object], requested: float | None) -> float | None:
+    """The temperature (K) of a file with laws: requested, or its reference."""
     if not any(isinstance(entry, Mapping) and "law" in entry for entry in entries.values()):
         if "temperature" in table:
             raise table.error("temperature",
                               "no temperature, because no number of this file depends on it (use conditions)")
-        if asked is not None:
-            raise InputError(table.source, "temperature", f"{asked:g} K",
+        if requested is not None:
+            raise InputError(table.source, "temperature", f"{requested:g} K",
                              "no temperature: this entry has no laws for it")
         return None
     reference = table.quantity("temperature", "temperature")
-    return reference if asked is None else asked
+    return reference if requested is None else requested
 
 
 def read_entry(
     path: Path, name: str, *, references: Collection[str], temperature: float | None, notes: list[str] | None = None,
     library: Library | None = None,
 ) -> Material:
-    """Read and check the material in the file at `path`; its name will be `name`.
+    """Read and check the material `name` in the file at `path`.
 
     Args:
-        path: a TOML file; see the package's page for its layout.
-        name: ``material/source`` as the registry knows it.
+        path: a TOML file; see the package's docstring for its layout.
+        name: ``material/source`` as in the registry.
         references: keys of the bibliography that the file may cite.
-        temperature: in K, for a file whose numbers depend on it; None for its own reference temperature.
-        notes: a list that collects the note of a material active by no more than its own rounding, and of one that is
-            completed from a data sheet; without it those are warnings.
+        temperature: in K, for a file with laws; None for its reference temperature.
+        notes: a list that collects warnings of rounding and completion as text.
         library: the materials that the entry may name under ``like``.
 
     Raises:
         InputError: any wrong statement of the file, with the line; or a temperature without a law for it.
 
     Warns:
-        passivity.PassivityWarning: active by no more than its own rounding.
-        LossWarning: a loss that is next to nothing beside its number.
+        passivity.PassivityWarning: active by no more than its rounding.
+        LossWarning: a loss far below published values.
         completion.SheetWarning: constants are derived or assumed, or figures of the sheet contradict each other.
     """
     with with_line_number(path):
@@ -300,7 +300,7 @@ def parse_entry(
     table = FileTable(file, "", content)
     kind_name = table.choice("kind", KINDS)
     kind = KINDS[kind_name]
-    head = (*_HEAD, *kind.words, *kind.once, *(("like",) if kind.figures else ()))
+    head = (*_HEAD, *kind.words, *kind.common_losses, *(("like",) if kind.figures else ()))
     entries = {key: item for key, item in content.items() if key not in head}
     in_forms = {key: dimension for form in kind.forms for key, dimension in form.dimensions.items()}
     dimensions = {**kind.required, **kind.optional, **kind.figures, **in_forms}
@@ -326,21 +326,21 @@ def parse_entry(
         references=references,
         temperature=_temperature(table, entries, temperature),
     )
-    entries = _with_losses_once(table, kind, entries, in_forms)
-    absorbed = _Absorption.taken(table, entries) if kind.build is Fluid else None
+    entries = _with_common_losses(table, kind, entries, in_forms)
+    absorbed = _Absorption.of_entry(table, entries) if kind.build is Fluid else None
     if absorbed is not None:
         entries = {**entries, "sound_speed": absorbed.speed}
 
     def read(entries: Mapping[str, object]) -> dict[str, Value]:
         return {key: reader.value(entry, dimensions[key], field=key,
-                                  loses=_LOSES.get(dimensions[key], Loses.EITHER) if kind.lossy and key in in_forms
-                                  else Loses.NOT)
+                                  kind=_LOSS_KINDS.get(dimensions[key], LossKind.EITHER_SIGN)
+                                  if kind.lossy and key in in_forms else LossKind.NONE)
                 for key, entry in entries.items()}
 
     values, findings = read(entries), []
     if form is _STRAIN_CHARGE and not set(form.dimensions) <= set(values):
         completed = complete(table, values, dimensions, library, name=name)
-        values = as_printed(values) | read(_with_losses_once(table, kind, completed.entries, in_forms))
+        values = as_printed(values) | read(_with_common_losses(table, kind, completed.entries, in_forms))
         findings.append(completed.finding)
     elif "like" in table:
         raise table.error("like", "no such key: the entry states all its constants")
@@ -372,27 +372,27 @@ def parse_entry(
 
 
 def _converted(form: Form, numbers: _Numbers, kind_name: str, file: str) -> dict[str, complex]:
-    """The fields that the numbers of a form give."""
+    """The fields from the numbers of a form."""
     for key in ("compressibility", *_FOR_SHEAR):
         if key in numbers and not numbers[key].real > 0:
             raise InputError(file, key, numbers[key].real, "a positive number (SI)")
     try:
         return form.convert(numbers)
     except ZeroDivisionError:
-        raise InputError(file, next(iter(form.dimensions)), "numbers of which one set is singular",
+        raise InputError(file, next(iter(form.dimensions)), "a singular set of numbers",
                          f"numbers of a {kind_name} that can be converted") from None
 
 
-def _with_losses_once(
+def _with_common_losses(
     table: FileTable, kind: EntryKind, entries: Mapping[str, object], dimensions: Mapping[str, str]
 ) -> dict[str, object]:
-    """The `entries` with the losses that the file states once for all constants.
+    """The `entries` with the common losses of the file.
 
     Raises:
-        InputError: a number of those has a loss of its own as well.
+        InputError: a number has a separate loss as well.
     """
     found = dict(entries)
-    for key, (word, of) in kind.once.items():
+    for key, (word, of) in kind.common_losses.items():
         if key not in table:
             continue
         loss_number(table, key, word)
@@ -409,11 +409,8 @@ def _with_losses_once(
 
 @dataclass(frozen=True)
 class _Absorption:
-    """The absorption of sound that a fluid's file states beside the speed.
-
-    ``diffusivity`` of sound (m^2/s) and its ``uncertainty``; ``stated`` in the words of the file; ``speed`` the entry
-    of the sound speed without it.
-    """
+    """The absorption of sound that a fluid's file states with the speed. ``diffusivity`` of sound (m^2/s) and its
+    ``uncertainty``; ``stated`` is the text in the file; ``speed`` is the entry of the sound speed without it."""
 
     diffusivity: float
     uncertainty: float | None
@@ -421,7 +418,7 @@ class _Absorption:
     speed: Mapping[str, object]
 
     @classmethod
-    def taken(cls, table: FileTable, entries: Mapping[str, object]) -> _Absorption | None:
+    def of_entry(cls, table: FileTable, entries: Mapping[str, object]) -> _Absorption | None:
         """The absorption in the entry of the sound speed, or None."""
         entry = entries.get("sound_speed")
         if not isinstance(entry, Mapping) or "value" not in entry or not any(word in entry for word in WORDS):
@@ -443,10 +440,10 @@ class _Absorption:
         return cls(alpha * per_alpha, None if uncertainty is None else uncertainty * per_alpha, stated, speed)
 
     def bulk_viscosity(self, values: Mapping[str, Value], file: str) -> Value:
-        """The bulk viscosity (Pa s) that makes up this absorption together with the other numbers of the fluid.
+        """The bulk viscosity (Pa s) that completes this absorption.
 
         Raises:
-            InputError: the other numbers absorb more than this already.
+            InputError: shear viscosity and heat conduction absorb more already.
         """
         numbers = {key: value.value.real for key, value in values.items()}
         density = numbers["density"]
@@ -457,32 +454,32 @@ class _Absorption:
         bulk = density * self.diffusivity - others
         if bulk < 0:
             raise InputError(file, "sound_speed", self.stated, "an absorption of at least "
-                             f"{others / (density * self.diffusivity):.3g} times that, which the shear viscosity and "
-                             "the conduction of heat make alone")
+                             f"{others / (density * self.diffusivity):.3g} times that, the part of shear viscosity "
+                             "and heat conduction")
         of = values["sound_speed"]
         return Value(bulk, "Pa s", of.source, of.conditions, f"from the {self.stated} of sound",
                      None if self.uncertainty is None else density * self.uncertainty)
 
 
 def _question_small_losses(material: Material, values: Mapping[str, Value], dimensions: Mapping[str, str]) -> None:
-    """Warn of losses that are next to nothing beside their numbers: a loss tangent was typed as an imaginary part."""
+    """Warn of losses that probably are loss tangents in a wrong key."""
     found = []
     for key, value in values.items():
         share = abs(value.value.imag / value.value.real) if value.value.real else 0.0
         factor = unit_factor(FileTable("", "", {"unit": value.unit}), dimensions[key])[1] if value.unit else 1.0
         printed = abs(value.value.real) / factor
-        ceramic = isinstance(material, Piezoelectric) and _LOSES.get(dimensions[key]) is not None
+        ceramic = isinstance(material, Piezoelectric) and _LOSS_KINDS.get(dimensions[key]) is not None
         if 0.0 < share < QUESTIONABLE and value.source != RECORDING and (printed >= PLAIN or ceramic):
             found.append(f"{key} {printed:.4g} with loss {abs(value.value.imag) / factor:.3g}: {share:.1e} of it")
     if found:
         warnings.warn(
-            f"{material.name}: losses a thousand times below anything published ({'; '.join(found)}). A loss is the "
-            "imaginary part in the unit of its number; write loss_tangent where the source prints tan delta, or q",
+            f"{material.name}: losses a thousand times below published ones ({'; '.join(found)}). A loss is the "
+            "imaginary part in the unit of its number; write loss_tangent if the source prints tan delta, or q",
             LossWarning, stacklevel=6)
 
 
 def _loss_tolerances(form: Form, numbers: _Numbers, values: Mapping[str, Value]) -> dict[str, float]:
-    """Bound on the imaginary part of each field from those of the printed numbers, to first order."""
+    """First-order bound on the imaginary part of each field. It follows from the bounds of the printed numbers."""
     exact = form.convert(numbers)
     bounds = dict.fromkeys(exact, 0.0)
     for key in form.dimensions:

@@ -37,7 +37,7 @@ FORMAT = "acoustofluidic-chip-workbench materials 1"
 
 @dataclass(frozen=True)
 class Imported:
-    """The name of an imported entry, and whether it is ``new`` or existed already with an identical text."""
+    """The name of an imported entry. ``new`` is False for an identical one."""
 
     name: str
     new: bool
@@ -59,44 +59,44 @@ class _Entry:
 
 
 def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> tuple[str, ...]:
-    """Write the entries that `names` mean to the file `path`, and return their full names.
+    """Write entries to the file `path`; return their full names.
 
     Raises:
-        InputError: an unknown name, an entry of the package, or a spoiled one; another file is at `path`.
+        InputError: an unknown name, an entry of the package, or a damaged one; another file is at `path`.
     """
     found = [registry.find(name) for name in names]
     entries = []
     for name, file in dict(found).items():
         if PACKAGE_DATA in file.parents:
-            raise InputError("materials", "name", name, "an entry of one's own: this one is in the package everywhere")
+            raise InputError("materials", "name", name, "an entry of your own: every installation has this one")
         split = split_version(name)
         check_saved_name(name if split is None else split[0])
-        load_quietly(registry, name)  # An unreadable entry is not handed on.
+        load_quietly(registry, name)  # Raises for an unreadable entry.
         # Written as bytes: text mode would change line ends.
         content, withdrawal = file.read_bytes().decode("utf-8"), read_withdrawal(file)
         entries.append(_Entry(name, content, withdrawal).exported)
     if os.path.lexists(path) and (path.is_file() or path.is_symlink()) and not _is_exported(path):
-        raise InputError("materials", "output", str(path), "a new name, or a file of exported materials as it was "
-                         "written, which is replaced; this is another file, a changed one or a link")
+        raise InputError("materials", "output", str(path), "a new name, or an unchanged file of exported "
+                         "materials, which is replaced; this is another file, a changed one or a link")
     write_atomic(path, _exported_text(entries))
     return tuple(dict(found))
 
 
 def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
-    """Put the entries of an exported file into a folder of materials, made if need be.
+    """Copy the entries of an exported file into a folder of materials.
 
-    All are checked before the first is put in place, and each is put in place whole. Existing entries are left; a
-    withdrawal is taken over.
+    All entries are checked before the first is written, each atomically. Existing entries stay; withdrawals are added.
+    The folder is made if needed.
 
     Raises:
         InputError: not an exported file or a damaged one; an entry that cannot be read, or that cites a source unknown
-            here; another content under a name that exists.
+            here; another content under an existing name.
     """
     entries = _read(path)
     references = bibliography_keys(PACKAGE_DATA / "references.bib") | bibliography_keys(folder / "references.bib")
     library = Registry(folder if folder.is_dir() else ()).library
     for entry in entries:
-        # With one of the package's own names, no entry could be read any more.
+        # An entry with a name of the package would make both unreadable.
         if entry_file(PACKAGE_DATA, entry.name).exists():
             raise InputError(str(path), entry.name, entry.name, "a name that the package does not have")
         _refuse_other(path, entry, folder)
@@ -106,7 +106,7 @@ def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
 
 
 def _place(path: Path, entry: _Entry, folder: Path) -> bool:
-    """Put an entry in place; whether it is new. Another run may have put it there since the check."""
+    """Write an entry; whether it is new. Another run may have written it since the check."""
     target, new = entry_file(folder, entry.name), True
     try:
         put(entry.content.encode("utf-8"), [target])
@@ -130,12 +130,12 @@ def _refuse_other(path: Path, entry: _Entry, folder: Path) -> None:
 
 
 def _digest(content: str) -> str:
-    # Half a surrogate pair, which JSON can smuggle in, has no digest of its own and matches none.
+    # Half a surrogate pair, which JSON allows, has no digest and matches none.
     return hashlib.sha256(content.encode("utf-8", "replace")).hexdigest()
 
 
 def _is_exported(path: Path) -> bool:
-    """Whether a file is one of exported materials, just as :func:`export_entries` writes it."""
+    """Whether a file is an unchanged result of :func:`export_entries`."""
     try:
         entries = _read(path)
         content = path.read_text(encoding="utf-8")
@@ -170,11 +170,11 @@ def _read_entry(entry: object, field: str, *, source: str) -> _Entry:
     table = FileTable.of(entry, source=source, field=field, expected="a name, a content and its sha256")
     name, content, digest = (table.text(key) for key in ("name", "content", "sha256"))
     split = split_version(name)
-    # A name is a path below the folder.
+    # A name is a path in the folder.
     check_saved_name(name if split is None else split[0], source=source)
     if _digest(content) != digest:
-        raise InputError(source, f"{field}.sha256", digest, f"{_digest(content)}, of the content as it is: {name} was "
-                         "changed")
+        raise InputError(source, f"{field}.sha256", digest, f"{_digest(content)}, the digest of the content: {name} "
+                         "was changed")
     if table.content.get("withdrawal") is None:
         return _Entry(name, content, None)
     withdrawal = table.table("withdrawal", expected="a date and a reason")

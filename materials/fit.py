@@ -1,4 +1,4 @@
-"""The ``[fit]`` table of an entry: the recordings and the method that its numbers were fitted with.
+"""The ``[fit]`` table of an entry: recordings, method and result::
 
     [fit.sample]                                # whatever is known of it, as text
     thickness = "2.02 mm"
@@ -45,10 +45,7 @@ _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", 
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """A recorded spectrum and the chip file it was fitted with: their names, and the SHA-256 of their contents.
-
-    ``chip_sha256`` is empty if the chip is no file.
-    """
+    """Names and SHA-256 of a recorded spectrum and its chip file. ``chip_sha256`` is empty if the chip has no file."""
 
     path: str
     sha256: str
@@ -58,7 +55,7 @@ class RecordingSource:
 
 @dataclass(frozen=True)
 class Correlation:
-    """The correlation matrix of the free parameters that the data determine; row i belongs to name i."""
+    """The correlation matrix of the determined free parameters. Row i belongs to name i."""
 
     names: tuple[str, ...]
     rows: tuple[tuple[float, ...], ...]
@@ -68,9 +65,9 @@ class Correlation:
 class Fit:
     """The fit that gave the numbers of a material.
 
-    ``band`` in Hz, ``temperature`` in K, ``density`` (kg/m^3) that of the entry itself, ``confidence`` between 0 and 1,
-    ``date`` in ISO 8601. ``mape_percent`` is the mean error of |Z|, ``rms_log_residual`` the root mean square of
-    ln(Z_fit / Z_measured).
+    ``band`` in Hz, ``temperature`` in K, ``density`` (kg/m^3) of the entry, ``confidence`` between 0 and 1, ``date`` as
+    ISO 8601 text. ``mape_percent`` is the mean error of |Z|, ``rms_log_residual`` the root mean square of ln(Z_fit /
+    Z_measured).
     """
 
     recordings: tuple[RecordingSource, ...]
@@ -93,7 +90,7 @@ class Fit:
 
 
 def parse_fit(table: object, *, density: float, source: str) -> Fit:
-    """The :class:`Fit` stated by the ``[fit]`` table of a file.
+    """The :class:`Fit` in the ``[fit]`` table of a file.
 
     Args:
         table: content of the file under ``fit``.
@@ -101,7 +98,7 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
         source: the file, for messages.
 
     Raises:
-        InputError: a key that is unknown, missing, or of the wrong kind.
+        InputError: a key that is unknown, missing or of the wrong kind.
     """
     entry = FileTable.of(table, source=source, field="fit", expected="a table [fit]").only(_KEYS)
     confidence = _figure(entry, "confidence")
@@ -176,8 +173,8 @@ def _correlation(entry: FileTable) -> Correlation:
             raise InputError(table.source, field, number, "finite numbers")
     for i, row in enumerate(rows):
         for j, number in enumerate(row):
-            # 1e-6 is the rounding of a badly scaled covariance, far below what anybody reads from it.
+            # 1e-6 is the rounding of a badly scaled covariance.
             if abs(number - rows[j][i]) > 1e-6 or abs(number) > 1.0 + 1e-6 or (i == j and abs(number - 1.0) > 1e-6):
                 raise InputError(table.source, field, f"{number!r} for {names[i]}, {names[j]}",
-                                 "a symmetric matrix with 1 on its diagonal and nothing larger beside it")
+                                 "a symmetric matrix with 1 on its diagonal and no larger number beside it")
     return Correlation(names, tuple(tuple(float(number) for number in row) for row in rows))

@@ -25,7 +25,7 @@ from workbench.files.tables import FileTable
 
 @dataclass(frozen=True)
 class Version:
-    """One version of a saved fit. If its file is spoiled, ``material`` is None and ``fault`` names the place."""
+    """One version of a saved fit; ``fault`` describes a damaged file. ``material`` is then None."""
 
     name: str
     material: Material | None
@@ -34,14 +34,16 @@ class Version:
 
 
 def history(registry: Registry, name: str) -> tuple[Version, ...]:
-    """Every version of the saved fit `name` (``material/name``), the oldest first; a spoiled one does not hide others.
+    """Every version of a saved fit ``material/name``, the oldest first.
+
+    A damaged version has a ``fault``.
 
     Raises:
         InputError: no saved fit of that name.
     """
     versions = versions_of(name, registry.names())
     if not versions:
-        registry.find(name)  # It names the known entries if there is nothing of that name.
+        registry.find(name)  # Raises with the known entries if the name is unknown.
         raise InputError("materials", "name", name, "a saved fit; this entry has no versions")
     return tuple(_version(registry, version) for version in versions)
 
@@ -56,7 +58,7 @@ def _version(registry: Registry, name: str) -> Version:
 
 
 def load_quietly(registry: Registry, name: str) -> Material:
-    """Load a material without warnings, to look at it and not to compute with it."""
+    """Load a material for display, without warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PassivityWarning)
         warnings.simplefilter("ignore", WithdrawnWarning)
@@ -64,12 +66,12 @@ def load_quietly(registry: Registry, name: str) -> Material:
 
 
 def withdraw(registry: Registry, name: str, *, reason: str, date: str) -> None:
-    """Withdraw one version: its short name no longer means it; its full name still reads it, with a warning.
+    """Withdraw a version: only its full name reads it, with a warning.
 
     Args:
-        registry: that finds it.
+        registry: the registry with the version.
         name: in full, such as ``pzt4/disc_7@2``.
-        reason: for those who used it.
+        reason: for its users.
         date: in ISO 8601.
 
     Raises:
@@ -80,7 +82,7 @@ def withdraw(registry: Registry, name: str, *, reason: str, date: str) -> None:
         expected = f"the full name of a version, such as {full}" if split_version(full) else "a version of a saved fit"
         raise InputError("materials", "name", name, expected)
     if not reason.strip():
-        raise InputError("materials", "reason", reason, "why it is withdrawn")
+        raise InputError("materials", "reason", reason, "the reason for the withdrawal")
     date_text(FileTable("materials", "", {"date": date}), "date")
     try:
         put(withdrawal_text(Withdrawal(date, reason)).encode("utf-8"), [withdrawal_file(path)])

@@ -1,12 +1,12 @@
-"""The kinds of material: one frozen dataclass for each physics, with only the numbers that physics has.
+"""The kinds of material: one frozen dataclass for each physics.
 
-Numbers are SI; losses follow the time factor e^{-i w t}: negative imaginary stiffness, positive imaginary permittivity.
-``parameters()`` gives a solver its numbers by field name; ``values`` keeps every number as its source states it.
-``temperature`` (K) is set if the numbers were requested at a temperature, None if the source gives no law for it.
-``fit`` describes the fit of the numbers, None for numbers from the literature.
+Numbers are SI. Losses have the time factor e^{-i w t}: negative imaginary stiffness, positive imaginary permittivity.
+``parameters()`` gives a solver its numbers by field name; ``values`` has every number as its source states it.
+``temperature`` (K) is set if the numbers depend on it. ``fit`` describes the fit of the numbers, None for numbers from
+the literature.
 
-A caller changes a number with :func:`dataclasses.replace`. The changed field then has no entry in ``values`` any more:
-it is the caller's number, and no source may be quoted for it.
+:func:`dataclasses.replace` changes a number. The changed field then has no entry in ``values``, because its source does
+not apply any more.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from materials.value import Value
 from workbench.files.errors import choose
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 
-#: Classes of ceramics by their losses: of types I and III of the US Navy's classification, and of types II and VI.
+#: Classes of ceramics by their losses: hard is US Navy types I and III, soft is types II and VI.
 CERAMICS = ("hard", "soft")
 
-#: Directions of a channel in the plane of a (100) wafer: along its flat, and at 45 degrees to it.
+#: Directions of a channel in the plane of a (100) wafer: along its flat, or at 45 degrees to it.
 CHANNELS = ("<110>", "<100>")
 
 
-def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
-    """The `values` that still agree with the field of their name."""
+def _unchanged(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
+    """The `values` that agree with the field of their name."""
     return {name: value for name, value in values.items() if name not in fields or value.value == fields[name]}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Heat:
-    """Thermal constants of a solid; one that a source does not give is None.
+    """Thermal constants of a solid. A constant is None if not stated.
 
-    Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. No term of the acoustic
-    model reads them, so they are not among the parameters of a solid; conduction of heat needs the first two.
+    Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. The acoustic model does
+    not use them, so they are not parameters of a solid.
     """
 
     THERMAL: ClassVar[tuple[str, ...]] = ("thermal_conductivity", "heat_capacity", "thermal_expansion")
@@ -52,11 +52,11 @@ class Heat:
         found = {name: getattr(self, name) for name in self.THERMAL}
         return {name: complex(number) for name, number in found.items() if number is not None}
 
-    def values_that_hold(self, parameters: Mapping[str, complex], values: Mapping[str, Value]) -> dict[str, Value]:
-        """The `values` of numbers that have not been changed, or set to None, since they were read."""
+    def unchanged_values(self, parameters: Mapping[str, complex], values: Mapping[str, Value]) -> dict[str, Value]:
+        """The `values` of numbers that are still those of the source."""
         known = {**parameters, **self.thermal()}
         stated = {name: value for name, value in values.items() if name in known or name not in self.THERMAL}
-        return _still_true(stated, known)
+        return _unchanged(stated, known)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class Piezoelectric(Heat):
 
     Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
     constant strain relative to that of free space. Acevedo-Espinosa et al. (RP-UEIS), eqs. 6 to 12. ``ceramic`` is one
-    of :data:`CERAMICS`, or empty if the source does not state it.
+    of :data:`CERAMICS`, or empty if not stated.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = (
@@ -91,11 +91,11 @@ class Piezoelectric(Heat):
     fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
+        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
 
     @property
     def c66(self) -> complex:
-        """Stiffness (Pa) for shear in the plane across the poling: (c11 - c12) / 2."""
+        """Stiffness (Pa) for shear in the plane normal to the poling."""
         return (self.c11 - self.c12) / 2
 
     @property
@@ -108,17 +108,17 @@ class Piezoelectric(Heat):
         return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
 
     def slowest_wave_speed(self) -> float:
-        """Speed (m/s) of the slower shear wave without piezoelectric stiffening, for choosing a mesh size."""
+        """Speed (m/s) of the slower shear wave, without piezoelectric stiffening."""
         return math.sqrt(min(complex(self.c44).real, complex(self.c66).real) / self.density)
 
 
 @dataclass(frozen=True, kw_only=True)
 class IsotropicSolid(Heat):
-    """An isotropic, possibly viscoelastic solid; also the material of a suspended particle.
+    """An isotropic, possibly viscoelastic solid, or the material of a particle.
 
     Density in kg/m^3, adiabatic bulk and shear modulus in Pa; a particle such as a cell may have no shear modulus, a
     layer must. Acevedo-Espinosa et al. (RP-UEIS), eq. 17. ``softening_temperature`` (K) is the glass transition of a
-    polymer: from there on it is softer and loses more than the numbers say. None if not stated.
+    polymer, above which it is softer and more lossy than stated; None if unknown.
     """
 
     THERMAL: ClassVar[tuple[str, ...]] = (*Heat.THERMAL, "softening_temperature")
@@ -136,11 +136,11 @@ class IsotropicSolid(Heat):
     fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
+        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
 
     @property
     def compressibility(self) -> float:
-        """Compressibility (1/Pa) under pressure: 1 / K, as it acts on a sound wave in a fluid around a bead."""
+        """Compressibility (1/Pa) of the bulk, 1 / K."""
         return 1.0 / complex(self.bulk_modulus).real
 
     def parameters(self) -> dict[str, complex]:
@@ -157,7 +157,7 @@ class CubicSolid(Heat):
     """A single crystal of cubic symmetry, cut as a (100) wafer.
 
     Density in kg/m^3, stiffness along the axes of the cube in Pa. A cube axis is normal to the wafer. ``channel`` is
-    the direction of the channel in its plane, one of :data:`CHANNELS`. Only a straight chip holds such a crystal.
+    the direction of the channel in its plane, one of :data:`CHANNELS`. Only a straight chip may have such a layer.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "c11", "c12", "c44")
@@ -175,7 +175,7 @@ class CubicSolid(Heat):
 
     def __post_init__(self) -> None:
         choose(self.channel, CHANNELS, source=self.name, field="channel")
-        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
+        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
 
     @property
     def bulk_modulus(self) -> complex:
@@ -184,14 +184,14 @@ class CubicSolid(Heat):
 
     @property
     def shear_modulus(self) -> complex:
-        """Shear modulus (Pa) of the polycrystal, the mean of the bounds of Voigt and Reuss."""
+        """Shear modulus (Pa) of the polycrystal: mean of Voigt and Reuss bounds."""
         soft, hard = self.c11 - self.c12, self.c44
         return 0.5 * ((soft + 3.0 * hard) / 5.0 + 5.0 * soft * hard / (4.0 * hard + 3.0 * soft))
 
     @property
     def stiffness(self) -> tuple[complex, complex]:
-        """Stiffness (Pa) across the channel in the plane of the wafer: of a strain there on the stress there and along
-        the channel."""
+        """In-plane stiffnesses (Pa) across the channel. They relate a strain across the channel to the stresses across
+        and along it."""
         if self.channel == "<100>":
             return self.c11, self.c12
         mean = 0.5 * (self.c11 + self.c12)
@@ -208,11 +208,8 @@ class CubicSolid(Heat):
 
 @dataclass(frozen=True, kw_only=True)
 class Fluid:
-    """A compressible fluid at one temperature.
-
-    Density in kg/m^3, sound speed in m/s, viscosities in Pa s, thermal conductivity in W/(m K), heat capacity at
-    constant pressure in J/(kg K). A number that a source does not give is None.
-    """
+    """A compressible fluid at one temperature. Density in kg/m^3, sound speed in m/s, viscosities in Pa s, thermal
+    conductivity in W/(m K), heat capacity at constant pressure in J/(kg K). A number is None if not stated."""
 
     PARAMETERS: ClassVar[tuple[str, ...]] = (
         "density", "sound_speed", "shear_viscosity", "bulk_viscosity", "heat_capacity_ratio", "thermal_conductivity",
@@ -233,14 +230,14 @@ class Fluid:
     fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        # A field set to None is not in parameters(), so its Value has to be dropped by name.
+        # A field set to None is not in parameters(), so its Value is dropped by name.
         known = self.parameters()
         stated = {name: value for name, value in self.values.items() if name in known}
-        object.__setattr__(self, "values", _still_true(stated, known))
+        object.__setattr__(self, "values", _unchanged(stated, known))
 
     @property
     def is_gas(self) -> bool:
-        """Whether it is lighter than 100 kg/m^3: no liquid is lighter than 400, no gas at a bench denser than 20."""
+        """Whether the density is below 100 kg/m^3, between gases and liquids."""
         return self.density < 100.0
 
     @property
@@ -250,12 +247,12 @@ class Fluid:
 
     @property
     def diffusivity_of_sound(self) -> float | None:
-        """Diffusivity [4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None if no viscosity is known.
+        """Diffusivity of sound in m^2/s, or None without a viscosity.
 
-        The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2). Heat
-        conduction counts if its three numbers are known; in water it is a thousandth of the whole. If only the
-        absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity. Without the bulk
-        viscosity it is a lower bound (:attr:`absorbs_more`).
+        It is [4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho; the classical absorption of sound is omega^2 / (2 c^3)
+        times it (Pierce, Acoustics, 1989, section 10-2). Heat conduction counts if its three numbers are known; in
+        water it is a thousandth of the whole. If a source states only the absorption, the bulk viscosity represents all
+        of it. Without bulk viscosity it is a lower bound (:attr:`absorbs_more`).
         """
         viscous = 4.0 / 3.0 * (self.shear_viscosity or 0.0) + (self.bulk_viscosity or 0.0)
         if viscous == 0.0:
@@ -267,11 +264,11 @@ class Fluid:
 
     @property
     def absorbs_more(self) -> bool:
-        """Whether the diffusivity of sound is a lower bound, because the bulk viscosity is not stated."""
+        """Whether the diffusivity of sound is a lower bound, without bulk viscosity."""
         return self.bulk_viscosity is None and self.shear_viscosity is not None
 
     def parameters(self) -> dict[str, complex]:
-        """Every known number by its field name; density and sound speed are always there."""
+        """Every stated number by its field name."""
         found = {name: getattr(self, name) for name in self.PARAMETERS}
         return {name: complex(number) for name, number in found.items() if number is not None}
 

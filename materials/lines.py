@@ -1,4 +1,4 @@
-"""The line of a file that an error is about."""
+"""Line numbers of errors in files."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _KEY = re.compile(r"""^\s*([\w."'-]+)\s*=""")
 
 @contextmanager
 def with_line_number(path: Path) -> Iterator[None]:
-    """Add to an error about the file at `path` the line that it is about, if there is one.
+    """Add the line number to an error about the file at `path`.
 
-    A missing statement has no line; the error then gives the last line of the file, which reveals a truncated one.
+    A missing statement has no line; the error then names the last line of the file, which reveals a truncated file.
 
     Raises:
-        InputError: the one raised inside, with the line in its ``source``.
+        InputError: the original error, with the line in its ``source``.
     """
     try:
         yield
@@ -40,10 +40,8 @@ def _place(text: str, error: InputError) -> str:
 
 
 def line_of(text: str, field: str, *, whole: bool = False) -> int | None:
-    """The line (from 1) of a TOML text that states `field`, such as ``fit.band``, or the innermost table around it.
-
-    None if there is neither; with `whole`, only the field itself counts.
-    """
+    """The line (from 1) of a TOML text that states `field`. An example of a field is ``fit.band``. Without the field,
+    it is the line of the innermost table around it, or None; with `whole`, only the field counts."""
     best, best_length, table, inside_text = None, 0, "", False
     for number, line in enumerate(text.splitlines(), start=1):
         opens = (line.count('"""') + line.count("'''")) % 2 == 1

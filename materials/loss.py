@@ -1,18 +1,18 @@
-"""Losses as sources print them, converted to the imaginary part of a number for the time factor e^{-i w t}.
+"""Printed losses as imaginary parts, for the time factor e^{-i w t}.
 
-A number states its loss in one of four words:
+A number states its loss by one of four keys:
 
-- ``loss``: the imaginary part itself, in the unit of the number and with its sign, or a text such as ``"5 %"`` of the
-  value, which gets the sign of a passive material;
+- ``loss``: the imaginary part, in the unit of the number and with its sign, or a text such as ``"5 %"`` of the value,
+  with the sign of a passive material;
 - ``loss_tangent``: tan delta, a number or a text such as ``"2 %"``;
 - ``q``: a quality factor, 1 / tan delta, such as the Q_m of a ceramic;
-- ``attenuation``: of a wave, whose speed the number is, in dB or Np per length at a ``frequency``
-  (``attenuation = "3 dB/cm", frequency = "1 MHz"``) or per length and frequency (``"3 dB/(cm MHz)"``).
+- ``attenuation``: of a wave speed, in dB or Np per length at a ``frequency`` (``attenuation = "3 dB/cm", frequency = "1
+  MHz"``) or per length and frequency (``"3 dB/(cm MHz)"``).
 
-``loss_uncertainty`` is stated in the same form. With v the printed phase speed and alpha the attenuation, the wave
-number is k = w / v + i alpha, and its modulus rho (w / k)^2 has the loss tangent tan delta with tan(delta / 2) = alpha
-v / w. This is exact for a loss tangent that is constant over the band (alpha proportional to the frequency). The
-imaginary part of a speed is -v tan(delta / 2), which makes the complex speed w / k = v^2 / conj(v + i v'').
+``loss_uncertainty`` has the same form. With v the printed phase speed and alpha the attenuation, the wavenumber is k =
+w / v + i alpha, and its modulus rho (w / k)^2 has the loss tangent tan delta with tan(delta / 2) = alpha v / w. This is
+exact for a loss tangent that is constant over the band (alpha proportional to the frequency). The imaginary part of a
+speed is -v tan(delta / 2), which makes the complex speed w / k = v^2 / conj(v + i v'').
 """
 
 from __future__ import annotations
@@ -27,52 +27,52 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS, parse_quantity
 from workbench.files.tables import FileTable
 
-#: The words for a loss; a number takes one of them.
+#: The keys of a loss; a number has at most one.
 WORDS = ("loss", "loss_tangent", "q", "attenuation")
 
 #: Nepers per decibel: a ratio of amplitudes of 10^(1/20).
 NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
 
-#: Relative step of the differences that carry an uncertainty. Doubled, the error of a derivative is 4e-12 of it.
+#: Relative step of the difference quotients that propagate an uncertainty. Doubled, their relative error is 4e-12.
 _STEP = 1e-6
 
 
-class Loses(Enum):
-    """The kind of loss of a number, which fixes the sign of its imaginary part and the words for it."""
+class LossKind(Enum):
+    """The kind of loss of a number. It fixes the sign of its imaginary part and the keys."""
 
-    NOT = "not at all"
-    STIFFLY = "as a modulus"
-    SOFTLY = "as a compliance or permittivity"
-    EITHER = "with either sign"
-    AS_WAVE = "as the speed of a wave"
+    NONE = "not at all"
+    MODULUS = "as a modulus"
+    COMPLIANCE = "as a compliance or permittivity"
+    EITHER_SIGN = "with either sign"
+    WAVE_SPEED = "as the speed of a wave"
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words for the loss of such a number."""
+        """The keys of the loss of such a number."""
         match self:
-            case Loses.NOT:
+            case LossKind.NONE:
                 return ()
-            case Loses.EITHER:
+            case LossKind.EITHER_SIGN:
                 return ("loss",)
-            case Loses.STIFFLY | Loses.SOFTLY:
+            case LossKind.MODULUS | LossKind.COMPLIANCE:
                 return ("loss", "loss_tangent", "q")
-            case Loses.AS_WAVE:
+            case LossKind.WAVE_SPEED:
                 return WORDS
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """All keys of an entry that concern its loss, with those that are then refused by name."""
+        """All keys of an entry's loss, including those rejected by name."""
         if not self.words:
             return ()
-        return (*WORDS, "loss_uncertainty", *(("frequency",) if self is Loses.AS_WAVE else ()))
+        return (*WORDS, "loss_uncertainty", *(("frequency",) if self is LossKind.WAVE_SPEED else ()))
 
 
 @dataclass(frozen=True)
 class Loss:
-    """The ``imaginary`` part of a number and its ``uncertainty`` (standard; None: not stated), both SI.
+    """The ``imaginary`` part of a number and its standard ``uncertainty``, both SI.
 
-    ``tolerance`` bounds the error of the imaginary part due to the rounding and the uncertainty of the printed numbers;
-    ``stated`` is the loss in the words of the file, empty if it is the imaginary part itself.
+    ``uncertainty`` is None if not stated. ``tolerance`` bounds the error of the imaginary part due to the rounding and
+    the uncertainty of the printed numbers; ``stated`` is the loss as printed, empty if it is an imaginary part.
     """
 
     imaginary: float = 0.0
@@ -81,29 +81,30 @@ class Loss:
     stated: str = ""
 
 
-def read_loss(table: FileTable, loses: Loses, real: float, *, factor: float, rounding: float) -> Loss:
-    """The loss of the number `real` (in the unit of its entry, whose `factor` to SI is given) that `table` states.
+def read_loss(table: FileTable, kind: LossKind, real: float, *, factor: float, rounding: float) -> Loss:
+    """The loss that `table` states for the number `real`.
 
-    `rounding` (SI) is half a unit of the last printed digit of the number.
+    `real` is in the unit of its entry, with the `factor` to SI. `rounding` (SI) is half a unit of its last printed
+    digit.
 
     Raises:
         InputError: more than one loss, one of the wrong sign or form, or an attenuation without its frequency.
     """
-    word = _word(table, loses)
+    word = _word(table, kind)
     if "frequency" in table and word != "attenuation":
-        raise table.error("frequency", "no frequency beside any loss but an attenuation: it is constant over the band")
+        raise table.error("frequency", "none: only an attenuation has one, another loss is constant in the band")
     if word is None or (word == "loss" and not isinstance(table.content["loss"], str)):
         loss = table.optional_number("loss")
         spread = table.optional_number("loss_uncertainty")
         if spread is not None and spread < 0:
             raise table.error("loss_uncertainty", "a number not below zero")
-        if loses is Loses.AS_WAVE and loss is not None and loss > 0:
+        if kind is LossKind.WAVE_SPEED and loss is not None and loss > 0:
             raise table.error("loss", "a number not above zero, the imaginary part of the speed (e^{-i w t})")
         spread = None if spread is None else spread * factor
         return Loss((loss or 0.0) * factor, spread, 0.0 if loss is None else rounding + (spread or 0.0))
-    if loses is Loses.EITHER:
+    if kind is LossKind.EITHER_SIGN:
         raise table.error("loss", "an imaginary part in the unit of the value: passivity does not fix its sign")
-    number, uncertainty, imaginary = _stated(table, word, loses)
+    number, uncertainty, imaginary = _stated(table, word, kind)
     value = real * factor
 
     def slope(function: Callable[[float], float], at: float) -> float:
@@ -116,25 +117,28 @@ def read_loss(table: FileTable, loses: Loses, real: float, *, factor: float, rou
 
 
 def attenuation_of_sound(table: FileTable, speed: float) -> tuple[float, float | None, float, str] | None:
-    """Attenuation (Np/m) of sound of a `speed` (m/s) in a fluid, its uncertainty, its frequency (Hz), and its words in
-    the file; None if `table` states none.
+    """Attenuation of sound in a fluid, or None if `table` states none.
 
-    A fluid's classical attenuation grows with the square of the frequency, so every word needs a frequency.
+    `speed` is in m/s. A fluid's classical attenuation grows with the square of the frequency, so every key needs a
+    frequency.
+
+    Returns:
+        the attenuation (Np/m), its uncertainty, the frequency (Hz) and the printed text.
 
     Raises:
-        InputError: as in :func:`read_loss`; a loss that is stated as an imaginary part, or without its frequency.
+        InputError: as in :func:`read_loss`; an imaginary part, or no frequency.
     """
-    word = _word(table, Loses.AS_WAVE)
+    word = _word(table, LossKind.WAVE_SPEED)
     if word is None:
         return None
     if word == "loss":
-        raise table.error("loss", 'attenuation = "0.2 dB/cm" with frequency = "1 MHz", which a fluid loses by')
+        raise table.error("loss", 'the absorption of a fluid: attenuation = "0.2 dB/cm" with frequency = "1 MHz"')
     stated = _words(table, word)
     if word == "attenuation":
         alpha, uncertainty, frequency = _attenuation(table, law=2)
         return alpha, uncertainty, frequency, stated
     frequency = _frequency(table, word)
-    number, uncertainty, imaginary = _stated(table, word, Loses.AS_WAVE)
+    number, uncertainty, imaginary = _stated(table, word, LossKind.WAVE_SPEED)
 
     def alpha_of(x: float) -> float:
         return -imaginary(1.0, x) * 2.0 * math.pi * frequency / speed
@@ -144,27 +148,27 @@ def attenuation_of_sound(table: FileTable, speed: float) -> tuple[float, float |
     return alpha_of(number), None if uncertainty is None else slope * uncertainty, frequency, stated
 
 
-def _word(table: FileTable, loses: Loses) -> str | None:
-    """The word in which the loss is stated, if any."""
+def _word(table: FileTable, kind: LossKind) -> str | None:
+    """The key of the loss, if any."""
     given = [word for word in WORDS if word in table]
     for word in given:
-        if word not in loses.words:
+        if word not in kind.words:
             why = "only a wave speed has an attenuation" if word == "attenuation" else "passivity does not fix its sign"
-            raise table.error(word, f"the loss as {' or '.join(loses.words)}: {why}")
+            raise table.error(word, f"the loss as {' or '.join(kind.words)}: {why}")
     if len(given) > 1:
         raise InputError(table.source, table.at(given[1]), f"a second loss, beside {given[0]}",
-                         f"one of {', '.join(loses.words)}")
+                         f"one of {', '.join(kind.words)}")
     return given[0] if given else None
 
 
-#: The imaginary part (SI) from a value (SI) and its loss in the word of the file.
+#: The imaginary part (SI) as a function of a value (SI) and its printed loss.
 _Imaginary = Callable[[float, float], float]
 
 
-def _stated(table: FileTable, word: str, loses: Loses) -> tuple[float, float | None, _Imaginary]:
-    """The number of a `word`, its uncertainty if stated, and the function that gives the imaginary part."""
-    sign = 1.0 if loses is Loses.SOFTLY else -1.0
-    wave = loses is Loses.AS_WAVE
+def _stated(table: FileTable, word: str, kind: LossKind) -> tuple[float, float | None, _Imaginary]:
+    """The printed loss, its uncertainty, and the function for its imaginary part."""
+    sign = 1.0 if kind is LossKind.COMPLIANCE else -1.0
+    wave = kind is LossKind.WAVE_SPEED
 
     def of_tangent(value: float, tangent: float) -> float:
         return sign * value * (math.tan(0.5 * math.atan(tangent)) if wave else tangent)
@@ -185,10 +189,12 @@ def _stated(table: FileTable, word: str, loses: Loses) -> tuple[float, float | N
 
 
 def loss_number(table: FileTable, key: str, word: str, *, uncertainty: bool = False) -> float:
-    """The number under `key` of a loss in a `word`, or the `uncertainty` of such a loss; not for an attenuation.
+    """The number under `key` of a loss stated as `word`.
+
+    With `uncertainty` it is the uncertainty of such a loss. Attenuations have another reader.
 
     Raises:
-        InputError: another form than that of the word, or a number that no loss has.
+        InputError: another form than that of the word, or an impossible number.
     """
     text, source, field = table.content[key], table.source, table.at(key)
     expected = {
@@ -214,10 +220,8 @@ _PART = re.compile(r"([A-Za-zµμ]+)(?:\^(\d))?$")
 
 
 def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, float]:
-    """The attenuation (Np/m), its uncertainty, and its frequency (Hz).
-
-    It grows with the frequency to the power `law`: an attenuation per frequency to just that power needs none.
-    """
+    """The attenuation (Np/m), its uncertainty, and its frequency (Hz). It grows with the frequency to the power `law`;
+    an attenuation per frequency to that power needs no frequency."""
     text, expected = table.content["attenuation"], 'an attenuation such as "3 dB/cm" with frequency = "1 MHz" beside it'
     if not isinstance(text, str):
         raise table.error("attenuation", expected)
@@ -247,7 +251,7 @@ def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, fl
 
 
 def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float, float, int]:
-    """The attenuation (Np/m) at a unit frequency (Hz), and the power of the frequency in its unit."""
+    """The attenuation (Np/m) at 1 Hz, and its power of frequency."""
     whole = _AMOUNT.match(text)
     value, unit = (float(whole[1]), whole[2]) if whole else (math.nan, text)
     found = _UNIT.match(re.sub(r"\s*/\s*", "/", unit.replace("²", "^2")))
@@ -267,7 +271,7 @@ def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float
 
 
 def _frequency(table: FileTable, word: str) -> float:
-    """The frequency (Hz) of a loss in a `word`."""
+    """The frequency (Hz) of a loss stated as `word`."""
     if "frequency" not in table:
         raise InputError(table.source, table.at(word), table.content[word],
                          'its frequency beside it, such as frequency = "1 MHz"')
@@ -278,6 +282,6 @@ def _frequency(table: FileTable, word: str) -> float:
 
 
 def _words(table: FileTable, word: str) -> str:
-    """The loss in the words of the file."""
+    """The printed loss as text."""
     at = f" at {table.content['frequency']}" if "frequency" in table else ""
     return f"{word.replace('_', ' ')} {table.content[word]}{at}"

@@ -1,4 +1,4 @@
-"""Checks of passivity: a material may store energy and lose it, but never create it.
+"""Checks of passivity: a material stores and loses energy, never creates it.
 
 The power lost per volume is (w/2) x^dagger Im(K) x for every strain and field x, with the 9 x 9 matrix
 
@@ -8,10 +8,9 @@ so Im K must have no negative eigenvalue. The matrix is built in full, complex p
 paper's inequalities (13) and (14) are the special case of real ones. The stored energy is checked as well: the real
 stiffness must be positive definite and the permittivities positive.
 
-Printed constants are rounded, and a fit that ends on the boundary of passivity may be pushed over it by the last
-printed digit. By Weyl's inequality an eigenvalue moves by no more than the norm of the change, and no change within the
-rounding has a larger norm than the matrix of the roundings themselves. That norm is the tolerance: it follows from the
-declarations of the data file alone.
+Printed constants are rounded, and rounding may move a fit across the boundary of passivity. By Weyl's inequality an
+eigenvalue moves by no more than the norm of the change, and no change within the rounding has a larger norm than the
+matrix of the roundings. That norm is the tolerance; it follows from the data file alone.
 """
 
 from __future__ import annotations
@@ -33,14 +32,14 @@ SIGN_CONVENTION = "time factor e^{-i w t}: loss is a negative imaginary stiffnes
 
 
 class PassivityWarning(UserWarning):
-    """A material would create energy, but by no more than the rounding of its printed constants explains."""
+    """A material would create energy, but within the rounding of its constants."""
 
 
 def stored_energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
     """Matrix K = [[-C, e^T], [e, eps]], 9 x 9, in Pa.
 
-    Rows are the strains 11 22 33 23 13 12 (Voigt, engineering shear) and the fields 1 2 3. The fields are measured in
-    units of sqrt(c33' / eps33'), which brings every entry to Pa without changing the sign of any eigenvalue.
+    Rows are the strains 11 22 33 23 13 12 (Voigt, engineering shear) and the fields 1 2 3. The fields have the unit
+    sqrt(c33' / eps33'), which gives every entry in Pa without a change of sign of any eigenvalue.
     """
     p = material.parameters()
     signed = {name: -number if name.startswith("c") else number for name, number in p.items()}
@@ -48,7 +47,7 @@ def stored_energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
 
 
 def _in_pascal(material: Piezoelectric, entries: Mapping[str, complex]) -> dict[str, complex]:
-    """The `entries` (in the units of the parameters) with the electric ones scaled to Pa."""
+    """The `entries` with the electric ones scaled to Pa."""
     field_unit = math.sqrt(complex(material.c33).real / complex(material.absolute_eps33).real)
     scales = dict.fromkeys(("e31", "e33", "e15"), field_unit)
     scales |= dict.fromkeys(("eps11", "eps33"), VACUUM_PERMITTIVITY * field_unit**2)
@@ -56,7 +55,7 @@ def _in_pascal(material: Piezoelectric, entries: Mapping[str, complex]) -> dict[
 
 
 def _assemble(entries: Mapping[str, complex], c66: complex) -> NDArray[np.complex128]:
-    """The 9 x 9 symmetric matrix of a poled ceramic with the given entries."""
+    """The symmetric 9 x 9 matrix of a poled ceramic."""
     import numpy as np
 
     matrix = np.zeros((9, 9), dtype=complex)
@@ -75,15 +74,15 @@ def _assemble(entries: Mapping[str, complex], c66: complex) -> NDArray[np.comple
 
 
 def _cubic_moduli(constants: Mapping[str, complex]) -> tuple[complex, complex, complex]:
-    """Eigenvalues of the stiffness of a cubic crystal: of compression, and of both shears."""
+    """Eigenvalues of a cubic stiffness: compression and both shears."""
     return (constants["c11"] + 2.0 * constants["c12"], constants["c11"] - constants["c12"], constants["c44"])
 
 
 def dissipation_matrix(material: Solid) -> NDArray[np.float64]:
-    """Matrix Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G''); for a cubic one that
-    of its three moduli.
+    """Matrix Im K (Pa); its negative eigenvalues create energy.
 
-    The isotropic solid needs no more: compression loses through K'' alone and every shear through G'' alone.
+    It is 9 x 9 for a piezoelectric solid, diag(-K'', -G'') for an isotropic solid, which loses by K'' in compression
+    and by G'' in shear, and that of the three moduli for a cubic solid.
     """
     import numpy as np
 
@@ -96,18 +95,15 @@ def dissipation_matrix(material: Solid) -> NDArray[np.float64]:
 
 
 def smallest_dissipation(material: Solid) -> float:
-    """The smallest eigenvalue (Pa) of the dissipation matrix: below zero, some motion creates energy."""
+    """The smallest eigenvalue (Pa) of the dissipation matrix. A negative one creates energy."""
     import numpy as np
 
     return float(np.linalg.eigvalsh(dissipation_matrix(material))[0])
 
 
 def rounding_tolerance(material: Solid, loss_tolerances: Mapping[str, float]) -> float:
-    """Largest amount (Pa) by which the rounding of the losses can push the smallest dissipation below zero.
-
-    `loss_tolerances` bounds the error of the imaginary part of each parameter, by name and in its SI unit (a missing
-    name: exact).
-    """
+    """Largest effect (Pa) of the rounding of losses on the smallest dissipation. `loss_tolerances` bounds the error of
+    the imaginary part (SI) of each parameter by name; a missing name is exact."""
     import numpy as np
 
     bounds = {name: loss_tolerances.get(name, 0.0) for name in material.PARAMETERS}
@@ -125,10 +121,10 @@ def check_passive(
     """Raise if the material cannot be passive, stable matter.
 
     Args:
-        material: any kind; a fluid is checked for positive numbers only.
+        material: any kind; of a fluid only the signs are checked.
         loss_tolerances: as in :func:`rounding_tolerance`.
         source: the origin of the material, for messages.
-        notes: a list that collects the warning instead, if given.
+        notes: a list that collects the warning as text, if given.
 
     Raises:
         InputError: a number that must be positive is not; a loss has the wrong sign; the stiffness is not positive
@@ -152,8 +148,8 @@ def check_passive(
             f"no eigenvalue below -{allowed / 1e9:.3g} GPa, the declared rounding and uncertainty of the losses "
             f"({SIGN_CONVENTION})",
         )
-    note = (f"{material.name}: taken as printed. Its losses are rounded, and so pass what passive matter allows by "
-            f"{-smallest / 1e9:.3g} GPa, within the {allowed / 1e9:.3g} GPa that the rounding explains; nothing to do")
+    note = (f"{material.name}: used as printed. Its losses are rounded, so an eigenvalue of the dissipation matrix "
+            f"is {-smallest / 1e9:.3g} GPa below zero, within the {allowed / 1e9:.3g} GPa of rounding; nothing to do")
     if notes is not None:
         notes.append(note)
         return
@@ -161,7 +157,7 @@ def check_passive(
 
 
 def _arithmetic_error(material: Solid) -> float:
-    """Bound (Pa) on the floating-point error of an eigenvalue of the dissipation matrix."""
+    """Bound (Pa) on the floating-point error of a dissipation eigenvalue."""
     import numpy as np
 
     return 9 * float(np.finfo(float).eps) * float(np.linalg.norm(dissipation_matrix(material), 2))
@@ -189,7 +185,7 @@ def _check_positive(material: Material, source: str) -> None:
 def _check_signs(
     material: Solid, loss_tolerances: Mapping[str, float], source: str
 ) -> None:
-    """Check the diagonal of Im K: a wrong sign there is a wrong convention, which deserves its own message."""
+    """Check the diagonal of Im K for a wrong sign convention."""
     for name, number in material.parameters().items():
         if name in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus"):
             gained, sign = number.imag, "<= 0"
@@ -219,11 +215,11 @@ def _check_stiffness(material: Solid, source: str) -> None:
 def check_longitudinal_loss(
     moduli: Mapping[str, complex], numbers: Mapping[str, complex], tolerances: Mapping[str, float], file: str
 ) -> None:
-    """Raise if a longitudinal wave has a smaller loss than its share of shear implies."""
+    """Raise if a longitudinal loss is below the part that shear contributes."""
     bulk, shear = complex(moduli["bulk_modulus"]), complex(moduli["shear_modulus"])
     if bulk.imag <= tolerances["bulk_modulus"]:
         return
     whole = bulk + 4 * shear / 3
     raise InputError(file, "longitudinal_speed", f"a loss tangent of {abs(whole.imag) / whole.real:.3g}",
-                     f"one of {-4 * shear.imag / 3 / whole.real:.3g} at least, which the loss of shear makes "
+                     f"one of {-4 * shear.imag / 3 / whole.real:.3g} at least, the part of the shear loss "
                      f"({numbers['shear_speed'].real:g} m/s, loss tangent {-shear.imag / shear.real:.3g}): state both")

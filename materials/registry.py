@@ -1,13 +1,15 @@
-"""Materials by name: ``material/source``, each an entry file under a data folder.
+"""Materials by name: ``material/source``, each an entry file in a data folder.
+
+::
 
     data/pzt4/acevedo_2026_fitted.toml   ->   "pzt4/acevedo_2026_fitted"
     data/references.bib                  ->   the sources that entries may cite
 
-The package's own folder always comes first; a user's folders have the same layout and may add materials, entries and a
-``references.bib``. An entry is read on request.
+The package's folder comes first; a user's folders have the same layout and may add materials, entries and a
+``references.bib``. Entries are read on request.
 
-A saved fit is an entry with versions, ``pzt4/disc_7@1``, ``pzt4/disc_7@2``: ``pzt4/disc_7`` means the newest one that
-is not withdrawn. A material's name alone never means a saved fit if it can mean any other entry: saving a fit does not
+A saved fit is an entry with versions, ``pzt4/disc_7@1``, ``pzt4/disc_7@2``: ``pzt4/disc_7`` is the newest one that is
+not withdrawn. A material's name alone does not refer to a saved fit if there is another entry, so saving a fit does not
 change the meaning of an existing chip file.
 """
 
@@ -40,7 +42,7 @@ _BIBLIOGRAPHY_KEY = re.compile(r"^\s*@\w+\s*\{\s*([^,\s]+)\s*,", re.MULTILINE)
 
 
 def bibliography_keys(path: Path) -> frozenset[str]:
-    """The keys of the entries of a BibTeX file; none if there is no such file.
+    """The keys of a BibTeX file; empty without the file.
 
     Raises:
         InputError: a key that occurs twice.
@@ -55,18 +57,17 @@ def bibliography_keys(path: Path) -> frozenset[str]:
 
 
 def user_folder() -> Path:
-    """The folder of the user's own materials: below ``$XDG_DATA_HOME``, or ``~/.local/share``. It may not exist yet."""
+    """The folder of the user's materials, which may not exist. It is in ``$XDG_DATA_HOME`` or ``~/.local/share``."""
     root = os.environ.get("XDG_DATA_HOME")
     return (Path(root) if root else Path.home() / ".local" / "share") / "acoustofluidic-chip-workbench" / "materials"
 
 
 @dataclass(frozen=True)
 class Registry:
-    """The materials of the package and of any further `folders`, paths or the texts of them.
+    """The materials of the package and of any further `folders`.
 
-    A chip that is filled from a registry with ``assumed_losses`` gets its lossless ceramics with the loss of
-    :mod:`materials.assumed`, and one that is filled from a registry that is ``inviscid`` no boundary layers of what its
-    cavity holds. The registry itself loads every material as its entry states it.
+    ``assumed_losses`` gives the lossless ceramics of a chip the loss of :mod:`materials.assumed`. ``inviscid`` removes
+    the boundary layers of its cavities. The registry itself loads every material as its entry states it.
     """
 
     folders: Sequence[Path | str] | Path | str = ()
@@ -74,7 +75,7 @@ class Registry:
     inviscid: bool = False
 
     def __post_init__(self) -> None:
-        # A text is a sequence too, of letters.
+        # A text is a sequence of letters too.
         given = (self.folders,) if isinstance(self.folders, str | Path) else self.folders
         object.__setattr__(self, "folders", tuple(map(Path, given)))
 
@@ -86,28 +87,28 @@ class Registry:
         return replace(self, folders=(*self.folders, *added)) if added else self
 
     def names(self) -> tuple[str, ...]:
-        """Every ``material/source`` name, sorted; of a saved fit every version, withdrawn ones included."""
+        """Every ``material/source`` name, sorted, with all versions of saved fits."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
     def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
         """Read and check the material called `name`.
 
         Args:
-            name: ``material/source``, or ``material`` alone if it has one entry or one that is declared the default;
-                for a saved fit, ``material/name`` or ``material/name@version``.
-            temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
-                states, which the result carries in its ``temperature``.
+            name: ``material/source``, or ``material`` alone if it has one entry or a default; for a saved fit,
+                ``material/name`` or ``material/name@version``.
+            temperature: in K, for a material whose numbers depend on it. None: the reference temperature of its entry,
+                which the result has as its ``temperature``.
             notes: a list that collects a :class:`materials.PassivityWarning` and a :class:`materials.SheetWarning` as
                 text, if given.
 
         Raises:
-            InputError: no such name (the nearest ones are named), a material with several entries and no default, a
-                temperature that the entry has no laws for or that lies outside them, or a faulty entry.
+            InputError: unknown name (with the nearest ones), a material with several entries and no default, a
+                temperature without a law or outside its range, or a faulty entry.
 
         Warns:
-            materials.PassivityWarning: the entry is active by no more than its own rounding.
+            materials.PassivityWarning: the entry is active by no more than its rounding.
             materials.SheetWarning: a ceramic's constants are derived or assumed, or its sheet contradicts itself.
-            materials.WithdrawnWarning: a withdrawn version was asked for by its full name.
+            materials.WithdrawnWarning: the full name of a withdrawn version is used.
         """
         chosen, path = self.find(name)
         withdrawal = read_withdrawal(path)
@@ -130,10 +131,10 @@ class Registry:
         return read_entry(path, name, references=references, temperature=temperature, notes=notes, library=library)
 
     def find(self, name: str) -> tuple[str, Path]:
-        """The full name and the file that `name` means; see :meth:`load`.
+        """The full name and the file of `name`; see :meth:`load`.
 
         Raises:
-            InputError: no such name, or one that may mean several entries or only withdrawn ones.
+            InputError: unknown name, or one with several entries or only withdrawn ones.
         """
         files = self._files()
         chosen = name if "/" in name else self._default(name, files)
@@ -150,12 +151,12 @@ class Registry:
         for folder in self._folders():
             if not folder.is_dir():
                 raise InputError("materials", "folder", str(folder), "an existing folder of materials")
-            # File managers and editors begin the names of their own files with a dot.
+            # Files of file managers and editors begin with a dot.
             for path in sorted(folder.glob("[!.]*/[!.]*.toml")):
                 name = check_name(entry_name(path), source=str(path), field="name", form="material/source",
                                   marks=f"{MARKS}@")
                 if name in files:
-                    raise InputError(str(path), "name", name, f"a name of its own: {files[name]} has this one")
+                    raise InputError(str(path), "name", name, f"a unique name: {files[name]} has this one")
                 files[name] = path
         return files
 
@@ -168,22 +169,22 @@ class Registry:
         if versions:
             raise InputError("materials", "name", name, f"a version by its full name, such as {versions[-1]}: all "
                              f"{len(versions)} are withdrawn", (versions[-1],))
-        # One name stands for all versions: there may be hundreds.
+        # One name represents all versions: there may be hundreds.
         label = name.split("@")[0]
         known = versions_of(label, files) or sorted(set(_unversioned(files)))
         siblings = [other for other in known if other.split("/")[0] == name.split("/")[0]]
         if siblings:
             near = tuple(siblings) if len(siblings) <= 3 else nearest_names(name, siblings)
             raise InputError("materials", "name", name, one_of(siblings, name), near)
-        raise InputError("materials", "name", name, _elsewhere(len(known)), nearest_names(name, known))
+        raise InputError("materials", "name", name, _unknown(len(known)), nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
-        """The full name that a material's name alone means."""
+        """The full name for a material's name alone."""
         entries = [name for name in files if name.split("/")[0] == material and split_version(name) is None]
         entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
             known = {name.split("/")[0] for name in files}
-            raise InputError("materials", "name", material, _elsewhere(len(known)), nearest_names(material, known))
+            raise InputError("materials", "name", material, _unknown(len(known)), nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
         declared = [name for name in entries if name in files and read_toml(files[name]).get("default") is True]
@@ -195,20 +196,19 @@ class Registry:
 
 
 def user_registry(further: Iterable[Path | str] = (), *, inviscid: bool = False) -> Registry:
-    """The materials of the package, of the user's own folder if there is one, and of any `further` folders; a chip
-    filled with them is `inviscid` or not."""
+    """The registry of the package, the user's folder and `further` folders."""
     own = user_folder()
     given = [Path(folder) for folder in ((further,) if isinstance(further, str | Path) else further)]
     rest = [folder for folder in given if folder.resolve() != own.resolve()]
     return Registry((*([own] if own.is_dir() else []), *rest), inviscid=inviscid)
 
 
-def _elsewhere(count: int) -> str:
-    """The words for a material that is in none of the folders."""
+def _unknown(count: int) -> str:
+    """Message for a material that is in none of the folders."""
     return (f"one of the {count} names that `workbench materials list` shows, or one of a folder of your own, given by "
             "--materials DIR (in Python registry=wb.Registry(DIR))")
 
 
 def _unversioned(names: Iterable[str]) -> list[str]:
-    """The `names`, without versions for those of saved fits."""
+    """The `names` without versions."""
     return [name if (split := split_version(name)) is None else split[0] for name in names]

@@ -1,4 +1,4 @@
-"""Saving of a fit as an entry: a new version in a folder of the user's, in the form of every other entry."""
+"""Saving of a fit as a new version of a user's entry."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from workbench.files.toml import TomlEntry, toml_lines, toml_table
 
 
 def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Material:
-    """The material `start` with the numbers that a fit has found, ready to be saved.
+    """The material `start` with the fitted numbers, ready to be saved.
 
     Args:
-        start: the material that the fit started from, with the density it was fitted with.
-        estimates: by field name; each :class:`Value` gives the number, the uncertainties, the ends of the intervals,
-            the status and the note (SI). A number without an estimate was held fixed and keeps its source.
-        fit: the description of the fit; its ``density`` is filled in here.
+        start: the initial material of the fit, with the density of the fit.
+        estimates: by field name; each :class:`Value` has the number, uncertainties, intervals, status and note (SI). A
+            number without an estimate was fixed and keeps its source.
+        fit: the description of the fit; its ``density`` is set here.
 
     Raises:
         KeyError: an estimate of a number that the material does not have.
@@ -45,7 +45,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
         raise KeyError(f"estimates of {', '.join(unknown)}; {start.name} has {', '.join(numbers)}")
     kind = _kind(start)
     lossy = kind.lossy_fields
-    # A source that prints other constants (wave speeds, compliances) has no Value under the names of the fields.
+    # A source that prints other constants (wave speeds, compliances) has no Value for the fields.
     converted = bool(set(start.values) - set(numbers) - set(_thermal(start)))
     values: dict[str, Value] = {}
     for name, number in (numbers | _thermal(start)).items():
@@ -59,7 +59,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
             if known is not None:
                 conditions = f"as in {start.name}"
             elif converted:
-                source, conditions = start.source, "converted from what the source prints"
+                source, conditions = start.source, "converted from the printed constants"
             value = Value(number, "", source, conditions)
         if name in numbers and name not in estimates:
             value = replace(value, status="fixed", loss_status="fixed" if name in lossy else "")
@@ -74,25 +74,25 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
 
 
 def save_fit(material: Material, name: str, *, folder: Path) -> str:
-    """Save a fitted material as the next version of `name`, and return its full name, such as ``pzt4/disc_7@2``.
+    """Save a fitted material as the next version of `name`. Return its full name.
 
-    If the newest version has the same content, all but the date, nothing is saved, and its name is returned. No
-    existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
-    (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in place.
+    If the newest version is equal except for the date, nothing is saved, and its name is returned. No existing file
+    changes. Any number of runs may save at once, and a killed run leaves no partial entry (see
+    :mod:`materials.versions`). The entry is read back with all checks before it gets its name.
 
     Args:
-        material: as :func:`fitted` makes it.
+        material: from :func:`fitted`.
         name: ``material/name``, without a version.
-        folder: of materials, such as :func:`materials.registry.user_folder`; made if need be.
+        folder: of materials, such as :func:`materials.registry.user_folder`; made if needed.
 
     Raises:
-        InputError: a name that cannot be used or is taken by an entry without versions; a material that no passive
-            matter can be, or that would not be read back as it is.
+        InputError: an invalid name, or one of an entry without versions; a material that is not passive, or that
+            differs when read back.
         ValueError: the material has no fit, or a number without a :class:`Value`.
         OSError: the folder cannot be written.
 
     Warns:
-        materials.PassivityWarning: active by no more than its own uncertainty.
+        materials.PassivityWarning: active by no more than its uncertainty.
     """
     check_saved_name(name)
     for place in (PACKAGE_DATA, folder):
@@ -109,7 +109,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
     for field in fields(material):
         mine, theirs = getattr(material, field.name), getattr(read, field.name)
         if mine != theirs:
-            raise InputError(label, field.name, mine, f"what can be read back; this becomes {theirs!r}")
+            raise InputError(label, field.name, mine, f"a value that can be read back; this becomes {theirs!r}")
     there = saved_versions(name, folder)
     if there and _is_same(entry_file(folder, there[-1]), content):
         return there[-1]
@@ -122,7 +122,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
             path = entry_file(folder, f"{name}@{number}")
             yield path
             if _is_same(path, content):
-                return  # Another run saved the same meanwhile.
+                return  # Another run has saved the same content.
 
     try:
         return entry_name(put(encoded, free()))
@@ -138,7 +138,7 @@ def saved_versions(name: str, folder: Path) -> list[str]:
 
 
 def _is_same(path: Path, content: str) -> bool:
-    """Whether the entry in a file is this one apart from its date, which is the last line, and not withdrawn."""
+    """Whether a file has this entry, date apart, and is not withdrawn."""
     if withdrawal_file(path).exists() or not path.is_file():
         return False
     mine, theirs = (text.rstrip("\n").rpartition("\n")[0]
@@ -147,7 +147,7 @@ def _is_same(path: Path, content: str) -> bool:
 
 
 def entry_text(material: Material) -> str:
-    """The entry file of a fitted material as text: SI units, every number exact to the last bit.
+    """The entry file of a fitted material as text. Numbers are exact and in SI.
 
     Raises:
         ValueError: the material has no fit, or a number without a :class:`Value`.
@@ -174,7 +174,7 @@ def _conditions(fit: Fit) -> str:
 
 
 def _thermal(material: Material) -> dict[str, complex]:
-    """The thermal constants of a solid; those of a fluid are among its parameters."""
+    """The thermal constants of a solid. A fluid has them as parameters."""
     return {} if isinstance(material, Fluid) else material.thermal()
 
 
@@ -183,7 +183,7 @@ def _kind(material: Material) -> EntryKind:
 
 
 def _unit(kind: EntryKind, name: str) -> str:
-    """The SI unit of a field: a number in it is read back as it was written."""
+    """The SI unit of a field, in which it is written."""
     dimensions = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
     return next(unit for unit, factor in UNITS[dimensions[name]].items() if factor == 1.0)
 
@@ -213,7 +213,7 @@ def _value_table(value: Value, head: Mapping[str, str]) -> dict[str, TomlEntry]:
 
 
 def _fit_tables(fit: Fit) -> list[str]:
-    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is noticed."""
+    """``[fit]`` after its tables, with ``date`` last to reveal a truncated file."""
     tables = []
     if fit.sample:
         tables.append(toml_table("[fit.sample]", fit.sample))

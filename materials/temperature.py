@@ -26,10 +26,8 @@ _KEYS = ("origin", "scale", "coefficients", "powers", "denominator_coefficients"
 
 @dataclass(frozen=True)
 class Law:
-    """A ratio of two sums of powers of a reduced temperature, and the range (K) in which its source vouches for it.
-
-    ``numerator`` and ``denominator`` are (coefficient, power) pairs; ``unit_factor`` turns the sum into SI.
-    """
+    """A ratio of two sums of powers of a reduced temperature. ``numerator`` and ``denominator`` are (coefficient,
+    power) pairs, ``lowest`` and ``highest`` (K) the range of validity; ``unit_factor`` converts to SI."""
 
     origin: float
     scale: float
@@ -70,7 +68,7 @@ def _sum_of_powers(table: FileTable, coefficients: str, powers: str) -> tuple[tu
 
 
 def parse_law(entry: object, unit_factor: float, *, source: str, field: str) -> Law:
-    """The :class:`Law` in the table `entry`; `unit_factor` is the factor to SI of the number it gives.
+    """The :class:`Law` in the table `entry`; `unit_factor` converts to SI.
 
     Raises:
         InputError: an unknown or missing key, lists that do not match, a temperature without its unit, an empty range.

@@ -1,4 +1,4 @@
-"""Check that a fitted material is used within the conditions of its fit."""
+"""Check of the conditions under which a fitted material is used."""
 
 from __future__ import annotations
 
@@ -7,24 +7,23 @@ from collections.abc import Iterable
 
 from materials.kinds import Material
 
-#: Largest relative difference of equal densities and bands: both are decimal numbers of files, so they agree to
-#: rounding or not at all.
+#: Largest relative difference of equal densities and bands, which are decimal numbers in files.
 _SAME = 1e-6
 
 
 class UseWarning(UserWarning):
-    """A fitted material is used outside its band, or with another density than it was fitted with."""
+    """A fitted material is used outside its band or with another density."""
 
 
 def check_use(materials: Iterable[Material], *, band: tuple[float, float]) -> None:
-    """Warn, once for each, of fitted materials used outside the conditions of their fit.
+    """Warn of fitted materials outside the conditions of their fit.
 
-    The ten constants of a free disc are known per density only (all of them may be scaled with it), and losses change
-    with frequency: a fit is not valid outside its band.
+    A free disc determines its ten constants per density only (all of them scale with it), and losses change with
+    frequency.
 
     Args:
-        materials: as they are used, that is with the density they are used with.
-        band: the ends (Hz) of the frequencies they are used at.
+        materials: with the density in use.
+        band: the frequencies in use (Hz).
 
     Warns:
         UseWarning: with both numbers.

@@ -1,4 +1,4 @@
-"""A number as a data file states it: value, unit, uncertainty, rounding, source and conditions.
+"""A number of a data file: value, unit, uncertainty, rounding, source, conditions.
 
 In a file a number is a table on one line::
 
@@ -7,9 +7,9 @@ In a file a number is a table on one line::
 ``loss`` is the imaginary part for the time factor e^{-i w t}: negative for a stiffness or a modulus, positive for a
 permittivity. ``loss_tangent``, ``q`` or ``attenuation`` replace it if a source prints those (see
 :mod:`materials.loss`). ``uncertainty`` (of the value) and ``loss_uncertainty`` (in the form of the loss) are standard
-uncertainties; ``rounding`` is half a unit of the last digit printed in the source. A fit adds the ends of its
-intervals, ``low`` ``high`` ``loss_low`` ``loss_high`` (an end left out: the data do not bound it), and the results for
-the two parts, ``status`` and ``loss_status``. All numbers are in the unit of the entry and are SI once read.
+uncertainties; ``rounding`` is half a unit of the last printed digit. A fit adds the ends of its intervals, ``low``
+``high`` ``loss_low`` ``loss_high`` (missing: unbounded), and the results for both parts, ``status`` and
+``loss_status``. All numbers are in the unit of the entry and in SI after reading.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import datetime
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from materials.loss import Loses, read_loss
+from materials.loss import LossKind, read_loss
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 
-#: The source of a fitted number: the [fit] table of its entry names the recording.
+#: The source of a fitted number; the [fit] table of its entry names the recording.
 RECORDING = "recording"
 
 #: Possible results of a fit for a number or for its loss.
@@ -37,14 +37,13 @@ _KEYS = ("value", "unit", *_SPREADS, *_ENDS, "status", "loss_status", "source", 
 
 @dataclass(frozen=True)
 class Value:
-    """One number with all that is known about it; every number is SI.
+    """One number with its statements; all numbers are SI.
 
     ``unit`` is the text of the file. ``rounding`` is half a unit of the last printed digit (0: not declared).
     ``loss_tolerance`` bounds the error of the imaginary part due to rounding and the stated uncertainty; it is 0 if the
-    source states no loss, because the imaginary part is then an assumption and not a rounded figure. ``low`` to
-    ``high`` and ``loss_low`` to ``loss_high`` are the intervals of a fit, at its level of confidence (None: no bound on
-    that side); ``status`` and ``loss_status`` are of :data:`STATUSES`, or empty without a fit. ``loss_stated`` is the
-    loss in the words of the file if that does not print the imaginary part itself.
+    source states no loss, because the imaginary part is then an assumption. ``low`` to ``high`` and ``loss_low`` to
+    ``loss_high`` are the intervals of a fit (None: unbounded); ``status`` and ``loss_status`` are from
+    :data:`STATUSES`, or empty without a fit. ``loss_stated`` is the printed loss if it is not an imaginary part.
     """
 
     value: complex
@@ -94,7 +93,7 @@ def unit_factor(entry: FileTable, dimension: str) -> tuple[str, float]:
 
 
 def source_of(table: FileTable, references: Collection[str], default: str | None = None) -> str:
-    """The key of a reference under ``source``; a number whose origin cannot be looked up is refused.
+    """The key of a reference under ``source``.
 
     Raises:
         InputError: no text, or not a key of `references`.
@@ -115,34 +114,34 @@ def parse_value(
     references: Collection[str],
     default_source: str,
     default_conditions: str,
-    loses: Loses,
+    kind: LossKind,
 ) -> Value:
-    """The :class:`Value` stated by a table of a data file.
+    """The :class:`Value` in a table of a data file.
 
     Args:
         entry: content of the file under `field`.
         dimension: a key of :data:`UNITS`.
         source: the file, for messages.
-        field: the place in the file, for messages.
+        field: the key in the file, for messages.
         references: keys of the bibliography.
-        default_source: the file's own ``source``, used if the entry names none.
-        default_conditions: the file's own ``conditions``, likewise.
-        loses: the kind of loss this number may have.
+        default_source: the file's ``source``, used if the entry has none.
+        default_conditions: the file's ``conditions``, likewise.
+        kind: the kind of loss of this number.
 
     Raises:
         InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or
-            status, an interval that does not hold its value, a loss of the wrong form (see :func:`read_loss`).
+            status, an interval without its value, a loss of the wrong form (see :func:`read_loss`).
     """
     table = FileTable.of(entry, source=source, field=field, expected='a table such as { value = 1.0, unit = "GPa" }')
-    table.only([*(key for key in _KEYS if loses.words or not key.startswith("loss")), *loses.keys])
+    table.only([*(key for key in _KEYS if kind.words or not key.startswith("loss")), *kind.keys])
     unit, factor = unit_factor(table, dimension)
     real = table.optional_number("value")
     if real is None:
         raise InputError(source, table.at("value"), "nothing", "a finite number")
     spreads = {key: _spread(table, key, factor) for key in _SPREADS}
     rounding = spreads["rounding"] or 0.0
-    loss = read_loss(table, loses, real, factor=factor, rounding=rounding)
-    lost = loss.imaginary / factor if loss.stated else table.optional_number("loss") or 0.0 if loses.words else 0.0
+    loss = read_loss(table, kind, real, factor=factor, rounding=rounding)
+    lost = loss.imaginary / factor if loss.stated else table.optional_number("loss") or 0.0 if kind.words else 0.0
     low, high, loss_low, loss_high = (
         _end(table, key, lost if key.startswith("loss") else real, factor) for key in _ENDS)
     status, loss_status = (table.choice(key, STATUSES) if key in table else "" for key in ("status", "loss_status"))
@@ -176,8 +175,8 @@ def _spread(table: FileTable, key: str, factor: float) -> float | None:
 
 
 def _end(table: FileTable, key: str, inside: float, factor: float) -> float | None:
-    """One end of an interval (SI), which has to hold the number `inside` (in the unit of the entry)."""
+    """One end of an interval (SI) around `inside` (in the entry's unit)."""
     end = table.optional_number(key)
     if end is not None and (end > inside if key.endswith("low") else end < inside):
-        raise InputError(table.source, table.at(key), end, f"an interval that holds the value, {inside:g}")
+        raise InputError(table.source, table.at(key), end, f"an interval that contains the value, {inside:g}")
     return None if end is None else end * factor

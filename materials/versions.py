@@ -1,12 +1,13 @@
-"""Versions of a saved fit: their names, their files, and their withdrawal.
+"""Versions of a saved fit: names, files and withdrawal.
 
-    pzt4/disc_7@1.toml          ->   "pzt4/disc_7@1", never changed once it is there
+::
+
+    pzt4/disc_7@1.toml          ->   "pzt4/disc_7@1", never changed
     pzt4/disc_7@1.withdrawn     ->   date and reason of the withdrawal of that version
 
-A file is put in place whole, by a hard link to a temporary file that was written before: the system makes a link
-completely or not at all, and refuses a name that exists. So no reader ever sees a part of a file, and a version is
-never overwritten. Of two runs that want one number, one gets it and the other takes the next. A run killed at any
-moment leaves at most a temporary file that nobody reads. A lock would add nothing, and could be left behind.
+A file is written to a temporary name and gets its own name by a hard link. A link is atomic and fails if the name
+exists, so no reader sees a part of a file, and a version is never overwritten. If two runs need one number, the second
+takes the next. A killed run leaves at most a temporary file that no reader opens. No lock is needed.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _VERSION = re.compile(r"([^/@]+/[^/@]+)@([1-9][0-9]{0,8})")
 
 
 class WithdrawnWarning(UserWarning):
-    """A withdrawn version is used, by its full name."""
+    """A withdrawn version is used by its full name."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,12 @@ def versions_of(name: str, names: Iterable[str]) -> list[str]:
 
 
 def check_saved_name(name: str, *, source: str = "materials", field: str = "name") -> str:
-    """The `name` itself if a fit can be saved under it; `source` and `field` are its place, for messages.
+    """The `name` itself if a fit can be saved under it.
+
+    `source` and `field` are its place, for messages.
 
     Raises:
-        InputError: anything but ``material/name`` in letters, digits, ``_`` and ``-``, such as a version, which is
-            counted.
+        InputError: not ``material/name`` in letters, digits, ``_`` and ``-``; a name with a version.
     """
     return check_name(name, source=source, field=field, form="material/name", marks=NUMBER_MARKS)
 
@@ -68,7 +70,7 @@ def entry_file(folder: Path, name: str) -> Path:
 
 
 def entry_name(path: Path) -> str:
-    """The name of the entry in a file of a folder of materials."""
+    """The name of the entry in a materials file."""
     return f"{path.parent.name}/{path.stem}"
 
 
@@ -86,7 +88,7 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
     """The withdrawal of the entry in the file `entry`, or None.
 
     Raises:
-        InputError: somebody has spoiled the record.
+        InputError: the record is damaged.
     """
     path = withdrawal_file(entry)
     if not path.is_file():
@@ -97,9 +99,9 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
 
 
 def put(content: bytes, paths: Iterable[Path]) -> Path:
-    """Put `content` at the first of `paths` that does not exist yet, all in one folder, and return that path.
+    """Write `content` to the first of `paths` that does not exist. Return that path.
 
-    The folder is made if need be.
+    All paths are in one folder, which is made if needed.
 
     Raises:
         FileExistsError: all of them exist.
@@ -108,13 +110,13 @@ def put(content: bytes, paths: Iterable[Path]) -> Path:
     paths = iter(paths)
     path = next(paths)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # No entry has this suffix: nobody reads the file that a killed run leaves behind.
+    # No entry has this suffix, so no reader opens the file of a killed run.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
             stream.flush()
-            # Otherwise a power cut might leave the name without the content.
+            # Otherwise a power cut may leave the name without the content.
             os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)
         while True:

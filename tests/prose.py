@@ -1,4 +1,4 @@
-"""Rules of plain English as data, and their offences in Markdown files and docstrings."""
+"""Rules of plain English as data, and their offences in Markdown files, docstrings and messages."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ INVERTED = (
 )
 #: Most words in the first sentence of a docstring, which is its line in a list of names.
 FIRST_WORDS = 12
+#: Fewest words of a string in code that is read as a message.
+MESSAGE_WORDS = 3
 
 
 def sentences(markdown: str) -> Iterator[tuple[int, str]]:
@@ -78,3 +80,24 @@ def docstring_offences(source: str) -> Iterator[tuple[int, str, str]]:
             if len(first.split()) > FIRST_WORDS:
                 yield line, f"first line longer than {FIRST_WORDS} words", first
             yield from ((line + further - 1, rule, part) for further, rule, part in offences(text))
+
+
+def message_offences(source: str) -> Iterator[tuple[int, str, str]]:
+    """(line, rule, text) of each offence in the messages of a Python module.
+
+    Messages are the texts of errors, findings and reports: all strings of :data:`MESSAGE_WORDS` or more outside
+    docstrings. A value in an f-string becomes X.
+    """
+    nodes = list(ast.walk(ast.parse(source)))
+    skipped = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    skipped |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node in nodes:
+        match node:
+            case ast.Constant(value=str(text)):
+                pass
+            case ast.JoinedStr(values=values):
+                text = "".join(str(part.value) if isinstance(part, ast.Constant) else "X" for part in values)
+            case _:
+                continue
+        if id(node) not in skipped and len(text.split()) >= MESSAGE_WORDS:
+            yield from ((node.lineno, rule, part) for _, rule, part in offences(text))

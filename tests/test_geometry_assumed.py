@@ -33,7 +33,7 @@ def test_a_film_is_known_to_a_factor_of_three(name: str) -> None:
     ("transducer.radius", 5e-3, 50e-6, "a turned or bought part is known to 1 %"),
     ("superstrate.thickness", 1e-3, 10e-6, "a turned or bought part is known to 1 %"),
     ("couplant.radius", 5e-3, 50e-6, "a turned or bought part is known to 1 %"),
-    ("sidewall.draft", 0.0, math.sqrt(3.0) * math.radians(1.0), "a shape as far as parts of its kind have it"),
+    ("sidewall.draft", 0.0, math.sqrt(3.0) * math.radians(1.0), "a shape typical of parts of this kind"),
 ])
 def test_others_are_known_as_such_parts_are_made(name: str, value: float, limit: float, words: str) -> None:
     found = length_uncertainty(name, Dimension(value))

@@ -75,7 +75,7 @@ def test_how_a_body_stands_is_named_and_the_key_mends_it(name: str, tmp_path: Pa
         read_chip(described(tmp_path))
     said = str(failed.value)
     assert words in said, said
-    advice = re.search(r"in the profile (.*) says how this one stands", said)
+    advice = re.search(r"in the profile (.*) states the axis of this one", said)
     assert advice is not None, said
     assert advice[1].startswith(key), said
     chip = read_chip(described(tmp_path, f", {advice[1]}"))
@@ -109,6 +109,6 @@ def test_ports_are_left_out_of_a_body_about_another_axis(tmp_path: Path) -> None
     saved(tmp_path / "chip.step", drilled)
     with pytest.raises(InputError) as failed:
         read_chip(described(tmp_path))
-    advice = re.search(r'in the profile (axis = "y", asymmetry = "0.\d+ %") says', str(failed.value))
+    advice = re.search(r'in the profile (axis = "y", asymmetry = "0.\d+ %") states', str(failed.value))
     assert advice is not None, failed.value
     assert isinstance(read_chip(described(tmp_path, f", {advice[1]}")), Chip)

@@ -120,7 +120,7 @@ def test_draft_of_a_layer_without_a_hole_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "chip.toml"
     substrate = 'thickness = "0.85 mm"'
     file.write_text(CHIP.replace("SHAPE", "").replace(substrate, substrate + '\ndraft = "1 deg"'))
-    with pytest.raises(InputError, match=r"layers\[2\].draft.*none where there is no hole"):
+    with pytest.raises(InputError, match=r"layers\[2\].draft.*none without a hole"):
         read_chip(file)
 
 

@@ -101,8 +101,8 @@ def test_a_written_file_is_read_back(symmetry: str, tmp_path: Path) -> None:
     ('ground_half_width = "2 mm"', 'ground_radius = "2 mm"', "ground_half_width"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\ndraft = "50 deg"', "less than 45 deg to either side"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nundercut = "3 um"', "draft = .* angle by which it grows"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "no offset where.*none"),
-    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"', "no offset where.*none"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\noffset = "0.5 mm"', "no offset.*none"),
+    ('cavity_width = "380 um"', 'cavity_width = "380 um"\ncavity_offset = "0.1 mm"', "no offset.*none"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nx_offset = "0.5 mm"', "cavity_offset of a channel"),
     ('cavity_width = "380 um"', 'cavity_width = "380 um"\nspacing = "1 mm"', "channels = 3 and pitch"),
     ('cavity_width = "380 um"', 'cavity_width = "4 mm"', "cavity_half_width.*narrower than its layer"),
@@ -229,6 +229,6 @@ def test_a_second_and_an_open_channel_are_refused_in_words_of_straight_chips() -
     with pytest.raises(InputError, match='inner_half_width and filling = "water"') as caught:
         chip(CHIP.replace(lid, lid.replace("superstrate", "substrate") + wall + lid))
     assert "axisymmetric" not in str(caught.value)
-    with pytest.raises(InputError, match="of an open well or channel state open = true") as caught:
+    with pytest.raises(InputError, match="for an open well or channel, state open = true") as caught:
         chip(CHIP.replace(lid, ""))
     assert "cavity_half_width" in str(caught.value)

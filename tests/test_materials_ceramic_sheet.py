@@ -124,7 +124,7 @@ def test_a_vendor_sheet_is_completed_and_says_how(tmp_path: Path) -> None:
     assert "derived: s12 = -poisson_ratio s11" in describe(ceramic)
     assert notes[0].startswith("vendor/sheet is completed from its data sheet; printed: s11, s33, d31, d33, free_eps33")
     assert "s44, d15, free_eps11, which only shear needs" in notes[0]
-    assert "kp is printed as 0.63 and follows as 0.6114 (-3.0 %)" in notes[1]
+    assert "kp is printed as 0.63 and derived as 0.6114 (-3.0 %)" in notes[1]
     with pytest.warns(SheetWarning, match="contradict its constants"), \
             pytest.warns(SheetWarning, match="completed from its data sheet") as caught:
         registry.load("vendor")
@@ -145,7 +145,7 @@ def test_figures_beside_a_full_set_are_compared(tmp_path: Path) -> None:
         _folder(tmp_path, full).load("vendor")
         _folder(tmp_path, full + "kp = { value = 0.63, uncertainty = 0.03, unit = '1' }\n").load("vendor")
         _folder(tmp_path, full + "kp = 0.611\n").load("vendor")
-    with pytest.warns(SheetWarning, match=r"kp is printed as 0\.58 and follows as 0\.61"):
+    with pytest.warns(SheetWarning, match=r"kp is printed as 0\.58 and derived as 0\.61"):
         _folder(tmp_path, full + "kp = 0.58\n").load("vendor")
     with pytest.raises(InputError, match="no such key: the entry states all its constants"):
         _folder(tmp_path, full + LIKE).load("vendor")

@@ -163,7 +163,7 @@ def test_a_truncated_file_is_named_with_its_line(ours: Path, tmp_path: Path) -> 
 
 def test_what_is_not_exported(ours: Path, tmp_path: Path) -> None:
     registry = Registry((ours,))
-    with pytest.raises(InputError, match=r"pla/acevedo_2026.*in the package everywhere"):
+    with pytest.raises(InputError, match=r"pla/acevedo_2026.*every installation has this one"):
         export_entries(registry, ["pla"], path=tmp_path / "x.json")
     with pytest.raises(InputError, match="'pzt4/disc_8'"):
         export_entries(registry, ["pzt4/disc_7", "pzt4/disc_8"], path=tmp_path / "x.json")

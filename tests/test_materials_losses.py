@@ -167,7 +167,7 @@ eps33 = { value = 663.2, unit = "1", loss = 0.02 }
     ('q = "75"', "a number without unit"),
     ('loss = "0.05"', "a percentage of it such as"),
     ("loss = 50", "a number not above zero"),
-    ('loss_tangent = 0.02, frequency = "1 kHz"', "constant over the band"),
+    ('loss_tangent = 0.02, frequency = "1 kHz"', "only an attenuation has one"),
     ("loss_tangents = 0.02", "did you mean 'loss_tangent'"),
 ])  # fmt: skip
 def test_losses_that_are_refused(tmp_path: Path, stated: str, message: str) -> None:
@@ -178,7 +178,7 @@ def test_losses_that_are_refused(tmp_path: Path, stated: str, message: str) -> N
 
 def test_losses_that_contradict_others_are_refused(tmp_path: Path) -> None:
     # 4/3 (1100 / 2500)^2 of the loss of shear is in the longitudinal wave: 0.0129 of 0.05.
-    with pytest.raises(InputError, match=r"one of 0.0129 at least, which the loss of shear makes"):
+    with pytest.raises(InputError, match=r"one of 0.0129 at least, the part of the shear loss"):
         load(tmp_path, SPEEDS.format("loss_tangent = 0.012", "loss_tangent = 0.05"))
     with pytest.raises(InputError, match="mechanical_q: received 'a second loss of s11, which states loss'"):
         load(tmp_path, CERAMIC.replace("value = 16.4,", "value = 16.4, loss = 0.2,") + "mechanical_q = 75\n")
@@ -215,7 +215,7 @@ def test_a_fluid_absorbs_as_its_attenuation_says(tmp_path: Path) -> None:
         ("loss = -3", "", "sound_speed.loss"),
         ("loss_tangent = 0.01", "", "its frequency beside it"),
         ('attenuation = "0.2 dB/(cm MHz)"', "", "its frequency beside it"),
-        ('attenuation = "1e-4 dB/cm at 1 MHz"', viscous, "at least .* which the shear viscosity"),
+        ('attenuation = "1e-4 dB/cm at 1 MHz"', viscous, "at least .* the part of shear viscosity"),
         (forms[1], 'bulk_viscosity = { value = 1, unit = "Pa s" }\n', "bulk_viscosity: received 'a second loss"),
     ):
         with pytest.raises(InputError, match=message):
@@ -270,7 +270,8 @@ def test_a_lossless_ceramic_has_the_loss_of_its_class() -> None:
     assert (found.c33, found.e33) == (plain.c33 * (1 - 1j / 75), plain.e33)
     assert found.eps33 == plain.eps33 * (1 + 0.02j)
     assert passivity.smallest_dissipation(found) > 0
-    assert "pzt5a/erturk_2011 states no loss; assumed is that of a soft ceramic, Q_m 75 and tan delta 0.02" in said
+    assert ("pzt5a/erturk_2011 states no loss; the assumed loss is that of a soft ceramic, Q_m 75 and tan delta 0.02"
+            in said)
     hard, _ = with_assumed_loss(Registry().load("pzt4/comsol_nominal"))
     assert isinstance(hard, Piezoelectric)
     assert -hard.c11.imag / hard.c11.real == pytest.approx(1 / ASSUMED["hard"].mechanical_q)
@@ -284,7 +285,7 @@ def test_losses_within_their_rounding_are_a_note_that_says_what_to_do() -> None:
     notes: list[str] = []
     material = Registry().load("pzt4/acevedo_2026_fitted", notes=notes)  # and no warning
     (note,) = notes
-    assert note.startswith("pzt4/acevedo_2026_fitted: taken as printed.")
+    assert note.startswith("pzt4/acevedo_2026_fitted: used as printed.")
     assert note.endswith("nothing to do")
-    with pytest.warns(PassivityWarning, match="taken as printed"):
+    with pytest.warns(PassivityWarning, match="used as printed"):
         assert Registry().load("pzt4/acevedo_2026_fitted") == material

@@ -142,7 +142,7 @@ CHIP_MISTAKES = {
     "particle in a vacuum": ('cavity = "water"\ntemperature = "20 degC"', 'cavity = "vacuum"',
                              ["states.filled.particle", "'polystyrene'", "no particle without a fluid"]),
     "one material of two densities": ('thickness = "0.72 mm"', 'thickness = "0.72 mm"\ndensity = "1000 kg/m^3"',
-                                      ["density of sidewall", "1000.0", "that substrate gives the same material"]),
+                                      ["density of sidewall", "1000.0", "of the same material"]),
     "syntax": ('thickness = "0.85 mm"', "thickness = 0.85 mm", ["TOML syntax", "line 17"]),
 }
 
@@ -314,7 +314,7 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "history of no fit": (["materials", "history", "pla/acevedo_2026"], ["'pla/acevedo_2026'", "no versions"]),
     "withdrawal of no fit": (["materials", "withdraw", "water", "--reason", "x"],
                              ["'water'", "a version of a saved fit"]),
-    "export of the package's": (["materials", "export", "pla", "-o", "x.json"], ["'pla/acevedo_2026'", "one's own"]),
+    "export of the package's": (["materials", "export", "pla", "-o", "x.json"], ["'pla/acevedo_2026'", "your own"]),
     "export of nothing known": (["materials", "export", "plo/mine", "-o", "x.json"], ["'plo/mine'", "one of"]),
     "import of nothing": (["materials", "import", "x.json"], ["x.json", "an existing file"]),
     "import of something else": (["materials", "import", "disc.csv"], ["disc.csv", "JSON syntax", "line 1 column 1"]),

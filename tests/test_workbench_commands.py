@@ -344,7 +344,7 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
     checked = capsys.readouterr().out
     assert "water/iapws_2011: ok" in checked
     assert "pzt4/acevedo_2026_fitted: ok" in checked
-    assert "taken as printed. Its losses are rounded" in checked
+    assert "used as printed. Its losses are rounded" in checked
     folder = tmp_path / "own" / "jelly"
     folder.mkdir(parents=True)
     (folder / "mine.toml").write_text('kind = "gelatine"\n')

@@ -120,7 +120,7 @@ def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(
     assert record["saved_as"] is None
     assert "pzt4/pea@1" not in Registry().names()
     said = capsys.readouterr().err
-    assert "not accepted: softer: 3.7e+02 % of Z is left" in said
+    assert "not accepted: softer: 3.7e+02 % of Z remains" in said
     assert 'softer: read by its headings, "Frequency (Hz)" is the frequency in Hz; "|Z| (Ohm)" is' in said
     page = html.unescape((tmp_path / "out" / "report.html").read_text())
     assert 'theta (deg)" is the phase of Z in deg' in page

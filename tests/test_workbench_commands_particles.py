@@ -101,7 +101,7 @@ def test_without_a_frequency_the_field_is_that_of_f0_and_pictures_can_be_left_ou
     (["--drive", "10 Vpp", "--window", "0 mm"], "--window: received '0 mm'; expected a length above zero"),
     (["--drive", "10 Vpp", "--window", "5"], "--window: received '5'; expected a length in one of"),
     (["--drive", "10 Vpp", "--particle", "polystyren"], "did you mean 'polystyrene'"),
-    (["--drive", "10 Vpp", "--particle", "pzt4"], "expected an isotropic solid (a bead), or a fluid"),
+    (["--drive", "10 Vpp", "--particle", "pzt4"], "expected an isotropic solid (a bead), a fluid"),
     (["--drive", "10 Vpp", "--particle-radius", "0.4 mm"], "expected above zero and below 0.36 mm, or it does not fit"),
     (["--drive", "10 Vpp", "--particle-radius", "0.3 mm"], "Gor'kov's formula holds for spheres much smaller"),
     (["--drive", "10 Vpp", "--convection", "10"], "--convection: received '10'; expected"),
@@ -156,7 +156,7 @@ def test_a_particle_of_no_known_material_or_in_no_fluid_is_refused_without_a_mes
     with pytest.raises(InputError, match="did you mean 'silica_beads'"):
         fill(with_particle(chip, None, particle="silica_bead", radius=None))
     state = replace(chip.state(), cavity="pmma", temperature=None)
-    with pytest.raises(InputError, match="no particle without a fluid to carry it; the cavity holds an isotropic"):
+    with pytest.raises(InputError, match="no particle without a fluid to carry it; the cavity contains an isotropic"):
         fill(replace(chip, states=(state,)))
     bare = replace(chip, states=(replace(chip.state(), particle=None, particle_radius=None),))
     with pytest.raises(InputError, match="expected a particle to follow"):
@@ -216,7 +216,7 @@ def test_another_voltage_labels_its_results(shot: wb.Snapshot) -> None:
     assert half.description == "5 Vpp at the electrodes"
     assert (half.voltage, half.energy_density) == pytest.approx((0.5 * once.voltage, 0.25 * once.energy_density))
     assert "5 Vpp at the electrodes" in str(found)
-    with pytest.raises(InputError, match=r"voltage_factor: received 300\.0; expected at most 200, which makes 2000"):
+    with pytest.raises(InputError, match=r"voltage_factor: received 300\.0; expected at most 200, .* 2000"):
         wb.trajectories(shot, 1.0, voltage_factor=300.0)
 
 

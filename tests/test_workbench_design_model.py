@@ -189,7 +189,7 @@ def test_a_model_is_kept_and_read_for_its_own_chip_only(chip: Chip, model: Desig
         assert (kept.missing, kept.frequency, kept.error) == (made.missing, made.frequency, made.error)
         assert all(np.array_equal(kept.gradient[name], made.gradient[name], equal_nan=True) for name in made.figures)
     assert (again.names, again.error) == (model.names, model.error)
-    with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
+    with pytest.raises(InputError, match="the chip, state, materials and mesh of the model"):
         load_design_model(path, chip.with_dimensions({"substrate.radius": 12.9e-3}), "filled", model.ranges, **asked)
     with pytest.raises(ValueError, match="cannot be saved"):
         again.save(path)
@@ -227,7 +227,7 @@ def test_bad_questions(chip: Chip, model: DesignModel) -> None:
         full_evaluation(chip, "filled", {"sidewal.thickness": 1e-3}, figures=("f0",))
     with pytest.raises(InputError, match="did you mean"):
         full_evaluation(chip, "filled", {f"{PLA}.sheer_modulus": 1e9}, figures=("f0",), accuracy=COARSE)
-    with pytest.raises(OutOfRange, match="the model was made for"):
+    with pytest.raises(OutOfRange, match="the range of the model is"):
         model({"cavity.radius": 5e-3})
     with pytest.raises(KeyError, match="no range for"):
         model({"cavity.height": 3e-3})

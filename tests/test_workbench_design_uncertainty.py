@@ -152,7 +152,7 @@ def test_radii_that_coincide_are_one_number() -> None:
 def test_two_tolerances_of_radii_that_coincide_are_a_mistake() -> None:
     text = FILLED.replace('radius = "3 mm"', 'radius = { value = "3 mm", tolerance = "10 um" }', 1)
     text = text.replace('radius = "3 mm"', 'radius = { value = "3 mm", tolerance = "20 um" }', 1)
-    with pytest.raises(InputError, match="one tolerance of radii that coincide"):
+    with pytest.raises(InputError, match="one tolerance for equal radii"):
         stated_uncertainty(chip(text))
 
 

@@ -63,7 +63,7 @@ def test_radii_that_coincide_are_read_as_one() -> None:
     assert (number.name, number.tolerance) == ("transducer.radius", pytest.approx(10e-6))
     assert set(number.names) == {"transducer.radius", "substrate.radius", "sidewall.radius", "superstrate.radius"}
     both = FILLED.replace('radius = "3 mm"', text, 1).replace('radius = "3 mm"', text.replace("10", "20"), 1)
-    with pytest.raises(InputError, match="one tolerance of radii that coincide"):
+    with pytest.raises(InputError, match="one tolerance for equal radii"):
         device_numbers(chip(both), ())
 
 

@@ -159,10 +159,10 @@ def test_what_is_open_lies_between_the_cavity_and_the_rim_of_what_holds(found: M
     assert isinstance(inside, OpenBond)
     # The last edges that leave a tenth of the joint: something goes on holding.
     for each, begin, outwards, limit in ((rims, 1.0, False, 0.38), (inside, hole, True, 0.95 - hole)):
-        assert (each.rim.begin, each.rim.outwards) == (pytest.approx(begin), outwards)
-        assert each.rim.limit == pytest.approx(limit)
-        assert each.rim.limit <= 0.9 * (1.0 - hole)
-        assert hole <= min(each.rim.edges) < max(each.rim.edges) <= 1.0
+        assert (each.annulus.begin, each.annulus.outwards) == (pytest.approx(begin), outwards)
+        assert each.annulus.limit == pytest.approx(limit)
+        assert each.annulus.limit <= 0.9 * (1.0 - hole)
+        assert hole <= min(each.annulus.edges) < max(each.annulus.edges) <= 1.0
 
 
 def test_the_gauge_scales_what_a_fit_of_a_disc_cannot_tell(found: Mapping[str, Effect]) -> None:

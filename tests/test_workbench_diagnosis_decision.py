@@ -245,7 +245,7 @@ def test_every_criterion_changes_a_verdict(
     {"accepted": 0.5}, {"rival": 1.0}, {"level": 1.0}, {"fitted": 0.9}, {"most": 1.1}, {"at_odds": 0.0},
     {"by_number": (0.5, 0.4, 0.2)}])
 def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"odds above zero|uncertainties above zero|add up to one"):
+    with pytest.raises(ValueError, match=r"odds of a rival|uncertainties above zero|add up to one"):
         Criteria(**wrong)
 
 

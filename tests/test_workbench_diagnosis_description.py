@@ -277,7 +277,7 @@ def test_a_description_is_told_in_findings_table_record_and_next_measurement(
     assert found.findings[:2] == (
         "46 % of the residual lies in low from 1.0106 to 1.0290 MHz; the nearest resonance of the model is at 1.0108 "
         "MHz, with its energy in the transducer (70 %), bond (27 %).",
-        "Of the catalogue, phase of the gain would explain most of it: 21 %, at odds of 0.2 against nothing further.")
+        "The hypothesis phase of the gain would explain most of it: 21 %, with odds of 0.2 against nothing further.")
     scored = replace(TOLD, takers=(Taker("gain", 0.999, None, True),))
     assert scored.in_words[1].endswith("gain would explain most of it: 99.9 % by its score, which is not a fit.")
     assert unexplained_tables(scored)[-1].rows == (("gain", "99.9", "not fitted", "its score"),)  # type: ignore[union-attr]

@@ -119,5 +119,5 @@ def test_it_is_said_in_numbers() -> None:
     assert "removed by one measurement: record one again 13 %, record two again 0 %." in text
     assert "Not compared: another temperature" in text
     text = next_measurement_text(found[1:], ("leads", "glass"), 20.0)
-    assert text.startswith("No number of further recordings decides at odds of 20. Record two again, 64 times")
+    assert text.startswith("No number of further recordings decides with odds of 20. Record two again, 64 times")
     assert next_measurement_text([], (), 20.0) == ""

@@ -193,7 +193,7 @@ def test_a_loss_is_told_against_the_stated_one() -> None:
     local = made_problem(np.zeros(402), np.zeros((402, 2)), np.array([1e-6, 1e-2]))
     found = made_explanation(local, np.array([2e8, 0.7, -2e8]), hypothesis=Hypothesis((added,)), free=(0, 1))
     told = Established.of(device, found, added, 0.9)
-    assert told.in_words == "glass loses twice what is stated (shear loss 0.4 GPa, stated 0.2)"
+    assert told.in_words == "glass has twice the stated loss (shear loss 0.4 GPa, stated 0.2)"
     # The exponent of a term is stated nowhere.
     assert [each.is_stated for each in told.estimates] == [False, False]
     without = replace(told, losses=(0.0, 0.0)).in_words
@@ -241,7 +241,7 @@ def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
     assert page.index(found.headline) < page.index("<h2>Provisional</h2>")
     assert "Not looked at: leads of any size, thickness 0, thickness 1, " in printed
     for text in (page, printed, json.dumps(said)):
-        assert "Provisional: of what was tried (leads), best so far is leads: series resistance 0.15 ohm" in text
+        assert "Provisional: of the tried hypotheses (leads), best so far is leads: series resistance 0.15 ohm" in text
         assert "explains 97 %" not in text
         assert "explain the recordings" not in text
         assert "explains the recordings" not in text
@@ -305,8 +305,8 @@ def test_two_losses_of_one_material_have_one_share() -> None:
     every = (Established(shear, (estimate(shear.names[0], -1e8, "Pa", -5e7),), True, 0.947),
              Established(bulk, (estimate(bulk.names[0], -6e7, "Pa", -3e7),), True, 0.05))
     found = diagnosis("missing_physics", Evidence("leads", 9.0, ("a", "b")), established=every)
-    assert found.headline == ("Pla loses twice what is stated (shear loss 0.1 GPa, stated 0.05); pla loses twice what "
-                              "is stated (bulk loss 0.06 GPa, stated 0.03); this explains 99.7 % of the residual as "
+    assert found.headline == ("Pla has twice the stated loss (shear loss 0.1 GPa, stated 0.05); pla has twice the "
+                              "stated loss (bulk loss 0.06 GPa, stated 0.03); this explains 99.7 % of the residual as "
                               "stated.")
     assert not [text for text in found.findings if "explain" in text]
     rows = established_table(found).rows

@@ -128,8 +128,8 @@ def test_radii_that_coincide_are_one_parameter(chip: Chip, problem: Problem) -> 
 
 @pytest.mark.parametrize(("radii", "message"), [
     (("sidewall.height",), "sidewall.height"),
-    ({"bond.radius": (3.4e-3, 3.6e-3), "sidewall.radius": (3.3e-3, 3.6e-3)}, "one range for radii that coincide"),
-    ({"bond.radius": (3.6e-3, 3.7e-3)}, "a range that holds its length"),
+    ({"bond.radius": (3.4e-3, 3.6e-3), "sidewall.radius": (3.3e-3, 3.6e-3)}, "one range for equal radii"),
+    ({"bond.radius": (3.6e-3, 3.7e-3)}, "a range around its length"),
 ])
 def test_radii_that_contradict_each_other_are_refused(
     chip: Chip, problem: Problem, radii: dict[str, tuple[float, float]], message: str

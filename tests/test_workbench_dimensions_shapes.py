@@ -162,7 +162,7 @@ def test_what_is_not_moved_is_as_it_was(chip: Chip, problem: Problem) -> None:
 def test_thickness_beyond_its_range_is_refused(chip: Chip, problem: Problem) -> None:
     flexed = parametrised(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]})
     thin = {"superstrate.bow": 7e-6, "bond.thickness": 20e-6}
-    with pytest.raises(ModelError, match="outside the range that the model was made for"):
+    with pytest.raises(ModelError, match="outside the range of this model"):
         within(flexed, thin)
     wider = parametrised(problem, chip, (), {"superstrate.bow": RANGES["superstrate.bow"]},
                      thicknesses={"bond.thickness": (20e-6, 90e-6)})
@@ -172,7 +172,7 @@ def test_thickness_beyond_its_range_is_refused(chip: Chip, problem: Problem) -> 
 @pytest.mark.parametrize(("shapes", "message"), [
     ({"sidewall.drafts": (-0.1, 0.1)}, "did you mean 'sidewall.draft'"),
     ({"substrate.draft": (-0.1, 0.1)}, "substrate.draft"),
-    ({"sidewall.draft": (0.02, 0.1)}, r"sidewall.draft: .*0.02 to 0.1.*a range that holds its size, 0"),
+    ({"sidewall.draft": (0.02, 0.1)}, r"sidewall.draft: .*0.02 to 0.1.*a range that contains its size, 0"),
 ])
 def test_shapes_that_make_no_sense_are_refused(
     chip: Chip, problem: Problem, shapes: dict[str, tuple[float, float]], message: str

@@ -47,7 +47,7 @@ def test_a_level_is_the_power_into_a_matched_load_and_rms_that_of_a_sine() -> No
         load = found.amplitude(np.array([resistance + 0j]))[0]
         expected = 1e-3 * 10.0 ** (float(text.split("dBm")[0]) / 10.0)
         assert 0.5 * abs(load) ** 2 / resistance == pytest.approx(expected, rel=1e-12)
-    with pytest.raises(InputError, match="that an amplifier"):
+    with pytest.raises(InputError, match="of an amplifier"):
         parse_drive("90 dBm")
 
 

@@ -226,7 +226,7 @@ def test_a_refusal_names_what_was_held_and_the_entry_that_comes_nearest() -> Non
     prepared = prepared_of(chip, measured, ("c33", "c11", "eps33"))
     result = tried(fitted(prepared), prepared, registry, 32)
     (said,) = refusals(result)
-    assert "it held " in said
+    assert "fixed parameters: " in said
     proposed = [h.parameter.parsed.local for h in result.held if h.taken > 0.0]
     assert proposed
     assert f"--free default,{','.join(proposed)}`" in said

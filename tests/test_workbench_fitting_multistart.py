@@ -43,7 +43,7 @@ class Search:
 
 
 def refine(x: Real) -> Refined:
-    """The nearest valley, on the mesh asked for."""
+    """The nearest valley, on the requested mesh."""
     valley = min(VALLEYS, key=lambda each: abs(each - float(x[0])))
     ratio = VALLEYS[valley]
     noise = Noise(np.full(3, 0.01), ratio, 1.0 if ratio == 1.0 else 4.0)
@@ -62,7 +62,7 @@ def test_a_film_goes_on_from_valley_to_valley_on_the_mesh_asked_for(further: Fit
     assert further.refined.minimum.x == pytest.approx([26.45e-6])
     labels = [trial.start.label for trial in further.trials]
     # What helped is tried again first, and nothing once all is explained.
-    assert labels[-1] == labels[-2] == "film couplant.thickness x 1.15, on the mesh asked for"
+    assert labels[-1] == labels[-2] == "film couplant.thickness x 1.15, on the requested mesh"
 
 
 def test_starts_are_judged_by_the_answer_even_where_the_mesh_of_the_search_did_not_lead_to_it(
@@ -74,7 +74,7 @@ def test_starts_are_judged_by_the_answer_even_where_the_mesh_of_the_search_did_n
     outcomes = {start.label: start.outcome for start in listed}
     elsewhere = "another optimum: couplant.thickness differs most"
     assert outcomes["film couplant.thickness x 1.15"] == elsewhere
-    assert outcomes["film couplant.thickness x 1.15, on the mesh asked for"] == "same optimum"
+    assert outcomes["film couplant.thickness x 1.15, on the requested mesh"] == "same optimum"
     assert [start.outcome for start in listed].count("same optimum") == 1
 
 

@@ -220,7 +220,7 @@ def test_a_thickness_is_nobodys_but_its_own(chip: Chip) -> None:
 @pytest.mark.parametrize("name", RADII)
 def test_tolerances_of_radii_that_coincide_must_agree(chip: Chip, name: str, second: float) -> None:
     contradictory = with_radii(chip, Dimension(3e-3, 20e-6), Dimension(3e-3), Dimension(3e-3, second))
-    with pytest.raises(InputError, match="one tolerance of radii that coincide") as caught:
+    with pytest.raises(InputError, match="one tolerance for equal radii") as caught:
         dimension_parameter(contradictory, name)
     # Both statements, so that the user can see which one to drop; not the radius that states none.
     assert caught.value.value == f"transducer.radius: 2e-05 m, substrate.radius: {second:g} m"

@@ -257,8 +257,8 @@ def test_a_fit_that_is_not_to_be_believed_says_why(result: FitResult) -> None:
     assert "c11 ended at 4.3e+17 Pa, outside" in refusals(worse(result, estimates=(far, *result.estimates[1:])))[0]
     match = result.recordings[0]
     poor = replace(match, after=match.before)  # the start is 43 % off
-    assert "42 % of Z is left" in refusals(worse(result, recordings=(poor,)))[0]
-    assert "more than the 3 % that are taken where a recording states no noise" in refusals(
+    assert "42 % of Z remains" in refusals(worse(result, recordings=(poor,)))[0]
+    assert "more than the 3 % that are accepted if a recording states no noise" in refusals(
         worse(result, recordings=(poor,)))[0]
     # Twice the noise that a recording states is too much, however little it is.
     noisy = replace(match, noise=replace(match.noise, stated=True, scale=2.1))

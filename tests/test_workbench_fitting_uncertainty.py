@@ -291,7 +291,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None
     exact = 0.03 - np.sqrt(CHI_SQUARE * level**2 / 60.0 + 0.02**2)
     assert gain.low == pytest.approx(exact, abs=0.05 * (0.01 - exact))
     findings = estimate_uncertainty(search, minimum, [of_level(level)], profiles=False).findings
-    assert "bench.gain is held by upper bound 0.01, short of another." in findings
+    assert "bench.gain is at an active bound: upper bound 0.01, short of another." in findings
 
 
 def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem) -> None:
@@ -493,7 +493,7 @@ def test_what_passivity_holds_is_named_and_the_interval_reaches_what_the_data_wa
     findings = estimate_uncertainty(search, minimum, found, profiles=False).findings
     assert any(line.startswith(f"The data alone, without that condition, would put {PZT}.c13.loss at")
                for line in findings)
-    assert f"{PZT}.c13.loss is held by passivity of {PZT}." in findings
+    assert f"{PZT}.c13.loss is at an active bound: passivity of {PZT}." in findings
 
 
 def test_the_error_of_the_mesh_is_of_the_size_it_has(

@@ -209,11 +209,11 @@ def test_the_lid_of_a_channel_is_a_place_of_its_own() -> None:
     found = follow(report, record_times(600.0), particles=40, flow=flow)
     assert (found.fate == Fate.AT_LID).all()
     rows = {row.name: row for row in capture_statistics(found)}
-    assert rows["held at the lid, in the middle of the channel"].share == 1.0
+    assert rows["pressed to the lid, in the middle of the channel"].share == 1.0
     # They are at their place across on the lid too.
     assert rows["focused across the channel"].share == 1.0
     text = str(statement("filled", report, REST, found))
-    assert "100 % held at the lid, in the middle of the channel" in text
+    assert "100 % pressed to the lid, in the middle of the channel" in text
     assert "100 % focus across the channel, in the middle of the channel: half of these within" in text
 
 

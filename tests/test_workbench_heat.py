@@ -74,7 +74,7 @@ def disc_mesh(order: int, elements: float, *, radius: float = RADIUS, thickness:
 
 def cooled(mesh: SectionMesh, cooling: Mapping[str, float], *, held: Mapping[str, float] | None = None) -> Conduction:
     """Conduction in a disc, cooled on named parts of its surface."""
-    found = conduction(mesh, {"transducer": CONSTANTS}, cooling={"": 1.0}, held=held)
+    found = conduction(mesh, {"transducer": CONSTANTS}, cooling={"": 1.0}, holders=held)
     return replace(found, cooling=dict(cooling), walls={name: boundary_place(mesh, name) for name in cooling})
 
 
@@ -199,12 +199,12 @@ def test_the_error_falls_with_the_order_of_the_elements() -> None:
 
 def test_heat_needs_a_way_out() -> None:
     mesh = disc_mesh(2, 1.0)
-    for cooling, words in (({"": 0.0}, "a way for the heat to leave"), ({"": -1.0}, "0 W/\\(m\\^2 K\\) or more"),
+    for cooling, words in (({"": 0.0}, "a heat transfer coefficient above"), ({"": -1.0}, "0 W/\\(m\\^2 K\\) or more"),
                            ({"transduce|outside": 1.0}, "did you mean 'transducer|outside'")):
         with pytest.raises(InputError, match=words.replace("|", "\\|")):
             conduction(mesh, {"transducer": CONSTANTS}, cooling=cooling)
     with pytest.raises(InputError, match=r"holder: received 'tp'; expected one of .*top"):
-        conduction(mesh, {"transducer": CONSTANTS}, cooling={"": 1.0}, held={"tp": 0.0})
+        conduction(mesh, {"transducer": CONSTANTS}, cooling={"": 1.0}, holders={"tp": 0.0})
 
 
 # A chip ---------------------------------------------------------------------------------------------------------------
@@ -250,8 +250,8 @@ def test_the_balance_of_power_closes(holder: str | None) -> None:
     found = conducted_heat(problem, solution, 5.0, holder=holder)
     assert found.released == pytest.approx(found.power, rel=1e-10)
     assert found.closure < 1e-10
-    assert sum(found.convected.values()) + found.held == pytest.approx(found.power, rel=1e-9)
-    assert (found.held > 0.0) == (holder is not None)
+    assert sum(found.convected.values()) + found.into_holder == pytest.approx(found.power, rel=1e-9)
+    assert (found.into_holder > 0.0) == (holder is not None)
     # By the outside of the chip, from the temperatures themselves.
     top = float(boundary_mean(problem, found.mesh, found.rise, "superstrate"))
     assert found.convected["superstrate|outside"] == pytest.approx(10.0 * top, rel=1e-9)

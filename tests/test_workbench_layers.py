@@ -134,7 +134,7 @@ def test_a_fit_needs_no_simulation_of_fields_and_particles() -> None:
 
 
 def test_one_effect_does_not_see_another() -> None:
-    shared = {"workbench.physics.term", "workbench.physics.rim", "workbench.physics.shaped",
+    shared = {"workbench.physics.term", "workbench.physics.annulus", "workbench.physics.shaped",
               "workbench.files.quantities"}
     assert not offenders(lambda module: imported(module, inside_functions=True) & set(FILES) - shared,
                          [name for name in FILES if name.startswith("workbench.physics.")])

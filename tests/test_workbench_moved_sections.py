@@ -117,7 +117,7 @@ def test_only_what_moves_has_several_matrices(flexed: Problem) -> None:
 
 @pytest.mark.parametrize(("ranges", "message"), [
     ({"substrate.filet": (0.1e-3, 0.3e-3)}, r"dimension: received 'substrate.filet'.*did you mean 'substrate.fillet'"),
-    ({"substrate.fillet": (0.25e-3, 0.3e-3)}, r"substrate.fillet: .*a range that holds its size, 0.0002"),
+    ({"substrate.fillet": (0.25e-3, 0.3e-3)}, r"substrate.fillet: .*a range that contains its size, 0.0002"),
     ({"substrate.fillet": (0.1e-3, 2e-3)}, r"fillet: received '2 mm'; expected a radius that fits"),
 ])
 def test_ranges_that_will_not_do(

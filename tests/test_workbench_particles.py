@@ -403,7 +403,7 @@ def test_bad_input_is_refused() -> None:
         viscous_scattering(bead(), ideal, CHIP)
     fields = cylinder_mode()
     solid = SimpleNamespace(**{**vars(fields), "pressure": np.full_like(fields.pressure, np.nan)})
-    with pytest.raises(ValueError, match="carries no pressure; choose a fluid region"):
+    with pytest.raises(ValueError, match="has no pressure; choose a fluid region"):
         forces_in(solid)
 
 

@@ -17,8 +17,8 @@ from workbench.fem.elements import Lagrange
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
-from workbench.physics.depoled import DepoledRim
-from workbench.physics.rim import Rim
+from workbench.physics.annulus import Annulus
+from workbench.physics.depoled import DepoledAnnulus
 from workbench.physics.term import Integral, ModelError
 
 WIDTH, EXCESS = "rim.width", "rim.permittivity_excess"
@@ -27,7 +27,8 @@ WIDTH, EXCESS = "rim.width", "rim.permittivity_excess"
 def rimmed(base: Problem, beyond: float, excess: complex = 0.0) -> Problem:
     """`base` without poling beyond a radius (m)."""
     width = 1.0 - beyond / base.mesh.mesh.p[0].max()
-    return base.with_terms((DepoledRim("transducer", "pzt", Rim("rim", limit=width)),), {WIDTH: width, EXCESS: excess})
+    term = DepoledAnnulus("transducer", "pzt", Annulus("rim", limit=width))
+    return base.with_terms((term,), {WIDTH: width, EXCESS: excess})
 
 
 def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -73,7 +74,7 @@ def test_a_poled_and_a_depoled_plate_lie_side_by_side(
 
 @pytest.mark.parametrize("beyond", [1.9e-3, 2e-3, 2.96e-3])
 def test_the_rim_begins_where_it_is_said_to(small_disc: Problem, beyond: float) -> None:
-    term = DepoledRim("transducer", "pzt", Rim("rim", limit=1.0 - beyond / small_disc.mesh.mesh.p[0].max()))
+    term = DepoledAnnulus("transducer", "pzt", Annulus("rim", limit=1.0 - beyond / small_disc.mesh.mesh.p[0].max()))
     operators = assemble(small_disc.mesh, (*small_disc.terms, term))
     rim = operators.places[term.integrals()[0].domain]
     disc, (r, z) = operators.places["transducer"], small_disc.mesh.mesh.p
@@ -91,9 +92,9 @@ def test_the_rim_begins_where_it_is_said_to(small_disc: Problem, beyond: float) 
 
 
 def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
-    class Outside(DepoledRim):
+    class Outside(DepoledAnnulus):
         def integrals(self) -> tuple[Integral, ...]:
             return tuple(replace(each, radius_fraction=1.2) for each in super().integrals())
 
     with pytest.raises(ModelError, match=r"'transducer' beyond 1\.2 of its outer radius: expected a share below 1"):
-        assemble(small_disc.mesh, (*small_disc.terms, Outside("transducer", "pzt", Rim("rim"))))
+        assemble(small_disc.mesh, (*small_disc.terms, Outside("transducer", "pzt", Annulus("rim"))))

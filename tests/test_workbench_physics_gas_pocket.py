@@ -21,8 +21,8 @@ from workbench.fem.solve import solve_full
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import Problem, problem
 from workbench.physics import gas_pocket
-from workbench.physics.gas_pocket import LEFT, GasPocket
-from workbench.physics.rim import Rim
+from workbench.physics.annulus import Annulus
+from workbench.physics.gas_pocket import LIQUID_FLOOR, GasPocket
 from workbench.physics.term import Formula, Monomial
 
 HEIGHT, RADIUS, FLOOR = 0.82e-3, 1.5e-3, 2.9e-3
@@ -73,7 +73,7 @@ def emptied(part: Rectangle, depth: float, area: float) -> list[Rectangle]:
 
 def pocket(base: Problem, size: float, edges: tuple[float, ...], lid: str = "") -> Problem:
     """`base` with gas to a depth, or over an area, with slabs or rings up to some `edges`."""
-    rim = Rim("gas", 0.0, edges[-1], True, edges[:-1], "area") if lid else Rim(
+    rim = Annulus("gas", 0.0, edges[-1], True, edges[:-1], "area") if lid else Annulus(
         "gas", limit=edges[-1], widths=edges[:-1], measure="height")
     term = GasPocket("cavity", base.materials["cavity"].name, rim, RADIUS if lid else HEIGHT,
                      f"cavity|{lid}" if lid else "", lid)
@@ -168,7 +168,7 @@ def test_what_is_left_of_the_liquid_above_the_surface_does_not_matter(
     base = made((0.3,))
     model = pocket(base, 0.3, (0.3,))
     full, found = impedance(base), impedance(model)
-    monkeypatch.setattr(gas_pocket, "LEFT", 10.0 * LEFT)
+    monkeypatch.setattr(gas_pocket, "LIQUID_FLOOR", 10.0 * LIQUID_FLOOR)
     changed = np.abs(impedance(model) - found).max() / np.abs(found - full).max()
     print(f"left, ten times: off by {changed:.2g}")
     assert 0.0 < changed < 2e-3

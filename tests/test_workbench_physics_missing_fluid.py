@@ -15,13 +15,13 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
+from workbench.physics.annulus import Annulus
 from workbench.physics.missing_fluid import HALFWAY, MissingFluid
-from workbench.physics.rim import Rim
 
 WIDTH = "rim.width"
 
 #: One ring, of all of a layer.
-EVERYWHERE = Rim("rim", limit=1.0, widths=())
+EVERYWHERE = Annulus("rim", limit=1.0, widths=())
 
 
 def gas() -> Fluid:
@@ -36,9 +36,9 @@ def outer(base: Problem) -> float:
     return float(mesh.p[0, mesh.t[:, mesh.subdomains["couplant"]]].max())
 
 
-def rimmed(base: Problem, width: complex, rim: Rim | None = None, region: str = "couplant") -> Problem:
+def rimmed(base: Problem, width: complex, rim: Annulus | None = None, region: str = "couplant") -> Problem:
     """`base` with gas over a `width`, as a share of the region's radius."""
-    term = MissingFluid(region, base.materials[region].name, "air", rim or Rim("rim"))
+    term = MissingFluid(region, base.materials[region].name, "air", rim or Annulus("rim"))
     return base.with_terms((term,), {WIDTH: width, "air.density": gas().density, "air.sound_speed": gas().sound_speed})
 
 
@@ -73,7 +73,7 @@ def test_a_rim_of_gas_is_a_couplant_that_ends_there(
     radii = np.unique(base.mesh.mesh.p[0])
     inner, after = 1.0 - radii[np.flatnonzero(radii >= about)[0] + np.array([0, 1])] / outer(base)
     width = float(inner if way == "at the edge of an element" else 0.5 * (inner + after))
-    rim = Rim("rim", limit=float(inner), widths=(float(after),)) if way == "a share of a ring" else Rim(
+    rim = Annulus("rim", limit=float(inner), widths=(float(after),)) if way == "a share of a ring" else Annulus(
         "rim", limit=width, widths=())
     full, expected = impedance(base, frequency), impedance(chip(3e-3 * (1.0 - width)), frequency)
     miss = np.abs(impedance(rimmed(base, width, rim), frequency) - expected).max() / np.abs(expected - full).max()

@@ -15,26 +15,26 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem, problem
 from workbench.physics import open_bond
-from workbench.physics.open_bond import HALFWAY, LEFT, SKIN, OpenBond
-from workbench.physics.rim import Rim
+from workbench.physics.annulus import Annulus
+from workbench.physics.open_bond import HALFWAY, SKIN, STIFFNESS_FLOOR, OpenBond
 
 RADIUS, HOLE, BAND = 3.5e-3, 1.5e-3, (300e3, 700e3)
 FREQUENCY = np.linspace(310e3, 690e3, 9)
 
 #: One ring, of all of a layer.
-EVERYWHERE = Rim("rim", limit=1.0, widths=())
+EVERYWHERE = Annulus("rim", limit=1.0, widths=())
 
 
-def opened(base: Problem, width: complex, rim: Rim, skin: float = 0.0) -> Problem:
+def opened(base: Problem, width: complex, rim: Annulus, skin: float = 0.0) -> Problem:
     """`base` with a bond, or the lower face of a superstrate, that is open over a width of a rim."""
     region, material = ("superstrate", "glass") if skin else ("bond", "epoxy")
     return base.with_terms((OpenBond(region, material, rim, skin),), {rim.number: width})
 
 
-def up_to(edge: float, side: str = "rim") -> tuple[float, Rim]:
+def up_to(edge: float, side: str = "rim") -> tuple[float, Annulus]:
     """All of one ring, from a side to an edge (m)."""
     width = abs(edge - (RADIUS if side == "rim" else HOLE)) / RADIUS
-    return width, Rim("rim", 1.0 if side == "rim" else HOLE / RADIUS, width, outwards=side != "rim", widths=())
+    return width, Annulus("rim", 1.0 if side == "rim" else HOLE / RADIUS, width, outwards=side != "rim", widths=())
 
 
 def impedance(model: Problem, frequency: NDArray[np.float64] = FREQUENCY) -> NDArray[np.complex128]:
@@ -113,7 +113,7 @@ def test_a_share_of_a_ring_says_where_the_edge_is(empty: Callable[..., Problem])
     base = empty()
     edge, after = edge_of(base, 2.2e-3, "within an element")
     inner = 2.0 * edge - after
-    rim = Rim("rim", limit=1.0 - inner / RADIUS, widths=(1.0 - after / RADIUS,))
+    rim = Annulus("rim", limit=1.0 - inner / RADIUS, widths=(1.0 - after / RADIUS,))
     full, expected = impedance(base), impedance(empty(radius=edge))
     found = impedance(opened(base, 1.0 - edge / RADIUS, rim))
     miss = np.abs(found - expected).max() / np.abs(expected - full).max()
@@ -127,7 +127,7 @@ def test_a_ring_all_over_is_a_bond_of_so_much_less_stiffness_and_mass(filled: Pr
     frequency = np.linspace(310e3, 390e3, 5)
     epoxy = filled.materials["bond"]
     assert isinstance(epoxy, IsotropicSolid)
-    held = LEFT + (1.0 - LEFT) * HALFWAY * (1.0 - share) / (1.0 - (1.0 - HALFWAY) * (1.0 - share))
+    held = STIFFNESS_FLOOR + (1.0 - STIFFNESS_FLOOR) * HALFWAY * (1.0 - share) / (1.0 - (1.0 - HALFWAY) * (1.0 - share))
     less = replace(epoxy, density=held * epoxy.density, bulk_modulus=held * epoxy.bulk_modulus,
                    shear_modulus=held * epoxy.shear_modulus)
     expected = impedance(problem(filled.mesh, {**filled.materials, "bond": less}, filled.band), frequency)
@@ -142,7 +142,7 @@ def test_what_is_left_in_the_gap_does_not_matter(
     base = empty()
     model = opened(base, *up_to(0.8 * RADIUS))
     full, found = impedance(base), impedance(model)
-    monkeypatch.setattr(open_bond, "LEFT", 10.0 * LEFT)
+    monkeypatch.setattr(open_bond, "STIFFNESS_FLOOR", 10.0 * STIFFNESS_FLOOR)
     changed = np.abs(impedance(model) - found).max() / np.abs(found - full).max()
     print(f"left, ten times: off by {changed:.2g}")
     assert 0.0 < changed < 1e-4

@@ -82,5 +82,5 @@ def test_a_constant_that_moves_takes_the_other_material_along(filled: Problem) -
 
 
 def test_a_coefficient_that_is_no_product_of_constants_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"'other': a coefficient in 'sidewall' is no product of constants"):
+    with pytest.raises(ModelError, match=r"'other': a coefficient in 'sidewall' is not a product of constants"):
         OtherMaterial((FractionalLoss("sidewall", "pla"),), "other").integrals()

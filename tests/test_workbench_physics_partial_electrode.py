@@ -17,8 +17,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.problem import Problem, problem
+from workbench.physics.annulus import Annulus
 from workbench.physics.partial_electrode import HALFWAY, SKIN, PartialElectrode
-from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
 
 RADIUS, THICKNESS, BAND = 3e-3, 2e-3, (300e3, 700e3)
@@ -46,7 +46,7 @@ def disc(stacked: Callable[..., Chip], uniform_mesh: Callable[..., SectionMesh],
 def bared(base: Problem, beyond: complex, *rings: float, upper: bool = True) -> Problem:
     """A disc bare beyond a radius (m), of rings that begin at some (m), the first of them the innermost."""
     widths = tuple(1.0 - ring / RADIUS for ring in rings or (beyond.real,))
-    rim = Rim("rim", limit=widths[0], widths=widths[1:])
+    rim = Annulus("rim", limit=widths[0], widths=widths[1:])
     return base.with_terms((PartialElectrode("transducer", "pzt", rim, upper),), {rim.number: 1.0 - beyond / RADIUS})
 
 

@@ -123,7 +123,7 @@ def test_what_is_summed_up_predicts_and_judges_as_the_whole(made: RangeModel) ->
 
 
 def test_a_number_outside_its_range_is_refused(made: RangeModel) -> None:
-    with pytest.raises(OutOfRange, match=r"sample\.thickness is 0\.0009; the model was made for 0\.00072 to 0\.00088"):
+    with pytest.raises(OutOfRange, match=r"sample\.thickness is 0\.0009; .* 0\.00072 to 0\.00088"):
         made({"sample.thickness": 0.9e-3})
     with pytest.raises(KeyError, match=r"no range for 'sample\.radius'"):
         made({"sample.radius": 3.5e-3})
@@ -137,7 +137,7 @@ def test_a_model_is_kept_and_read_for_its_own_chip_only(made: RangeModel, chip: 
     assert np.array_equal(again(numbers).impedance, made(numbers).impedance)
     assert (again.ranges, again.error, again.reduced.solves) == (made.ranges, made.error, made.reduced.solves)
     assert again.enriched(seed=5).reduced.solves > made.reduced.solves
-    with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
+    with pytest.raises(InputError, match="the chip, state, materials and mesh of the model"):
         load_range_model(path, chip.with_dimensions({"sample.radius": 3.6e-3}), registry=Registry(), accuracy=COARSE)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match=r"model\.npz: content: received 'no digest at its end'"):
@@ -153,9 +153,9 @@ def test_a_model_that_does_not_get_there_says_how_far_it_came(chip: Chip) -> Non
 
 @pytest.mark.parametrize(("ranges", "message"), [
     ({"sample.thicknes": (1.0, 2.0)}, "sample.thickness"),
-    ({"sample.thickness": (0.9e-3, 1e-3)}, "a range that holds the present"),
+    ({"sample.thickness": (0.9e-3, 1e-3)}, "a range that contains the present"),
     ({"sample.thickness": (0.9e-3, 0.7e-3)}, "a lower number, then a higher one"),
-    ({"transducer.radius": (2.9e-3, 3.1e-3), "couplant.radius": (2.8e-3, 3.1e-3)}, "one range for radii that coincide"),
+    ({"transducer.radius": (2.9e-3, 3.1e-3), "couplant.radius": (2.8e-3, 3.1e-3)}, "one range for equal radii"),
 ])
 def test_ranges_that_make_no_sense_are_refused(
     chip: Chip, ranges: dict[str, tuple[float, float]], message: str

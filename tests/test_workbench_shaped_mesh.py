@@ -26,8 +26,8 @@ from workbench.fem.solve import solve_full
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import Problem, problem
 from workbench.model.shaped_mesh import shaped
+from workbench.physics.annulus import Annulus
 from workbench.physics.open_bond import OpenBond
-from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
 
 FREQUENCIES = np.linspace(310e3, 390e3, 5)
@@ -177,7 +177,7 @@ def test_a_point_is_found_where_the_chip_has_got_to(operators: FullOperators, sm
 
 def test_a_term_that_needs_a_flat_layer_says_so(bent: Chip, filled_materials: dict[str, Material]) -> None:
     made = built(bent, filled_materials)
-    term = OpenBond("bond", made.materials["bond"].name, Rim("open"))
+    term = OpenBond("bond", made.materials["bond"].name, Annulus("open"))
     with pytest.raises(ModelError, match="some cells are no rectangles"):
         assemble(made.mesh, (*made.terms, term))
 

@@ -103,7 +103,7 @@ def test_a_range_model_covers_it(chip: Chip) -> None:
     prints = {fingerprint(with_ranges(build(fill(each, None, Registry()), band=BAND, accuracy=COARSE), each, ranges)[0])
               for each in (chip, drafted)}
     assert len(prints) == 2
-    with pytest.raises(InputError, match="a range that holds its size"):
+    with pytest.raises(InputError, match="a range that contains its size"):
         with_ranges(model.problem, chip, {"sidewall.draft": (0.01, 0.05)})
 
 

@@ -206,7 +206,7 @@ def lossless() -> Chip:
 def test_a_lossless_ceramic_is_simulated_with_the_assumed_loss(lossless: Chip) -> None:
     found = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS))
     (said,) = beside_the_grid(found)
-    assert said.startswith("pzt5a/erturk_2011 states no loss; assumed is that of a soft ceramic, Q_m 75")
+    assert said.startswith("pzt5a/erturk_2011 states no loss; the assumed loss is that of a soft ceramic, Q_m 75")
     assert found.left_out == ()
     assert found.figures is not None
     # The radial mode of a disc: the losses of the dielectric add to the mechanical ones of 1 / 75.
@@ -296,4 +296,4 @@ def test_a_chip_whose_full_solve_fails_has_no_figures_and_a_reason(
     monkeypatch.setattr("workbench.design.model.answer", fails)
     found = full_evaluation(disc, None, {}, figures=("f0", "q"), points=21, accuracy=quadratic(ELEMENTS))
     assert math.isnan(found.figures["f0"])
-    assert "the solve at 400000 Hz left a scaled residual" in found.missing["q"]
+    assert "the solve at 400000 Hz has a scaled residual" in found.missing["q"]

@@ -21,9 +21,9 @@ from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.dimensions import parametrised
 from workbench.model.discretisation import ROWS
 from workbench.model.problem import Problem, build, fill
+from workbench.physics.annulus import Annulus
 from workbench.physics.missing_fluid import MissingFluid
 from workbench.physics.open_bond import OpenBond
-from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
 from workbench.render.gallery import draw_state
 from workbench.simulation.run import Snapshot, simulate, snapshot
@@ -119,8 +119,8 @@ def test_sides_that_coincide_and_move_otherwise_are_told() -> None:
 
 def test_terms_with_rings_need_an_axis() -> None:
     problem = build(fill(chip()), accuracy=COARSE)
-    for term in (OpenBond("bond", "epoxy/acevedo_2026", Rim("edge")),
-                 MissingFluid("cavity", "water", "air", Rim("gas"))):
+    for term in (OpenBond("bond", "epoxy/acevedo_2026", Annulus("edge")),
+                 MissingFluid("cavity", "water", "air", Annulus("gas"))):
         with pytest.raises(ModelError, match="needs an axis"):
             assemble(problem.mesh, (*problem.terms, term))
 

@@ -223,8 +223,8 @@ def test_a_length_and_a_symmetry_that_nobody_stated_are_said_first(
     stated = 'length = "20 mm"\nsymmetry = "even"\n'
     open_chip = chip(CHIP.replace(stated, ""))
     symmetry, length = straight_findings(open_chip.measure, open_chip.electrodes)
-    assert "half a wave across the channel is left out" in symmetry
-    assert "Z, currents, powers and heat are those of 1 m of it" in length
+    assert "no half-wave modes across the channel" in symmetry
+    assert "Z, currents, powers and heat are for 1 m of it" in length
     assert straight_findings(chip().measure, chip().electrodes) == ()
     assert fill(open_chip).findings[:2] == (symmetry, length)
     # A chip of one metre that says so.

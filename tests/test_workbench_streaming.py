@@ -74,7 +74,7 @@ def test_the_causes_add_up(flow: Streaming) -> None:
     np.testing.assert_allclose(sum(flow.causes.values()), flow.carrier_velocity, atol=1e-15)
     np.testing.assert_allclose(flow.velocity + flow.drift, flow.carrier_velocity, atol=1e-15)
     assert 0.0 < flow.rms_speed < flow.largest_speed
-    assert flow.assumptions == ("The temperature is taken as even: no force of sound or gravity on warmer liquid.",)
+    assert flow.assumptions == ("The temperature is assumed uniform: no force of sound or gravity on warmer liquid.",)
 
 
 def test_the_slip_is_that_of_the_flow_at_the_walls(flow: Streaming) -> None:
@@ -217,7 +217,7 @@ def test_a_surface_without_a_wall_is_taken_to_stay(shot: Snapshot) -> None:
     assert isinstance(water, Fluid)
     found = acoustic_streaming(replace(fields, displacement=displacement), fluid=water, region="cavity")
     assert "superstrate" not in {each.solid for each in found.slips}
-    assert any("cavity meets superstrate" in each for each in found.assumptions)
+    assert any("between the cavity and superstrate" in each for each in found.assumptions)
     top = found.mesh.points[:, 1] == found.mesh.points[:, 1].max()
     assert np.abs(found.carrier_velocity[top, 1]).max() < 1e-12 * found.largest_speed
     assert np.abs(found.carrier_velocity[top, 0]).max() > 0.0

@@ -421,7 +421,7 @@ def test_a_light_curve_counts_and_rises() -> None:
     assert rise_time(found.times, curve) == pytest.approx((2.0 + 0.12 / 0.2) - (1.0 + 0.08 / 0.6))
     assert rise_time(found.times, np.ones(5)) is None
     assert light_curve(found, Window(bottom=0.4e-3)).max() == 0.0
-    with pytest.raises(ValueError, match="expected radii from 0 up"):
+    with pytest.raises(ValueError, match="expected radii of 0 or more"):
         Window(inner=2e-3, outer=1e-3)
 
 

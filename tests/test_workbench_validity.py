@@ -49,8 +49,8 @@ def found_of(chip: Chip, registry: Registry | None = None) -> str:
 
 
 @pytest.mark.parametrize(("radius", "expected"), [
-    (60e-6, None), (90e-6, "k a is 0.34 to 0.42, and the force is off by about (k a)^2, 12 to 18 %"),
-    (150e-6, "k a is 0.57 to 0.7, and the force is off by about (k a)^2, 33 to 49 %")])
+    (60e-6, None), (90e-6, "k a is 0.34 to 0.42, and the force has an error of about (k a)^2, 12 to 18 %"),
+    (150e-6, "k a is 0.57 to 0.7, and the force has an error of about (k a)^2, 33 to 49 %")])
 def test_a_particle_that_is_large_for_the_formula_is_said(cell: Chip, radius: float, expected: str | None) -> None:
     # 0.9 to 1.1 MHz in water of 20 degC: k a = 2 pi f a / 1482 m/s.
     text = found_of(with_particle(cell, "filled", particle=None, radius=radius))
@@ -93,7 +93,7 @@ def test_a_boundary_layer_as_thick_as_the_channel_is_refused() -> None:
 def test_the_error_of_a_thick_layer_is_said(cavity: str, says: bool) -> None:
     chip = channel("150 um", cavity=cavity)
     text = found_of(chip)
-    assert ("their loss comes out too small by about twice that" in text) is says
+    assert ("their computed loss is too small by about twice that" in text) is says
     if says:
         fluid: Any = fill(chip).materials["cavity"]
         shares = [boundary_layer_thickness(fluid, f) / 150e-6 for f in (3.2e6, 1.7e6)]

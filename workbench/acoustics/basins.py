@@ -1,4 +1,4 @@
-"""Local minima of a potential on a raster, the heights of their basins, and the passes out of them."""
+"""Local minima of a potential on a raster, and passes between them. Each minimum has its basin of attraction."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0
 
 
 def _around(values: NDArray[Any], outside: Any) -> NDArray[Any]:
-    """The eight neighbours (8, n, m) of every point of a raster (n, m); points outside it have the value `outside`."""
+    """The eight neighbours (8, n, m) of every point of a raster. Points outside it have the value `outside`."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=outside)
     return np.stack([padded[1 + i:1 + i + rows, 1 + j:1 + j + columns] for i, j in _NEIGHBOURS])
 
 
 def find_walls(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> NDArray[np.bool_]:
-    """Mask (n, m) of the points of a region on a raster that lack a neighbour; the region is continued beyond the first
-    and the last column (along r) where that is `mirrored`."""
+    """Mask (n, m) of the region's points that lack a neighbour. The region continues beyond the first and last column
+    (along r) if `mirrored`."""
     whole, kept = _continued(inside, mirrored, 1)
     return (whole & ~_around(whole, outside=False).all(axis=0))[kept]
 
@@ -30,19 +30,19 @@ def find_walls(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> NDA
 def _continued(
     inside: NDArray[np.bool_], mirrored: tuple[bool, bool], count: int
 ) -> tuple[NDArray[np.bool_], slice]:
-    """A raster with `count` mirror images of its places along r beyond each `mirrored` end, and the part of it that is
-    the raster itself."""
+    """A raster with mirror images beyond `mirrored` ends, and the original part. There are `count` mirrored places
+    along r."""
     before, after = (count * each for each in mirrored)
     whole = np.pad(inside, ((before, after), (0, 0)), mode="reflect")
     return whole, slice(before, before + len(inside))
 
 
 def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
-    """Every local minimum of a raster (n, m), NaN outside the region, and the upper level (J) of its basin.
+    """Local minima, and upper levels (J) of their basins of attraction. The raster is (n, m).
 
-    Every point belongs to the minimum at the end of its steepest descent. From the lowest up, the passes between basins
-    join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never ends;
-    its upper level is the highest potential.
+    The raster is NaN outside the region. Every point belongs to the minimum at the end of its steepest descent. Passes
+    join basins of attraction from the lowest up: at a pass the shallower one ends (persistence in topological data
+    analysis). The deepest one ends at the highest potential.
     """
     flat = values.ravel()
     tree = _merged(values, _drained(values))
@@ -52,10 +52,8 @@ def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
 
 
 def label_basins(values: FloatArray, *, least: float) -> IntArray:
-    """The minimum (flat index) that each point (n, m) of a raster drains to, -1 outside the region.
-
-    A basin no deeper than `least` (J) below its lowest pass belongs to the deeper one behind that pass.
-    """
+    """The minimum (flat index) to which each point (n, m) drains. It is -1 outside the region. A basin of attraction no
+    deeper than `least` (J) below its lowest pass belongs to the deeper one behind that pass."""
     label = _drained(values)
     tree, flat = _merged(values, label), values.ravel()
     goal = {each: each if into is None or into[1] - flat[each] > least else into[0] for each, into in tree.items()}
@@ -69,10 +67,8 @@ def label_basins(values: FloatArray, *, least: float) -> IntArray:
 
 
 def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bool_]) -> float | None:
-    """The lowest level (J) to which the raster (n, m) must be flooded for the water at `start` to reach one of `exits`.
-
-    None if the region holds no exit.
-    """
+    """The lowest flood level (J) that joins `start` to an exit. The raster is (n, m). None if the region has no
+    exit."""
     from scipy.ndimage import label
 
     inside = np.isfinite(values)
@@ -92,10 +88,10 @@ def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bo
 
 
 def outward(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> FloatArray:
-    """Unit vectors (n, m, 2) along the two directions of a raster that point out of the region, zero far from a wall.
+    """Unit vectors (n, m, 2) out of the region near walls. They are zero far from a wall.
 
-    They are those of the mask averaged over 5 points each way, so that a slanted wall, a staircase on the raster, has
-    its own direction. The region is continued beyond `mirrored` ends along r.
+    They are those of the mask averaged over 5 points in each direction, so that a slanted wall, a staircase on the
+    raster, has its own direction. The region continues beyond `mirrored` ends along r.
     """
     from scipy.ndimage import uniform_filter
 
@@ -107,14 +103,14 @@ def outward(inside: NDArray[np.bool_], *, mirrored: tuple[bool, bool]) -> FloatA
 
 
 def _drained(values: FloatArray) -> IntArray:
-    """The local minimum (flat index) at the end of the steepest descent from each point (n, m)."""
+    """The local minimum (flat index) of the steepest descent from each point."""
     height = np.where(np.isfinite(values), values, np.inf)
     number = np.arange(height.size).reshape(height.shape)
     beside, numbers = _around(height, np.inf), _around(number, -1)
     steepest = beside.argmin(axis=0)[None]
     lower = np.take_along_axis(beside, steepest, axis=0)[0]
     goal = np.take_along_axis(numbers, steepest, axis=0)[0]
-    # Of equal points the one with the smaller number counts as lower.
+    # Of equal points, the one with the smaller number counts as lower.
     down = (lower < height) | ((lower == height) & (goal < number))
     basin = np.where(down & np.isfinite(height), goal, number).ravel()
     while True:
@@ -126,10 +122,8 @@ def _drained(values: FloatArray) -> IntArray:
 
 
 def _merged(values: FloatArray, label: IntArray) -> dict[int, tuple[int, float] | None]:
-    """Every local minimum, with the deeper minimum whose basin it joins and the height (J) of the pass.
-
-    None for the deepest minimum, and for one without a pass.
-    """
+    """Every local minimum, with its deeper neighbour and the pass (J). None for the deepest minimum, and for one
+    without a pass."""
     height = np.where(np.isfinite(values), values, np.inf)
     basin, numbers = label.ravel(), _around(np.arange(height.size).reshape(height.shape), -1)
     passes: dict[tuple[int, int], float] = {}

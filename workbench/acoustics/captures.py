@@ -1,4 +1,4 @@
-"""Statistics of trajectories: capture fractions, focusing times, and the light curve of a window."""
+"""Statistics of trajectories: capture fractions, focusing times, light curves."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from workbench.acoustics.nodal import FloatArray, IntArray
 from workbench.acoustics.trajectories import Fate, Trajectories
 from workbench.files.errors import InputError
 
-#: Samples of start points (bootstrap) for the spread of a time. Doubled, the spread is known to 5 % and not to 7.
+#: Number of bootstrap samples of start points for the spread of a time. Doubled, the spread is known to 5 % and not to
+#: 7.
 RESAMPLES = 100
-#: Shares of those that arrive between which a focusing time is counted: 10 to 90 %.
+#: Shares of the arrivals that limit a focusing time: 10 to 90 %.
 FROM, UNTIL = 0.1, 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureStatistics:
-    """Particles that end in one way, and the times (s) of their arrival.
+    """Particles with one fate, and the times (s) of their arrival.
 
-    ``share`` of all particles, with the standard deviation ``share_spread`` over draws of as many start points. By
-    ``ten``, ``half`` and ``ninety`` 10, 50 and 90 % of those that arrive have arrived; ``focusing_time`` is from 10 to
-    90 %, with its standard deviation ``focusing_spread`` over draws of start points (bootstrap). None with fewer than
-    two arrivals.
+    ``share`` of all particles, with the standard deviation ``share_spread`` over as many random start points. At
+    ``ten``, ``half`` and ``ninety`` 10, 50 and 90 % of the arrivals have occurred; ``focusing_time`` is from 10 to 90
+    %, with its standard deviation ``focusing_spread`` over random start points (bootstrap). None with fewer than two
+    arrivals.
     """
 
     name: str
@@ -42,11 +43,13 @@ class CaptureStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """The part of a cavity that is looked at: radii (of channels, distances from their middles to either side) from
-    ``inner`` to ``outer`` and heights from ``bottom`` to ``top``, in m; all of it unless stated.
+    """The observed part of a cavity, by default all of it.
+
+    It extends over radii (of channels, distances from their middles to either side) from ``inner`` to ``outer`` and
+    heights from ``bottom`` to ``top``, in m.
 
     Raises:
-        InputError: no number of m, or a radius or height below the other one.
+        InputError: not a number, or limits out of order.
     """
 
     inner: float = 0.0
@@ -61,14 +64,14 @@ class Window:
                 raise InputError("Window", name, value, "a length in m, such as 1e-3")
         if not (0.0 <= self.inner < self.outer and self.bottom < self.top):
             raise InputError("Window", "inner, outer, bottom, top", f"{self.inner:g} to {self.outer:g} m along r and "
-                             f"{self.bottom:g} to {self.top:g} m along z", "radii from 0 up and heights that rise")
+                             f"{self.bottom:g} to {self.top:g} m along z", "radii of 0 or more and ascending heights")
 
 
 def light_curve(found: Trajectories, window: Window) -> FloatArray:
-    """Share (n,) of the particles that are in the `window` at each of the times of the record."""
+    """Share (n,) of the particles in the `window` at each recorded time."""
     r, z = np.moveaxis(found.positions, 2, 0)
     mesh = found.report.forces.mesh
-    # A channel of which a plane of symmetry is the left side has its middle there, and so has a round cavity.
+    # A channel with a plane of symmetry at its left side has its middle there, and so has a round cavity.
     middles = [left if mesh.mirrors.on(np.array(left)) else 0.5 * (left + right)
                for left, right in channel_sides(mesh, found.report.forces.region)]
     distance = np.min([np.abs(r - middle) for middle in middles], axis=0)
@@ -77,8 +80,8 @@ def light_curve(found: Trajectories, window: Window) -> FloatArray:
 
 
 def rise_time(times: FloatArray, curve: FloatArray) -> float | None:
-    """Time (s) from 10 to 90 % of the change of a `curve` (n,) between the ends of `times` (n,), each crossed for the
-    first time; None for a curve that ends where it begins."""
+    """Rise time (s) of a `curve` (n,) from 10 to 90 %. Each level is crossed for the first time, at `times` (n,). None
+    for a curve that ends at its first value."""
     change = curve[-1] - curve[0]
     if change == 0.0:
         return None
@@ -88,17 +91,18 @@ def rise_time(times: FloatArray, curve: FloatArray) -> float | None:
 
 
 def arrived_share(found: Trajectories, at: FloatArray) -> FloatArray:
-    """Share (n,) of all particles with an arrival (P,) in s, NaN for none, at or before each time of the record."""
+    """Share (n,) of all particles that have arrived by each recorded time. `at` (P,) are the arrivals in s, NaN for
+    none."""
     arrived = np.sort(at[np.isfinite(at)])
     return np.asarray(np.searchsorted(arrived, found.times, side="right") / found.count)
 
 
 def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureStatistics, ...]:
-    """Statistics of the levitation, of every trap that holds particles, and of those that walls stop or nothing does.
+    """Statistics of focusing, levitation, every trap, and every other fate.
 
-    Levitation counts the particles that stay at the height where they neither rise nor fall, those in traps included.
-    That of a channel comes after the focusing across: of those that stay at the place where they move to neither side,
-    on the floor or at the lid too. A particle that only passes counts in neither.
+    Levitation counts particles that stay at the height where they neither rise nor fall, those in traps included. In a
+    channel, focusing across counts particles that stay where they move to neither side, on the floor or at the lid too.
+    A particle that only passes does not count.
     """
     random = np.random.default_rng(seed)
 
@@ -133,8 +137,8 @@ def capture_statistics(found: Trajectories, *, seed: int = 0) -> tuple[CaptureSt
 
 
 def place_across(found: Trajectories, which: IntArray) -> str:
-    """", in the middle of the channel" if the particles `which` (K,) of a straight channel are there at the end, or at
-    another one place, or if nine tenths of them are; empty otherwise."""
+    """The common final place of the particles `which` (K,), as text. In a straight channel it is ", in the middle of
+    the channel" or another place of at least nine tenths of them; empty otherwise."""
     mesh = found.velocity.mesh
     if 0 not in mesh.measure.focusing or not which.size:
         return ""
@@ -148,7 +152,7 @@ def place_across(found: Trajectories, which: IntArray) -> str:
 
 
 def _first_crossing(times: FloatArray, level: FloatArray, share: float) -> float:
-    """The time (s) at which a level (n,), linear between `times`, first comes to a share."""
+    """The time (s) at which a level first reaches a share. The level (n,) is linear between `times`."""
     after = int(np.argmax(level >= share))
     if after == 0:
         return float(times[0])

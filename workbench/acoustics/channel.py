@@ -1,7 +1,7 @@
-"""Figures of the sound in a straight channel: energy density, pressure across and up, lines that particles focus to.
+"""Sound in a straight channel: energy density, pressure profiles, focus lines.
 
-Particles focus across a channel within seconds, and come to rest at some height, or at its floor or lid, within
-minutes. The lines across are therefore those of the potential averaged over the height.
+Particles focus across a channel within seconds, and rest at some height, or at its floor or lid, within minutes. The
+lines across are therefore those of the potential averaged over the height.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from workbench.acoustics.streaming import critical_diameter
 from workbench.model.particles import FluidProperties, Particle, viscosity
 from workbench.results.brief import Brief
 
-#: Points per wavelength of sound across the channel, and number of them up, of a profile. Lines lie within (pi / 64)^2
-#: of a wavelength where the force between two points is taken as linear.
+#: Points per wavelength of sound across the channel, and number of points up. With a linear force between two points,
+#: lines are within (pi / 64)^2 of a wavelength.
 POINTS_PER_WAVELENGTH, POINTS_UP = 128, 41
-#: Depth of a line as a share of the span of the potential below which it may be an artefact of the mesh.
+#: Depth of a line, as a share of the span of the potential, below which it may be an artefact of the mesh.
 LEAST_LINE = 1e-2
-#: Shares of a quarter wavelength, or of the way to a side wall, that a time to focus is counted between: those of
-#: `traps.focus_time`.
+#: Shares of a quarter wavelength, or of the distance to a side wall, that limit a focus time; as in `traps.focus_time`.
 COUNTED_FROM, COUNTED_TO = 0.9, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class FocusLine:
-    """A line along the channel that particles focus to across it, and in a half section its image too.
+    """A line along the channel to which particles focus.
 
-    ``place`` x in m; ``depth`` J below the potential, averaged over the height, that parts it from a deeper line or,
-    for the deepest, below the highest; ``share`` of the channel's width that drains to it; ``stiffness`` N/m; ``time``
-    s from 90 to 10 % of a quarter wavelength beside it, or of the way to the side wall if that is nearer, at
-    mid-height; None where particles do not get there from either side. ``at_side`` wall: no place in the liquid.
+    A half section has its mirror image too. ``place`` x in m; ``depth`` J, averaged over the height, below the pass to
+    a deeper line or, for the deepest, below the maximum; ``share`` of the channel's width that drains to it;
+    ``stiffness`` N/m; ``time`` s from 90 to 10 % of a quarter wavelength beside it, or of the distance to the side wall
+    if that is shorter, at mid-height, None if particles do not reach it from either side; ``at_side`` if it is at a
+    side wall.
     """
 
     place: float
@@ -59,8 +59,8 @@ class FocusLine:
 
 @dataclass(frozen=True)
 class ChannelShare:
-    """One of the channels of a section, from its ``left`` to its ``right`` side (m), and the mean ``energy_density``
-    (J/m^3) in it."""
+    """One of the channels of a section. ``left`` and ``right`` are its sides (m), ``energy_density`` (J/m^3) is the
+    mean in it."""
 
     left: float
     right: float
@@ -69,14 +69,14 @@ class ChannelShare:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChannelFigures(Brief):
-    """Figures of a straight channel, or of several side by side, at one frequency and drive.
+    """Figures of one or several straight channels at one frequency and drive.
 
-    ``power`` W for the length of the chip. ``energy_density`` J/m^3, the mean over the ``channels``, from left to right
-    those of the section, also by the square of the voltage at the electrodes (``energy_per_square_volt``, J/(m^3
-    Vpp^2)) and by the power (``energy_per_watt``, J/(m^3 W)). ``across`` (n, 2) are x in m and |p| in Pa at mid-height,
-    ``up`` (m, 2) heights above the floor and |p| where that is largest across. ``lines`` of focusing, deepest first,
-    are empty without a particle, and ``critical_diameter`` (m), of a particle that radiation and streaming move alike,
-    is then None.
+    ``power`` W for the length of the chip. ``energy_density`` J/m^3 is the mean over the ``channels``, from left to
+    right those of the section; it is also given over the squared voltage at the electrodes (``energy_per_square_volt``,
+    J/(m^3 Vpp^2)) and over the power (``energy_per_watt``, J/(m^3 W)). ``across`` (n, 2) are x in m and |p| in Pa at
+    mid-height, ``up`` (m, 2) heights above the floor and |p| at the largest |p| across. Without a particle, the focus
+    ``lines``, deepest first, are empty and ``critical_diameter`` (m), for equal speeds by radiation and streaming, is
+    None.
     """
 
     excitation: Excitation
@@ -98,12 +98,12 @@ class ChannelFigures(Brief):
 
     @property
     def unevenness(self) -> float:
-        """Largest difference of |p| along the height where it is largest across, over its mean there."""
+        """Relative variation of |p| over the height at its largest value across."""
         return float(np.ptp(self.up[:, 1]) / self.up[:, 1].mean())
 
     @property
     def focus_time(self) -> float:
-        """Time (s) of a particle to the deepest of the lines, NaN where it does not get there."""
+        """Time (s) of a particle to the deepest line, or NaN."""
         time = self.lines[0].time if self.lines else None
         return math.nan if time is None else time
 
@@ -123,13 +123,13 @@ class ChannelFigures(Brief):
 def channel_of(
     fields: Fields, excitation: Excitation, *, region: str, forces: ParticleForces | None = None,
 ) -> ChannelFigures:
-    """The figures of the channel `region` of `fields`, with the lines of the particle of `forces`."""
+    """The figures of a channel, with focus lines for `forces`. The channel is the `region` of `fields`."""
     mesh = fields.mesh
     nodes = mesh.points[mesh.nodes_of([region])]
     (left, floor), (right, lid) = nodes.min(axis=0), nodes.max(axis=0)
 
     def pressure(along: FloatArray, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Places (n,) and |p| there, those in the liquid."""
+        """Places (n,) in the liquid and |p| there."""
         found: NodalArray = interpolate(mesh, fields.pressure, np.stack(np.broadcast_arrays(x, z), axis=1), [region])
         rows = np.stack([along, np.abs(found)], axis=1)
         return rows[~np.isnan(rows[:, 1])]
@@ -147,7 +147,7 @@ def channel_of(
 
 
 def _shares(fields: Fields, region: str) -> Iterator[ChannelShare]:
-    """The channels of the section, from left to right, with the energy in them."""
+    """The channels of the section, from left to right, with their energy."""
     mesh = fields.mesh
     for left, right in channel_sides(mesh, region):
         here = ((mesh.points[:, 0] >= left) & (mesh.points[:, 0] <= right)).astype(float)
@@ -156,7 +156,8 @@ def _shares(fields: Fields, region: str) -> Iterator[ChannelShare]:
 
 
 def channel_sides(mesh: NodalMesh, region: str) -> Iterator[tuple[float, float]]:
-    """The sides (m) of the channels of a section, from left to right: where cells of the `region` lie side by side."""
+    """The sides (m) of a section's channels, from left to right. A channel is a range across of adjoining cells of the
+    `region`."""
     x = mesh.points[mesh.cells[mesh.cells_of([region])], 0].reshape(-1, (mesh.order + 1) ** 2)
     sides = np.stack([x.min(axis=1), x.max(axis=1)], axis=1)
     sides = sides[np.argsort(sides[:, 0])]
@@ -167,7 +168,7 @@ def channel_sides(mesh: NodalMesh, region: str) -> Iterator[tuple[float, float]]
 
 
 def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
-    """The lines along a straight channel that particles focus to across it, deepest first."""
+    """The lines along a straight channel to which particles focus, deepest first."""
     mesh = forces.mesh
     (left, floor), (right, lid) = mesh.points.min(axis=0), mesh.points.max(axis=0)
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
@@ -175,7 +176,7 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     z = np.linspace(floor, lid, POINTS_UP)
     maps = np.stack([raster(mesh, values, x, z, [forces.region]) for values in (forces.potential, forces.force[:, 0])])
     liquid = ~np.isnan(maps[0])
-    # The mean over the part of the height that is liquid.
+    # The mean over the liquid part of the height.
     weight = np.where(liquid, np.gradient(z) * np.where((z == floor) | (z == lid), 0.5, 1.0), 0.0)
     wet = weight.sum(axis=1) > 0.0
     potential, force = np.sum(weight * np.nan_to_num(maps), axis=2) / np.where(wet, weight.sum(axis=1), np.nan)
@@ -192,7 +193,7 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
         if depth <= LEAST_LINE * span:
             continue
         place, stiffness = _zero(x, force, i)
-        # At a plane of symmetry the channel goes on.
+        # At a plane of symmetry the channel continues.
         at_side = not (wet[max(i - 1, 0)] and wet[min(i + 1, len(x) - 1)]) or (
             i in (0, len(x) - 1) and not mesh.mirrors.on(x[i]))
         found.append(FocusLine(
@@ -206,7 +207,9 @@ def half_wave_focus_time(
     particle: Particle, fluid: FluidProperties, contrast_factor: float, *, energy_density: float, wavenumber: float,
     start: float, stop: float,
 ) -> float:
-    """Time (s) in which an ideal half wave brings a particle from `start` to `stop`, m from the node of the pressure.
+    """Focus time (s) of a particle in an ideal half wave.
+
+    It moves from `start` to `stop`, in m from the pressure node:
 
         t = 3 eta / (4 a^2 Phi k^2 E) ln[tan(k start) / tan(k stop)]
 
@@ -217,14 +220,14 @@ def half_wave_focus_time(
 
 
 def _ends_around(x: FloatArray, liquid: NDArray[np.bool_], i: int) -> tuple[float, float]:
-    """The right and the left end of the liquid around the point `i` of `x` (n,)."""
+    """The right and left ends of the liquid around a point. The point is number `i` of `x` (n,)."""
     dry = np.flatnonzero(~liquid)
     return (float(x[min(dry[dry > i], default=len(x)) - 1]), float(x[max(dry[dry < i], default=-1) + 1]))
 
 
 def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
-    """Where the `force` (n,) next to the point `i` of `x` (n,) falls through zero, and its stiffness (N/m) there; the
-    point itself where it does not."""
+    """The zero of a falling `force` near a point, and stiffness (N/m). The point of `x` (n,) itself if there is no
+    zero."""
     near = [k for k in (i - 1, i, i + 1) if 0 <= k < len(x) and np.isfinite(force[k])]
     stiffness = float((force[near[0]] - force[near[-1]]) / (x[near[-1]] - x[near[0]]))
     for first in (i - 1, i):
@@ -237,8 +240,8 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
 def _time(
     forces: ParticleForces, place: float, height: float, ends: tuple[float, float], quarter: float
 ) -> float | None:
-    """Time (s) to a line, the shorter one of those from its two sides; `ends` (m) are the right and the left end of the
-    liquid at that height."""
+    """The shorter time (s) to a line from both sides, or None. `ends` (m) are the right and the left end of the liquid
+    at that height."""
     mesh, found = forces.mesh, []
     for side, end in zip((1.0, -1.0), ends, strict=True):
         reach = quarter if mesh.mirrors.on(np.array(end)) else min(quarter, abs(end - place))

@@ -1,9 +1,11 @@
-"""Heat conduction in a section: finite elements for the temperature on the mesh of the fields.
+"""Heat conduction in a section by finite elements.
+
+::
 
     -div(k grad T) = q,    -k d_n T = h T on the outside,    T the rise above the ambient temperature
 
-in every region that conducts, with the measure of the section and temperatures that are continuous across interfaces:
-two parts that touch, touch perfectly. Elements are those of the fields (`workbench.fem.elements.Lagrange`).
+in every conducting region, with the measure of the section. Temperatures are continuous across interfaces: contacts are
+perfect. Elements are those of the fields (`workbench.fem.elements.Lagrange`).
 """
 
 from __future__ import annotations
@@ -29,14 +31,14 @@ from workbench.results.brief import Brief
 
 Real = NDArray[np.float64]
 
-#: Number of corrections of a solution by its residual. Two bring the balance of power to rounding; doubled, nothing
-#: changes.
+#: Number of corrections of a solution by its residual. Two reduce the error of the power balance to rounding; doubled,
+#: nothing changes.
 CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
 class ThermalConstants:
-    """Thermal conductivity (W/(m K)), density (kg/m^3) and heat capacity (J/(kg K)) of what fills a region."""
+    """Thermal conductivity (W/(m K)), density (kg/m^3) and heat capacity (J/(kg K))."""
 
     conductivity: float
     density: float
@@ -58,14 +60,14 @@ class Conduction(Brief):
     """The assembled conduction of a section.
 
     ``constants`` by region; a region without is insulated. ``cooling`` W/(m^2 K) of every outer boundary that loses
-    heat to the surroundings; ``held`` K above ambient of every boundary at a fixed temperature. ``places`` are the
+    heat to the surroundings; ``holders`` K above ambient of every boundary at a fixed temperature. ``places`` are the
     regions and ``walls`` the cooled boundaries with their nodal functions; ``size`` is the number N of scalar nodes.
     """
 
     mesh: SectionMesh
     constants: Mapping[str, ThermalConstants]
     cooling: Mapping[str, float]
-    held: Mapping[str, float]
+    holders: Mapping[str, float]
     places: Mapping[str, Place]
     walls: Mapping[str, Place]
     size: int
@@ -77,8 +79,8 @@ class Conduction(Brief):
 
     @cached_property
     def fixed(self) -> dict[int, float]:
-        """Temperature (K above ambient) of every node on a held boundary."""
-        return {int(node): rise for name, rise in self.held.items()
+        """Temperature (K above ambient) of every node on a holder."""
+        return {int(node): rise for name, rise in self.holders.items()
                 for node in np.unique(boundary_place(self.mesh, name).dofs)}
 
     @cached_property
@@ -102,7 +104,7 @@ class Conduction(Brief):
         return sum(parts[1:], parts[0])
 
     def averaging(self, region: str) -> Real:
-        """Weights (N,) whose product with nodal temperatures is their mean over the volume of a region."""
+        """Weights (N,) of nodal temperatures for the mean over a region's volume."""
         return _mean_of(self.size, self.places[region])
 
     def volume(self, region: str) -> float:
@@ -116,7 +118,7 @@ class Conduction(Brief):
 
     @cached_property
     def solve_free(self) -> Callable[[Real], Real]:
-        """The solver of the unknown temperatures for a load on the :attr:`free` nodes, W."""
+        """The solver for a load (W) on :attr:`free` nodes."""
         inner = self.matrix[self.free][:, self.free].tocsc()
         scale = 1.0 / np.sqrt(inner.diagonal())
         scaled = (sparse.diags(scale) @ inner @ sparse.diags(scale)).tocsc()
@@ -133,10 +135,8 @@ class Conduction(Brief):
         return solve
 
     def temperature(self, load: Real, *, driven: bool = True) -> Real:
-        """Temperatures (N,) K above ambient under a `load` (N,) W; NaN at nodes that do not conduct.
-
-        With `driven` False the held boundaries are at ambient temperature.
-        """
+        """Temperatures (N,) in K above ambient under a `load` (N,) in W. They are NaN at nodes that do not conduct.
+        With `driven` False the holders are at ambient temperature."""
         found = np.full(self.size, np.nan)
         fixed = np.array(sorted(self.fixed), dtype=np.int64)
         found[fixed] = [self.fixed[int(node)] if driven else 0.0 for node in fixed]
@@ -145,14 +145,15 @@ class Conduction(Brief):
         return found
 
     def leaving(self, temperature: Real, load: Real) -> tuple[dict[str, float], float]:
-        """Heat (W) that leaves through every cooled boundary, and through all held ones together."""
+        """Heat (W) that leaves through every cooled boundary, and through the holders."""
         known = np.where(np.isnan(temperature), 0.0, temperature)
         fixed = np.array(sorted(self.fixed), dtype=np.int64)
         cooled = {name: float((matrix @ known).sum()) for name, matrix in self.loss.items()}
         return cooled, float((load[fixed] - self.matrix[fixed] @ known).sum()) if fixed.size else 0.0
 
     def slowest_time(self) -> float:
-        """The slowest time constant (s) of C dT/dt + K T = 0, from the smallest eigenvalue of K x = C x / tau."""
+        """The slowest time constant (s) of the temperatures. The equation is C dT/dt + K T = 0. It is that of the
+        smallest eigenvalue of K x = C x / tau."""
         capacity = self.capacity[self.free][:, self.free]
         shape = capacity.shape
         with one_thread():
@@ -166,39 +167,38 @@ def conduction(
     constants: Mapping[str, ThermalConstants],
     *,
     cooling: Mapping[str, float],
-    held: Mapping[str, float] | None = None,
+    holders: Mapping[str, float] | None = None,
 ) -> Conduction:
     """The conduction of a section.
 
     Args:
-        constants: by region; regions that are left out are insulated.
-        cooling: W/(m^2 K) by outer boundary, the key "" standing for all that are not named. Held boundaries have none.
-        held: K above ambient by boundary.
+        constants: by region; other regions are insulated.
+        cooling: W/(m^2 K) by outer boundary; the key "" means all other boundaries. Holders have none.
+        holders: K above ambient by boundary.
 
     Raises:
-        InputError: an unknown boundary, the axis or a plane of symmetry, a negative coefficient, or no way for the heat
-            to leave.
+        InputError: an unknown boundary, the axis or a plane of symmetry, a negative coefficient, or no cooling at all.
     """
-    held = held or {}
+    holders = holders or {}
     outer = [outside(region) for region in constants if outside(region) in mesh.mesh.boundaries]
     for name in (name for name in cooling if name):
         choose(name, outer, source="heat", field="convection")
-    for name in held:
+    for name in holders:
         choose(name, [each for each in mesh.mesh.boundaries if each not in SECTION_ENDS and ("|" not in each
                       or set(each.split("|")) & set(constants))], source="heat", field="holder")
-    chosen = {name: cooling.get(name, cooling.get("", 0.0)) for name in outer if name not in held}
+    chosen = {name: cooling.get(name, cooling.get("", 0.0)) for name in outer if name not in holders}
     for name, value in chosen.items():
         if not 0.0 <= value < np.inf:
             raise InputError("heat", f"convection of {name}", value, "a heat transfer coefficient of 0 W/(m^2 K) or "
                              "more")
-    if not held and not any(chosen.values()):
-        raise InputError("heat", "convection", 0.0, "a way for the heat to leave: a heat transfer coefficient above "
+    if not holders and not any(chosen.values()):
+        raise InputError("heat", "convection", 0.0, "some cooling: a heat transfer coefficient above "
                          "0 W/(m^2 K) or a holder")
     places = {region: _region_place(mesh, region) for region in constants}
     chosen = {name: value for name, value in chosen.items() if value > 0.0}
     walls = {name: boundary_place(mesh, name) for name in chosen}
     size = int(Dofs(mesh.mesh, Lagrange(mesh.order)).N)
-    return Conduction(mesh, dict(constants), chosen, dict(held), places, walls, size)
+    return Conduction(mesh, dict(constants), chosen, dict(holders), places, walls, size)
 
 
 def boundary_place(mesh: SectionMesh, name: str) -> Place:
@@ -212,7 +212,7 @@ def boundary_place(mesh: SectionMesh, name: str) -> Place:
 
 
 def mean_over(mesh: SectionMesh, size: int, name: str) -> Real:
-    """Weights (N,) whose product with nodal temperatures is their mean over the area of a boundary."""
+    """Weights (N,) of nodal temperatures for the mean over a boundary."""
     return _mean_of(size, boundary_place(mesh, name))
 
 
@@ -234,7 +234,7 @@ def _mean_of(size: int, place: Place) -> Real:
 
 
 def assembled(size: int, place: Place, products: list[tuple[str, float]]) -> sparse.csr_matrix:
-    """The matrix (size, size) of a sum of products of one operation with itself, each with its factor."""
+    """The matrix (size, size) of weighted products of operations with themselves."""
     entries = sum(factor * place.shapes[kind].transpose(0, 2, 1) @ (place.weights[:, :, None] * place.shapes[kind])
                   for kind, factor in products)
     dofs = place.dofs.T

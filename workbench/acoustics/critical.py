@@ -1,9 +1,9 @@
-"""The size of a particle that radiation and the computed flow move alike, along each direction of a section.
+"""The particle size at which radiation and flow cause equal speeds.
 
-Particles come first to where the fast direction is balanced: to a plane of levitation in a flat round cavity, to a line
-across a straight channel. There they move along the other direction, much more slowly. So the speed by radiation is
-that in the whole cavity along the fast direction, and that on the plane or line along the slow one. The flow is that in
-the whole cavity, along either.
+Particles are first balanced along the fast direction: on a plane of levitation in a flat round cavity, on a line across
+a straight channel. There they move along the other direction, much more slowly. So the speed by radiation is that in
+the whole cavity along the fast direction, and that on the plane or line along the slow one. The flow is that in the
+whole cavity.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from workbench.model.particles import (
 
 #: Largest slip of a standing wave along a plane wall, in units of v0^2 / c (Rayleigh 1884).
 RAYLEIGH_SLIP = 3.0 / 8.0
-#: Diameters (m) between which a critical one is looked for. Below, thermal motion moves a particle more than both do.
+#: Diameters (m) that limit the search. Below, thermal motion exceeds both.
 SMALLEST, LARGEST = 10e-9, 1e-3
-#: Points across and up on which the place of balance is found. Doubled, critical diameters change by less than 1 %.
+#: Number of points across and up in the search for the balance. Doubled, critical diameters change by less than 1 %.
 POINTS = 161
 
 
 def critical_diameter(
     contrast_factor: float, fluid: FluidProperties, frequency: float, *, slip: float = RAYLEIGH_SLIP
 ) -> float:
-    """Diameter (m) of a particle that radiation and streaming move alike: sqrt(12 s / |Phi|) delta.
+    """Diameter (m) for equal speeds by radiation and streaming.
 
-    The largest speeds in a standing wave are compared, that by radiation against Stokes drag and that of a slip of s
-    v0^2 / c; smaller particles follow the flow (Muller, Barnkob, Jensen and Bruus, Lab Chip 12, 4617, 2012). It holds
+    It is sqrt(12 s / |Phi|) delta, from the largest speeds: that by radiation against Stokes drag and that of a slip of
+    s v0^2 / c; smaller particles follow the flow (Muller, Barnkob, Jensen and Bruus, Lab Chip 12, 4617, 2012). It holds
     along the wave: across a channel that is half a wave wide.
 
     Raises:
-        InputError: a contrast factor of zero, on which radiation does not act.
+        InputError: a contrast factor of zero, for which there is no radiation force.
     """
     if contrast_factor == 0.0:
         raise InputError("critical_diameter", "contrast_factor", contrast_factor, "a contrast factor other than zero")
@@ -54,11 +54,10 @@ def critical_diameter(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SoundThere:
-    """First-order fields at the N nodes of ``mesh``, the mesh of one region: complex amplitudes, e^{-i w t}.
-
-    ``pressure`` (N,) Pa, ``velocity`` (N, 2) m/s, its gradient (N, 2, 2) 1/s with the direction first.
-    """
+class FirstOrderFields:
+    """First-order fields at the N nodes of one region's mesh. They are complex amplitudes, e^{-i w t}.
+    ``pressure`` (N,) Pa, ``velocity`` (N, 2) m/s, its gradient (N, 2, 2) 1/s with the direction
+    first."""
 
     mesh: NodalMesh
     pressure: NodalArray
@@ -66,12 +65,12 @@ class SoundThere:
     velocity_gradient: NodalArray
 
 
-def critical_diameters(forces: ParticleForces, sound: SoundThere, flow: FloatArray) -> tuple[float, float]:
-    """Critical diameters (m) along r (or x) and z of the particle of `forces` in a `flow` (N, 2) in m/s.
+def critical_diameters(forces: ParticleForces, sound: FirstOrderFields, flow: FloatArray) -> tuple[float, float]:
+    """Critical diameters (m) along r (or x) and z. The `flow` (N, 2) is in m/s.
 
     Each is the diameter at which the rms speed by radiation along that direction equals the rms flow along it. Across a
-    straight channel it is not below that of :func:`critical_diameter`, and where no plane or line holds the particle it
-    is that. NaN where radiation moves no size of it faster.
+    straight channel :func:`critical_diameter` is its lower limit; it also applies without a plane or line of balance.
+    NaN if radiation is slower for all sizes.
     """
     measure, (region,) = forces.mesh.measure, sound.mesh.regions
     parts = _by_coefficient(forces, sound)
@@ -101,8 +100,8 @@ def critical_diameters(forces: ParticleForces, sound: SoundThere, flow: FloatArr
     return found[0], found[1]
 
 
-def _by_coefficient(forces: ParticleForces, sound: SoundThere) -> FloatArray:
-    """Velocities (3, N, 2) in m/s of the particle for a monopole of 1, and for a dipole of 1 and of i, alone."""
+def _by_coefficient(forces: ParticleForces, sound: FirstOrderFields) -> FloatArray:
+    """Velocities (3, N, 2) in m/s for unit monopole and dipoles. The dipoles are 1 and i."""
     fluid, particle = forces.fluid, forces.particle
     slope = 2j * math.pi * forces.excitation.frequency * fluid.density * sound.velocity
     return np.stack([radiation_force(
@@ -112,12 +111,12 @@ def _by_coefficient(forces: ParticleForces, sound: SoundThere) -> FloatArray:
 
 
 def _squares(parts: FloatArray, mean: Callable[[FloatArray], float]) -> FloatArray:
-    """The means (3, 3) of the products of the parts (3, K) of a velocity."""
+    """The means (3, 3) of products of velocity parts (3, K)."""
     return np.array([[mean(one * other) for other in parts] for one in parts])
 
 
 def _equal(forces: ParticleForces, squares: FloatArray, flow: float) -> float:
-    """The diameter (m) whose rms speed by radiation is `flow` (m/s); NaN if none is as fast."""
+    """The diameter (m) with the rms speed `flow` (m/s), or NaN."""
     own = forces.particle.radius
 
     def excess(log_radius: float) -> float:
@@ -133,8 +132,8 @@ def _equal(forces: ParticleForces, squares: FloatArray, flow: float) -> float:
 
 
 def _balanced(forces: ParticleForces, axis: int) -> tuple[FloatArray, FloatArray] | None:
-    """Points (K, 2) where radiation and weight hold the particle along a direction, and the volume (K,) that each
-    stands for; None if they hold it nowhere."""
+    """Points (K, 2) of balance along a direction, with volumes (K,). Radiation and weight are balanced. None if there
+    are none."""
     mesh = forces.mesh
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     lines = [np.linspace(low[each], high[each], POINTS) for each in (0, 1)]

@@ -1,7 +1,7 @@
-"""Cells of any shape and layout: the cell and local coordinates of a point, slopes of values, and neighbours.
+"""Cells of any shape: location of points, slopes of values, neighbours.
 
-Cells are nodes ``points[cells]``, with ``points`` (N, 2) r, z in metres and ``cells`` (M, p + 1, p + 1) node numbers by
-both local coordinates. These run from 0 to 1, and alike in neighbours along their common side.
+Cells have the nodes ``points[cells]``, with ``points`` (N, 2) r, z in metres and ``cells`` (M, p + 1, p + 1) node
+numbers by both local coordinates. These are from 0 to 1, with one direction on a common side of neighbours.
 """
 
 from __future__ import annotations
@@ -20,25 +20,23 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 NodalArray = NDArray[Any]
 
-#: Limit of Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
+#: Most Newton steps to the local coordinates of a point; from the middle of a cell four or five suffice.
 MOST_STEPS = 20
-#: Largest step, as a share of the size of the cell, after which one more step finds a point to rounding.
+#: Step, as a share of the cell's size, after which one more step is exact to rounding.
 LAST_STEP = 1e-7
-#: Distance outside a cell, as a share of its size, at which a point still counts as inside.
+#: Distance outside a cell, as a share of its size, at which a point counts as inside.
 INSIDE_WITHIN = 1e-8
-#: Distance outside a cell, in local coordinates, at which the search for a point in it ends.
+#: Distance outside a cell, in local coordinates, at which the search in it ends.
 GIVEN_UP_AT = 0.5
-#: Largest distance, as a share of the size of a cell, by which its curved sides extend past its nodes.
+#: Largest distance, as a share of the cell's size, by which its curved sides extend past its nodes.
 BEYOND_NODES = 0.05
-#: Largest distance between the middles of two sides that are one, as a share of the whole mesh.
+#: Largest distance between the middles of a common side, as a share of the whole mesh.
 SAME_SIDE = 1e-9
 
 
 def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Number (K,) of the cell that holds each of `places` (K, 2), and local coordinates (K, 2).
-
-    The lowest number if several cells hold it, -1 if none does.
-    """
+    """The cells (K,) of `places` (K, 2), and local coordinates (K, 2). It is the lowest number if several cells contain
+    the place, -1 if none does."""
     found, local = np.full(len(places), -1), np.full((len(places), 2), np.nan)
     if not len(cells):
         return found, local
@@ -61,11 +59,11 @@ def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[I
 
 
 def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
-    """Local coordinates (K, 2) of `places` (K, 2) in the cell of `nodes` (p + 1, p + 1, 2), by Newton's method; NaN for
-    places far from the cell."""
+    """Local coordinates (K, 2) of `places` (K, 2) in one cell. `nodes` are (p + 1, p + 1, 2). The method is Newton's;
+    NaN for places far from the cell."""
     order = nodes.shape[0] - 1
     size = np.ptp(nodes, axis=(0, 1)).max()
-    # Most cells are parallelograms, and the others are close to one.
+    # Most cells are parallelograms or close to one.
     ends = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
     edges = 0.5 * np.stack([ends[2] + ends[3] - ends[0] - ends[1], ends[1] + ends[3] - ends[0] - ends[2]])
     begin, x = ends.mean(axis=0) - 0.5 * edges.sum(axis=0), gauss_lobatto(order)
@@ -84,7 +82,7 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.stack([apart[:, 0] * across[:, 1] - apart[:, 1] * across[:, 0],
                              along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]], axis=1) / area[:, None]
-        # Far outside a cell its polynomials have no meaning.
+        # Far outside a cell its polynomials are meaningless.
         at[left] = np.clip(at[left] + np.nan_to_num(step), -GIVEN_UP_AT, 1.0 + GIVEN_UP_AT)
         miss[left] = np.abs(apart).max(axis=1)
         left = left[(miss[left] > LAST_STEP * size) & (np.abs(at[left] - 0.5) < 0.5 + GIVEN_UP_AT).all(axis=1)]
@@ -95,7 +93,8 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def interpolated(cells: IntArray, values: NodalArray, cell: IntArray, local: FloatArray) -> NodalArray:
-    """Interpolants (K, ...) of `values` (N, ...) at places of known cells (K,) and local coordinates (K, 2)."""
+    """Interpolants (K, ...) of `values` (N, ...) in known cells. `cell` is (K,), `local` the local coordinates (K,
+    2)."""
     result = np.empty((len(cell), *values.shape[1:]), dtype=values.dtype)
     order = np.argsort(cell, kind="stable")
     bounds = np.flatnonzero(np.diff(cell[order], prepend=-1, append=-1))
@@ -108,8 +107,8 @@ def interpolated(cells: IntArray, values: NodalArray, cell: IntArray, local: Flo
 
 
 def nodal_slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> NodalArray:
-    """Derivatives along r and z of `values` (N, k) at the nodes of cells: (M, p + 1, p + 1, 2, k), of every cell's own
-    polynomial."""
+    """Derivatives along r and z at the nodes of cells. `values` are (N, k). They are (M, p + 1, p + 1, 2, k), from
+    every cell's own polynomial."""
     order = cells.shape[1] - 1
     matrix = tabulated(order, gauss_lobatto(order))[1]  # (at, of)
     own = [np.stack([np.einsum("ai,mijk->majk", matrix, each), np.einsum("bj,mijk->mibk", matrix, each)], axis=-2)
@@ -119,7 +118,7 @@ def nodal_slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> Nod
 
 
 def beside(points: FloatArray, cells: IntArray) -> IntArray:
-    """Numbers (M, 4) of the neighbours of cells at their left, right, lower and upper side; -1 for none."""
+    """The neighbours (M, 4) at left, right, lower and upper sides. -1 means none."""
     corners = points[cells[:, [0, -1]][:, :, [0, -1]]]  # (M, 2, 2, 2)
     sides = np.stack([corners[:, 0].mean(axis=1), corners[:, 1].mean(axis=1),
                       corners[:, :, 0].mean(axis=1), corners[:, :, 1].mean(axis=1)], axis=1).reshape(-1, 2)
@@ -130,7 +129,7 @@ def beside(points: FloatArray, cells: IntArray) -> IntArray:
 
 
 def of_order(points: FloatArray, cells: IntArray, order: int) -> tuple[FloatArray, IntArray]:
-    """Cells with the nodes of another order: points (N', 2), and node numbers (M, order + 1, order + 1)."""
+    """Cells with nodes of another order: points (N', 2) and node numbers. The numbers are (M, order + 1, order + 1)."""
     weights = polynomials(cells.shape[1] - 1, gauss_lobatto(order))
     places = np.einsum("ia,jb,mijx->mabx", weights, weights, points[cells], optimize=True)
     corners, numbers = np.unique(cells[:, [0, -1]][:, :, [0, -1]], return_inverse=True)

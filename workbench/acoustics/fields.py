@@ -27,13 +27,14 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fields(Brief):
-    """Fields of one state of a device at one frequency and drive, e^{-i w t}, amplitudes zero to peak.
+    """Fields of one state of a device at one frequency and drive.
 
-    ``voltage`` (V) and ``current`` (A) at the electrodes, ``power`` (W) electrical input. On the N nodes of ``mesh``:
-    ``displacement`` (N, 2) m in solids, ``potential`` (N,) V in the piezoelectric, ``pressure`` (N,) Pa in fluids,
-    ``velocity`` (N, 2) m/s, ``stress`` (N, 4) Pa (rr, tt, zz, rz) in solids, ``energy_density`` (N,) J/m^3 averaged
-    over time: kinetic plus elastic or compressional, and electric in the piezoelectric. NaN in regions without the
-    field. ``drive`` describes the drive in words, with the voltage that it gives at the electrodes.
+    The time factor is e^{-i w t}, amplitudes are zero to peak. ``voltage`` (V) and ``current`` (A) at the electrodes,
+    ``power`` (W) electrical input. On the N nodes of ``mesh``: ``displacement`` (N, 2) m in solids, ``potential`` (N,)
+    V in the piezoelectric, ``pressure`` (N,) Pa in fluids, ``velocity`` (N, 2) m/s, ``stress`` (N, 4) Pa (rr, tt, zz,
+    rz) in solids, ``energy_density`` (N,) J/m^3 averaged over time: kinetic plus elastic or compressional, and electric
+    in the piezoelectric. NaN in regions without the field. ``drive`` describes the drive in words, with its voltage at
+    the electrodes.
     """
 
     mesh: NodalMesh
@@ -61,10 +62,8 @@ class Fields(Brief):
 
 
 def fields(problem: Problem, operators: FullOperators, solution: Solution, drive: Drive) -> Fields:
-    """The fields of a full `solution` of `operators` at one frequency, under `drive`.
-
-    Stress and velocity in fluids come from gradients recovered at the nodes (`nodal.gradient`).
-    """
+    """The fields of a full `solution` at one frequency, under `drive`. Stress and velocity in fluids follow from
+    gradients recovered at the nodes (`nodal.gradient`)."""
     frequency, omega = float(solution.frequency[0]), float(solution.omega[0])
     mesh, dofs = section_nodes(operators.mesh)
     values = problem.values
@@ -115,7 +114,7 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
 
 
 def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
-    """The nodes of the fields on `mesh`, doubled between regions, and the scalar dof (N,) of every node."""
+    """The nodes of the fields, and their scalar dofs (N,). Nodes are doubled between regions."""
     element = Lagrange(mesh.order)
     element_dofs = np.asarray(Dofs(mesh.mesh, element).element_dofs)
     along, across = np.array(element.indices).T
@@ -146,8 +145,8 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
 
 
 def _strain(mesh: NodalMesh, displacement: Complex, region: str, nodes: NDArray[np.int64]) -> Complex:
-    """Strain (n, 4), rr, tt, zz, 2rz, at the nodes of a region; on the axis u_r / r is its limit, d u_r / d r, and in
-    a straight section it is zero."""
+    """Strain (n, 4) at a region's nodes: rr, tt, zz, 2rz. On the axis u_r / r is its limit, d u_r / d r; in a straight
+    section it is zero."""
     slope = gradient(mesh, displacement, [region])[nodes]  # (n, 2 directions, 2 components)
     r = mesh.points[nodes, 0]
     hoop = mesh.measure.hoop(displacement[nodes, 0], slope[:, 0, 0], r)
@@ -171,7 +170,7 @@ def _cubic(strain: Complex, material: CubicSolid, values: Values) -> Complex:
 
 
 def _piezoelectric(strain: Complex, electric: Complex, name: str, values: Values) -> tuple[Complex, Complex]:
-    """Stress (n, 4) and electric displacement (n, 2) from sigma = C eps - e^T E, D = e eps + epsilon E."""
+    """Stress (n, 4) and electric displacement (n, 2). sigma = C eps - e^T E, D = e eps + epsilon E."""
     c = {key: complex(values[f"{name}.{key}"]) for key in
          ("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33")}
     stiffness = np.array([[c["c11"], c["c12"], c["c13"], 0], [c["c12"], c["c11"], c["c13"], 0],

@@ -1,12 +1,14 @@
-"""Steady forces of sound and gravity on the liquid itself, which make it flow in the bulk.
+"""Steady forces of sound and gravity on a liquid.
 
-    f = -1/4 |p|^2 grad kappa - 1/4 |v|^2 grad rho + (rho - rho0) g          where the liquid is not of one temperature
-      + (w^2 D / c^4) <p v>                                                  where it absorbs sound (Eckart)
+::
+
+    f = -1/4 |p|^2 grad kappa - 1/4 |v|^2 grad rho + (rho - rho0) g          in a liquid of nonuniform temperature
+        + (w^2 D / c^4) <p v>                                                in an absorbing liquid (Eckart)
 
 The first line is Karlsen, Augustsson and Bruus, Phys. Rev. Lett. 117, 114504 (2016), with kappa = 1/(rho c^2) and rho
 linear in the temperature (Joergensen and Bruus, J. Acoust. Soc. Am. 149, 3599, 2021). D is the diffusivity of sound;
 the second line is 2 alpha I / c with the absorption alpha = w^2 D / (2 c^3) and the intensity I. Gradients of
-potentials are left out everywhere: the pressure balances them.
+potentials are omitted: the pressure balances them.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from workbench.model.particles import GRAVITY, FluidProperties, compressibility
 
 @dataclass(frozen=True, kw_only=True)
 class TemperatureSlopes:
-    """Change of a liquid with temperature: ``density`` in kg/(m^3 K), ``sound_speed`` in m/(s K)."""
+    """Temperature slopes of density, kg/(m^3 K), and sound speed, m/(s K)."""
 
     density: float
     sound_speed: float
@@ -31,9 +33,10 @@ def thermoacoustic_force(
     fluid: FluidProperties, slopes: TemperatureSlopes, *, pressure: NodalArray, velocity: NodalArray,
     temperature: FloatArray, temperature_gradient: FloatArray, gravity: float = GRAVITY,
 ) -> FloatArray:
-    """Force (N, 2) in N/m^3 on a liquid of uneven `temperature` (N,) in K above ambient, with its gradient (N, 2) K/m.
+    """Force (N, 2) in N/m^3 on a liquid of nonuniform temperature.
 
-    `pressure` (N,) Pa and `velocity` (N, 2) m/s are complex amplitudes. Gravity acts along -z.
+    `temperature` (N,) in K above ambient, with its gradient (N, 2) in K/m. `pressure` (N,) Pa and `velocity` (N, 2) m/s
+    are complex amplitudes. Gravity acts along -z.
     """
     relative = slopes.density / fluid.density + 2.0 * slopes.sound_speed / fluid.sound_speed
     from_pressure = 0.25 * np.abs(pressure) ** 2 * compressibility(fluid) * relative
@@ -46,7 +49,8 @@ def thermoacoustic_force(
 def absorption_force(
     fluid: FluidProperties, diffusivity: float, frequency: float, *, pressure: NodalArray, velocity: NodalArray
 ) -> FloatArray:
-    """Force (N, 2) in N/m^3 on a liquid of that `diffusivity` of sound (m^2/s), which takes momentum from the wave."""
+    """Force (N, 2) in N/m^3 on an absorbing liquid. It takes momentum from the wave; the `diffusivity` of sound is in
+    m^2/s."""
     intensity = 0.5 * np.real(np.conj(pressure)[:, None] * velocity)
     strength = (2.0 * np.pi * frequency) ** 2 * diffusivity / fluid.sound_speed**4
     return np.asarray(strength * intensity)

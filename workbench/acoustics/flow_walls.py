@@ -1,4 +1,4 @@
-"""Conditions of a steady flow at the border of its region: slip along walls, no flow across, corners, open surfaces."""
+"""Boundary conditions of a steady flow: slip at walls, corners, open surfaces."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from workbench.acoustics.slip import WallEdges
 from workbench.acoustics.stokes import FlowConditions
 from workbench.results.brief import Brief
 
-#: Angle in radians between two walls above which they meet in a corner, where the liquid rests. Polynomials along one
-#: curved wall leave less than a thousandth; doubled, a corner of 10 degrees is taken for a bend.
+#: Angle (rad) between two walls above which they meet in a corner, where the velocity is zero. Polynomials along a
+#: smooth wall are below a thousandth; doubled, a corner of 10 degrees counts as smooth.
 CORNER = 0.1
 
 
@@ -43,7 +43,7 @@ class WallSlip(Brief):
 
 
 def raised_edges(mesh: NodalMesh, finer: NodalMesh, edges: WallEdges) -> IntArray:
-    """Nodes (L, m + 1) of `finer`, made from a region of `mesh` by `nodal.raised`, along `edges` of that region."""
+    """Nodes (L, m + 1) of `finer` along `edges`. `finer` is a region of `mesh` raised by `nodal.raised`."""
     (region,) = finer.regions
     place = np.searchsorted(mesh.cells_of([region]), edges.cells)
     result = np.empty((len(place), finer.order + 1), dtype=np.int64)
@@ -55,11 +55,12 @@ def raised_edges(mesh: NodalMesh, finer: NodalMesh, edges: WallEdges) -> IntArra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FlowBorder(Brief):
-    """Nodes (N,) of a mesh by the condition there: ``on_wall`` and ``on_open`` surfaces, at a ``corner`` of them, on
-    the ``axis`` or a plane of symmetry; ``normal`` (N, 2) out of the liquid, NaN inside and at corners.
+    """Nodes (N,) of a mesh by their condition.
 
-    The normals are those of all edges at a node, weighted by its function, so that velocities across them carry no net
-    flux out of the region (Engelman, Sani and Gresho, Int. J. Numer. Meth. Fluids 2, 225, 1982).
+    The conditions are ``on_wall`` and ``on_open`` surfaces, at a ``corner`` of them, and on the ``axis`` or a plane of
+    symmetry; ``normal`` (N, 2) is out of the liquid, NaN inside and at corners. The normals are those of all edges at a
+    node, weighted by its function, so that velocities across them have no net flux out of the region (Engelman, Sani
+    and Gresho, Int. J. Numer. Meth. Fluids 2, 225, 1982).
     """
 
     on_wall: NDArray[np.bool_]
@@ -69,16 +70,16 @@ class FlowBorder(Brief):
     normal: FloatArray
 
     def conditions(self) -> FlowConditions:
-        """All of the velocity is prescribed on walls, u_r on the axis or a plane of symmetry, and the part across an
-        open surface."""
+        """Conditions on the velocity at all nodes. All of it is prescribed on walls, u_r on the axis or a plane of
+        symmetry, and the normal part on an open surface."""
         rests = self.on_wall | self.corner | (self.axis & self.on_open)
-        held = np.stack([rests | self.axis, rests], axis=1)
+        prescribed = np.stack([rests | self.axis, rests], axis=1)
         slides = self.on_open & ~rests
         tangent = np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=1)
-        return FlowConditions(held, np.where(slides[:, None], tangent, np.nan))
+        return FlowConditions(prescribed, np.where(slides[:, None], tangent, np.nan))
 
     def along_walls(self, velocity: FloatArray) -> FloatArray:
-        """The part of `velocity` (N, 2) along the walls; zero at corners, on the axis and off the walls."""
+        """The part of `velocity` (N, 2) along walls. It is zero elsewhere and at corners."""
         moves = self.on_wall & ~self.corner & ~self.axis
         normal = np.where(moves[:, None], self.normal, 0.0)
         across = (normal * velocity).sum(axis=1)
@@ -87,7 +88,7 @@ class FlowBorder(Brief):
 
 
 def flow_border(mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Sequence[IntArray]) -> FlowBorder:
-    """The border of a `mesh` of one region, from the nodes (L, m + 1) along edges of its walls and open surfaces."""
+    """The border of a `mesh` of one region. It has walls and open surfaces. Both are nodes (L, m + 1) along edges."""
     count = len(mesh.points)
     edges = np.concatenate([*walls, *open_surfaces])
     weighted, ends = _outward(mesh, edges)
@@ -99,9 +100,9 @@ def flow_border(mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Seque
     np.add.at(total, edges, weighted)
     np.add.at(unit, edges[:, [0, -1]], ends)
     np.add.at(times, edges[:, [0, -1]], 1.0)
-    # The mean of two unit vectors at an angle has the length of half its cosine.
+    # The mean of two unit vectors has the length of the cosine of half their angle.
     corner = (times > 0.0) & (np.linalg.norm(unit, axis=1) < math.cos(0.5 * CORNER) * times)
-    # On the axis the weights vanish, and the mean of the normals stands for them.
+    # On the axis the weights vanish, and the mean of the normals replaces them.
     axis = mesh.mirrors.on(mesh.points[:, 0])
     chosen = np.where(axis[:, None], unit, total)
     size = np.linalg.norm(chosen, axis=1)
@@ -112,8 +113,8 @@ def flow_border(mesh: NodalMesh, walls: Sequence[IntArray], open_surfaces: Seque
 
 
 def _outward(mesh: NodalMesh, edges: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Normals out of the region, integrated over every edge with the function of each of its nodes (L, m + 1, 2), and
-    unit ones at its two ends (L, 2, 2)."""
+    """Outward normals of edges, weighted and at their ends. The shapes are (L, m + 1, 2) and (L, 2, 2). The first are
+    integrated over every edge with the function of each of its nodes."""
     order = mesh.order
     (along,), weights = get_quadrature(RefLine, 3 * order)
     value, slope = tabulated(order, along)
@@ -129,7 +130,7 @@ def _outward(mesh: NodalMesh, edges: IntArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _inward(mesh: NodalMesh, edges: IntArray) -> FloatArray:
-    """Vectors (L, 2) from the middle of every edge to the middle of its cell."""
+    """Vectors (L, 2) from every edge's middle to its cell's middle."""
     ends = {tuple(sorted(pair)): k for k, pair in enumerate(edges[:, [0, -1]].tolist())}
     result = np.empty((len(edges), 2))
     corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]

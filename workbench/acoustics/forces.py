@@ -1,6 +1,6 @@
-"""Potential and radiation force on a particle in a computed field, and the time they take to move it.
+"""Potential and radiation force on a particle, and the resulting focus times.
 
-A force means nothing without the field it was computed in, so every result carries an :class:`Excitation`.
+A force depends on its field, so every result has an :class:`Excitation`.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation:
-    """The field in which a force was computed.
+    """The field of a computed force.
 
     ``description`` of the drive in words; ``frequency`` Hz; ``voltage`` V amplitude across the transducer;
     ``pressure_amplitude`` Pa, the largest |p| in the region; ``energy_density`` J/m^3 of a standing wave of that
-    amplitude, p0^2/(4 rho c^2); ``mean_energy_density`` J/m^3, the mean of the field itself over the region.
+    amplitude, p0^2/(4 rho c^2); ``mean_energy_density`` J/m^3, the mean of the field over the region.
     """
 
     description: str
@@ -43,7 +43,7 @@ class Excitation:
     mean_energy_density: float
 
     def at_voltage(self, factor: float) -> Excitation:
-        """The field at `factor` times the voltage, with the drive as a voltage at the electrodes."""
+        """The field at `factor` times the voltage, stated at the electrodes."""
         if factor == 1.0:
             return self
         voltage, square = factor * self.voltage, factor**2
@@ -62,8 +62,8 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ParticleForces(Brief):
-    """Potential (N,) J and radiation force (N, 2) N on a particle, at the nodes of ``mesh``, the mesh of ``region``
-    alone."""
+    """Potential (N,) J and radiation force (N, 2) N on a particle. The nodes are those of ``mesh``, the mesh of
+    ``region`` alone."""
 
     excitation: Excitation
     mesh: NodalMesh
@@ -97,16 +97,17 @@ def particle_forces(
     region: str,
     scattering: Scattering | None = None,
 ) -> ParticleForces:
-    """Potential and radiation force on `particle` in the fluid `region`, on nodes of twice the order of the fields'.
+    """Potential and radiation force on `particle` in the fluid `region`.
 
-    `scattering` is :func:`viscous_scattering` at the field's frequency unless given.
+    The nodes have twice the order of the fields'. `scattering` is :func:`viscous_scattering` at the field's frequency
+    unless given.
 
     Raises:
         ValueError: unknown region, or a region without pressure.
     """
     mesh = fields.mesh
     if not np.isfinite(fields.pressure[mesh.nodes_of([region])]).all():
-        raise ValueError(f"region {region!r} carries no pressure; choose a fluid region")
+        raise ValueError(f"region {region!r} has no pressure; choose a fluid region")
     if scattering is None:
         scattering = viscous_scattering(particle, fluid, fields.frequency)
     finer = raised(mesh, 2 * mesh.order, region)
@@ -127,7 +128,7 @@ def particle_forces(
 
 
 def excitation_of(fields: Fields, fluid: FluidProperties, region: str, *, amplitude: float) -> Excitation:
-    """The excitation of the `fluid` in `region`, with `amplitude` (Pa) the largest |p| there."""
+    """The excitation of the `fluid` in `region`. `amplitude` (Pa) is the largest |p| there."""
     mesh = fields.mesh
     one = np.ones(len(mesh.points))
     mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
@@ -138,28 +139,29 @@ def excitation_of(fields: Fields, fluid: FluidProperties, region: str, *, amplit
 
 
 def force_at(forces: ParticleForces, points: FloatArray) -> FloatArray:
-    """Radiation force (K, 2) in N, along r and z, at `points` (K, 2) r, z in m; NaN outside the region."""
+    """Radiation force (K, 2) in N at `points` (K, 2). It is NaN outside the region. The components are along r and z;
+    points are r, z in m."""
     return interpolate(forces.mesh, forces.force, points, [forces.region])
 
 
 def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, stop: float, points: int = 2001) -> float:
-    """Time (s) from height `start` to `stop` (m) at constant `radius` (m): see :func:`focus_time_along`."""
+    """Time (s) between heights (m) at constant `radius`; see :func:`focus_time_along`."""
     return focus_time_along(forces, 1, across=radius, start=start, stop=stop, points=points)
 
 
 def focus_time_along(
     forces: ParticleForces, axis: int, *, across: float, start: float, stop: float, points: int = 2001
 ) -> float:
-    """Time (s) from `start` to `stop` (m) along a direction (`axis` 0 r or x, 1 z) at a constant place `across` (m) in
-    the other one: radiation force, and along z weight, against drag.
+    """Time (s) from `start` to `stop` (m) along one direction.
 
-    Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so 6 pi eta a dz/dt = F_z - W and
-    the time is the integral of dz over the speed; it diverges logarithmically towards the trap itself. Simpson's rule
-    over an odd number of `points`.
+    `axis` is 0 for r or x, 1 for z; the other coordinate is `across` (m). Radiation force, and along z weight, act
+    against drag. Inertia is negligible (the relaxation time of a 10 um bead in water is microseconds), so 6 pi eta a
+    dz/dt = F_z - W and the time is the integral of dz over the speed; it diverges logarithmically at the trap itself.
+    Simpson's rule has an odd number of `points`.
 
     Raises:
-        ValueError: part of the way lies outside the region, the force stops or turns before `stop`, or an even number
-            of points.
+        ValueError: part of the path is outside the region, the force vanishes or reverses before `stop`, or an even
+            number of points.
     """
     if points < 3 or points % 2 == 0:
         raise ValueError(f"{points} points; expected an odd number of 3 or more")

@@ -11,35 +11,32 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Largest distance, as a share of the grid's extent, at which two lines of a grid are one and a point is on a line:
-#: 3e-11 m of 26 mm.
+#: Largest distance between two coincident lines, or of a point on a line, as a share of the grid's extent: 3e-11 m of
+#: 26 mm.
 SAME_LINE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class CellGrid:
-    """The lines of the grid on which cells lie, and the cells between them.
-
-    ``r`` (n + 1,) and ``z`` (m + 1,) coordinates in metres, ascending; ``cell`` (n, m) number of the cell between two
-    lines of each, -1 for none.
-    """
+    """The lines of a grid, and the cells between them. ``r`` (n + 1,) and ``z`` (m + 1,) coordinates in metres,
+    ascending; ``cell`` (n, m) number of the cell between two lines of each, -1 for none."""
 
     r: FloatArray
     z: FloatArray
     cell: IntArray
 
     def beside(self, values: NDArray[Any], axis: int, step: int) -> NDArray[Any]:
-        """Elements of `values` (n, m) shifted by one `step` (1 or -1) in direction `axis` (0 r, 1 z), with -1 past the
-        edge."""
+        """Elements of `values` (n, m) shifted by one `step` along `axis`. `step` is 1 or -1, `axis` 0 for r and 1 for
+        z; -1 enters at the edge."""
         moved: NDArray[Any] = np.roll(np.pad(values, 1, constant_values=-1), -step, axis=axis)[1:-1, 1:-1]
         return moved
 
 
 def cell_grid(low: FloatArray, high: FloatArray) -> CellGrid:
-    """The grid of cells from `low` (M, 2) to `high` (M, 2) metres.
+    """The grid of cells between `low` and `high` corners. Both are (M, 2) in metres.
 
     Raises:
-        ValueError: a cell is crossed by a line of another, or covers another.
+        ValueError: a line of another cell crosses a cell, or two cells overlap.
     """
     lines, first = [], []
     for axis in (0, 1):

@@ -1,8 +1,8 @@
-"""Temperatures of a driven chip: the losses of its fields, conducted through all of its parts to the outside.
+"""Temperatures of a driven chip: losses, conduction and cooling.
 
-The losses are released where they arise (`heat_source`), conducted (`conduction`), and given to the surroundings by
-natural convection and radiation, or to a holder. Flow in the liquid carries no heat here, which :func:`check_peclet`
-asks about; material numbers do not change with the temperature.
+The losses (`heat_source`) are conducted (`conduction`) to the outside, and dissipated by natural convection and
+radiation, or into a holder. Convection in the liquid is neglected, which :func:`check_peclet` verifies; material
+constants do not depend on the temperature.
 """
 
 from __future__ import annotations
@@ -27,27 +27,25 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 
 #: Heat transfer coefficient (W/(m^2 K)) of a surface in still air: natural convection and radiation. Free convection in
-#: gases gives 2 to 25 (Incropera and DeWitt, Fundamentals of Heat and Mass Transfer, table 1.1). A plate of 25 mm
-#: that is 10 K warmer has 1.32 (dT / L)^(1/4) = 6, radiation adds at most 6. Doubled, a chip is nearly half as warm.
+#: gases gives 2 to 25 (Incropera and DeWitt, Fundamentals of Heat and Mass Transfer, table 1.1). A plate of 25 mm that
+#: is 10 K warmer has 1.32 (dT / L)^(1/4) = 6, radiation adds at most 6. Doubled, the temperature rise of a chip is
+#: almost half.
 STILL_AIR = 10.0
 
-#: The material that an empty region conducts as.
+#: The material of an empty region for conduction.
 EMPTY = "air"
 
-#: Peclet number above which conduction alone is refused: flow then carries as much heat as conduction does.
+#: Peclet number above which conduction alone raises: convection is then as large as conduction.
 HIGHEST_PECLET = 1.0
 
-#: The constants of a material that conduction needs, and their units.
+#: The constants of a material for conduction, with units.
 NEEDED: Mapping[str, str] = {"thermal_conductivity": "W/(m K)", "heat_capacity": "J/(kg K)"}
 
 
 @dataclass(frozen=True)
 class PartTemperature:
-    """One part of a chip in the steady state.
-
-    ``mean`` and ``peak`` K above ambient; ``loss`` W released in it; ``capacity`` J/K; ``resistance`` K/W, the rise of
-    its mean for each watt that the whole chip loses.
-    """
+    """One part of a chip in the steady state. ``mean`` and ``peak`` K above ambient; ``loss`` W in it; ``capacity``
+    J/K; ``resistance`` K/W, the rise of its mean per watt lost in the whole chip."""
 
     mean: float
     peak: float
@@ -57,19 +55,19 @@ class PartTemperature:
 
     @property
     def initial_rate(self) -> float:
-        """Rate (K/s) of its mean temperature at switch-on, before heat is conducted: the loss over the capacity."""
+        """Rate (K/s) of its mean temperature at switch-on, loss over capacity."""
         return self.loss / self.capacity
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Heating(Brief):
-    """Temperatures of a chip driven steadily at one frequency, in K above the ambient temperature.
+    """Steady temperatures of a chip at one frequency, in K above ambient.
 
-    ``rise`` (N,) at the nodes of ``mesh``, NaN where nothing conducts; ``parts`` by region; ``power`` W of electrical
-    input, ``released`` W of heat, ``convected`` W by outer boundary, ``held`` W into the holder; ``closure`` the
-    relative difference of the heat that is released and the heat that leaves. ``hottest`` r, z (m) of the hottest
-    point, ``peak`` K there and ``peak_resistance`` K/W. ``time_constant`` s, the slowest. ``drive`` in words,
-    ``frequency`` Hz. ``notes`` are sentences on assumptions.
+    ``rise`` (N,) at the nodes of ``mesh``, NaN outside conducting regions; ``parts`` by region; ``power`` W of
+    electrical input, ``released`` W of heat, ``convected`` W by outer boundary, ``into_holder`` W; ``closure`` the
+    relative difference of produced and leaving heat. ``hottest`` r, z (m) of the hottest point, ``peak`` K there and
+    ``peak_resistance`` K/W. ``time_constant`` s, the slowest. ``drive`` in words, ``frequency`` Hz. ``notes`` are
+    sentences on assumptions.
     """
 
     mesh: NodalMesh
@@ -78,7 +76,7 @@ class Heating(Brief):
     power: float
     released: float
     convected: Mapping[str, float]
-    held: float
+    into_holder: float
     closure: float
     hottest: tuple[float, float]
     peak: float
@@ -90,7 +88,7 @@ class Heating(Brief):
 
     @property
     def initial_rate(self) -> float:
-        """Rate (K/s) of the mean temperature of the whole chip at switch-on, weighted with the heat capacity."""
+        """Rate (K/s) of the chip's mean temperature at switch-on. The mean is weighted with the heat capacity."""
         return self.released / sum(part.capacity for part in self.parts.values())
 
     def __str__(self) -> str:
@@ -113,20 +111,19 @@ def conducted_heat(
     holder: str | Mapping[str, float] | None = None,
     empty: str | None = EMPTY,
 ) -> Heating:
-    """The steady temperatures of a chip, from a full `solution` of `problem` at one frequency.
+    """The steady temperatures of a chip, from a full `solution`. The solution is at one frequency.
 
     Args:
         voltage: amplitude (V) at the electrodes.
         drive: the drive in words.
         convection: heat transfer coefficient (W/(m^2 K)) of the outside, or by outer boundary
-            (``superstrate|outside``), the key "" standing for all that are not named.
-        holder: an outer boundary (``substrate|outside``) at ambient temperature, or the temperature (K above ambient)
+            (``superstrate|outside``); the key "" means all other boundaries.
+        holder: an outer boundary (``substrate|outside``) at ambient temperature, or the temperatures (K above ambient)
             of several.
-        empty: material of the registry that an empty region conducts as; None: it is insulated.
+        empty: material of the registry for an empty region; None: it is insulated.
 
     Raises:
-        InputError: a material without thermal constants, no way for the heat to leave, an unknown boundary, or a chip
-            that loses nothing.
+        InputError: a material without thermal constants, no cooling, an unknown boundary, or a chip without losses.
     """
     model, notes = conduction_of(problem, convection=convection, holder=holder, empty=empty)
     source = heat_source(solution, voltage)
@@ -136,8 +133,8 @@ def conducted_heat(
                          "loss of its materials")
     load = source.load
     rise = model.temperature(load)
-    by_power = rise if not any(model.held.values()) else rise - model.temperature(np.zeros(model.size))
-    cooled, held = model.leaving(rise, load)
+    by_power = rise if not any(model.holders.values()) else rise - model.temperature(np.zeros(model.size))
+    cooled, into_holder = model.leaving(rise, load)
     mesh, dofs = section_nodes(problem.mesh)
     parts = {}
     for region, constants in model.constants.items():
@@ -151,8 +148,8 @@ def conducted_heat(
     nodal = rise[dofs]
     top = int(np.nanargmax(nodal))
     return Heating(
-        mesh=mesh, rise=nodal, parts=parts, power=power, released=source.power, convected=cooled, held=held,
-        closure=abs(sum(cooled.values()) + held - source.power) / source.power,
+        mesh=mesh, rise=nodal, parts=parts, power=power, released=source.power, convected=cooled,
+        into_holder=into_holder, closure=abs(sum(cooled.values()) + into_holder - source.power) / source.power,
         hottest=(float(mesh.points[top, 0]), float(mesh.points[top, 1])), peak=float(nodal[top]),
         peak_resistance=float(by_power[dofs[top]]) / source.power, time_constant=model.slowest_time(),
         drive=drive, frequency=float(solution.frequency[0]), notes=notes)
@@ -165,7 +162,7 @@ def conduction_of(
     holder: str | Mapping[str, float] | None = None,
     empty: str | None = EMPTY,
 ) -> tuple[Conduction, tuple[str, ...]]:
-    """The conduction in the parts of a `problem`, and sentences on what was assumed; see :func:`conducted_heat`."""
+    """The conduction in a `problem`, and findings on assumptions; see :func:`conducted_heat`."""
     notes = list[str]()
     constants = {region: thermal_constants(material, problem) for region, material in problem.materials.items()}
     for region in problem.mesh.section.regions:
@@ -177,18 +174,18 @@ def conduction_of(
         material = Registry().load(empty)
         constants[region] = thermal_constants(material, problem)
         notes.append(f"{region} is empty and conducts heat as {material.name}, without convection or radiation inside")
-    held = {} if holder is None else {holder: 0.0} if isinstance(holder, str) else dict(holder)
-    for name in held:
+    holders = {} if holder is None else {holder: 0.0} if isinstance(holder, str) else dict(holder)
+    for name in holders:
         choose(name, [each for each in problem.mesh.mesh.boundaries if is_outer(each)], source="heat", field="holder")
     cooling = dict(convection) if isinstance(convection, Mapping) else {"": float(convection)}
-    return conduction(problem.mesh, constants, cooling=cooling, held=held), tuple(notes)
+    return conduction(problem.mesh, constants, cooling=cooling, holders=holders), tuple(notes)
 
 
 def thermal_constants(material: Material, problem: Problem | None = None) -> ThermalConstants:
-    """The constants of a material that conduction needs; the numbers of a `problem` come first, where it has them.
+    """The constants of a material for conduction. Those of a `problem` come first.
 
     Raises:
-        InputError: the material lacks one. The nearest materials of the package that have it are named.
+        InputError: the material lacks one; the error names the nearest materials of the package that have it.
     """
     values = {} if problem is None else problem.values
     numbers = {}
@@ -196,7 +193,7 @@ def thermal_constants(material: Material, problem: Problem | None = None) -> The
         stated = getattr(material, name)
         found = values.get(f"{material.name}.{name}", stated)
         if found is None:
-            raise InputError(f"material {material.name}", name, None, f"a number in {unit}: temperatures rest on it; "
+            raise InputError(f"material {material.name}", name, None, f"a number in {unit}: temperatures depend on it; "
                              "state it in the material's entry, or use a material that has it",
                              _with_constant(material, name))
         numbers[name] = complex(found).real
@@ -205,7 +202,7 @@ def thermal_constants(material: Material, problem: Problem | None = None) -> The
 
 
 def lacking_constants(problem: Problem) -> str:
-    """A sentence that names the first material that conduction lacks a constant of; empty if none does."""
+    """A sentence on the first material without thermal constants, or ""."""
     for material in problem.materials.values():
         try:
             thermal_constants(material, problem)
@@ -215,8 +212,8 @@ def lacking_constants(problem: Problem) -> str:
 
 
 def _with_constant(material: Material, name: str) -> tuple[str, ...]:
-    """Materials of the package and of the same kind that have a constant: those of a similar name, or else the one of
-    the nearest density."""
+    """Materials of the package and kind that have a constant. They are those of a similar name, or the one of the
+    nearest density."""
     registry = Registry()
     known = {each.name: each for each in (registry.load(entry, notes=[]) for entry in registry.names())
              if isinstance(each, type(material)) and getattr(each, name) is not None}
@@ -234,11 +231,11 @@ def thermal_influence(
     holder: str | Mapping[str, float] | None = None,
     empty: str | None = EMPTY,
 ) -> dict[str, float]:
-    """Thermal resistances (K/W): the mean rise of `part` for each watt lost in a region, or on an interface.
+    """Thermal resistances (K/W) of `part`, by region or interface of the loss.
 
-    The loss is distributed as in `solution`; evenly, where that loses nothing or is not given. The matrix of conduction
-    is symmetric, so one solve with the weights of the mean as its load gives all of them. The sum of losses times these
-    resistances is the mean of `part` by :func:`conducted_heat`.
+    A resistance is the mean rise of `part` per watt. The loss is distributed as in `solution`, or uniformly if that has
+    none. The matrix of conduction is symmetric, so one solve with the weights of the mean as its load gives all
+    resistances. The sum of losses times resistances is the mean of `part` by :func:`conducted_heat`.
 
     Raises:
         InputError: see :func:`conducted_heat`; an unknown part.
@@ -248,7 +245,8 @@ def thermal_influence(
 
 
 def influence_on(part: str, model: Conduction, source: HeatSource | None) -> dict[str, float]:
-    """The thermal resistances (K/W) of :func:`thermal_influence` for a conduction and a distribution of the heat."""
+    """The thermal resistances (K/W) of :func:`thermal_influence` for a conduction. `source` is the distribution of the
+    heat."""
     choose(part, model.constants, source="heat", field="part")
     influence = np.nan_to_num(model.temperature(model.averaging(part), driven=False))
     found = {region: float(model.averaging(region) @ influence) for region in model.constants}
@@ -262,9 +260,9 @@ def influence_on(part: str, model: Conduction, source: HeatSource | None) -> dic
 
 
 def peclet_number(fluid: Fluid, speed: float, length: float) -> float:
-    """The Peclet number of a flow: `speed` (m/s) times `length` (m) over the thermal diffusivity of the fluid.
+    """The Peclet number: `speed` (m/s) times `length` (m) over thermal diffusivity.
 
-    `length` is the size of the cavity that heat is conducted across, the smaller of its height and its width.
+    `length` is the smaller of the cavity's height and width.
 
     Raises:
         InputError: a fluid without thermal constants.
@@ -273,7 +271,7 @@ def peclet_number(fluid: Fluid, speed: float, length: float) -> float:
 
 
 def check_peclet(fluid: Fluid, speed: float, length: float) -> float:
-    """The Peclet number of a flow through which heat is conducted.
+    """The Peclet number of a flow, checked for heat conduction.
 
     Raises:
         InputError: it is above :data:`HIGHEST_PECLET`, or a fluid without thermal constants.
@@ -282,8 +280,9 @@ def check_peclet(fluid: Fluid, speed: float, length: float) -> float:
     if not found <= HIGHEST_PECLET:
         raise InputError("heat", "speed of the flow", f"{speed:g} m/s",
                          f"at most {HIGHEST_PECLET * speed / found:.3g} m/s in {fluid.name} across {1e3 * length:.3g} "
-                         f"mm: the Peclet number is {found:.3g}, and above {HIGHEST_PECLET:g} flow carries the heat "
-                         "that this model conducts. Lower the drive: the speed of the flow falls faster than the loss")
+                         f"mm: the Peclet number is {found:.3g}, and above {HIGHEST_PECLET:g} convection exceeds "
+                         "conduction, the only transport in this model. Lower the drive: the speed of the flow falls "
+                         "faster than the loss")
     return found
 
 

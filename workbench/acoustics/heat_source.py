@@ -1,9 +1,9 @@
-"""The heat that a solution releases: its losses, point by point, as a load on the nodes of the mesh.
+"""The heat of a solution as a load on mesh nodes.
 
 Every integral of the model loses -w/2 Im(g_q) x^H A_q x (`Solution.dissipation`). The integrand at the quadrature
-points is the density of the heat there. Weighted with the nodal functions, which add up to one, it is a load whose sum
-is the electrical input power, whatever the mesh. Losses on a boundary are released at its nodes: a boundary layer is
-half a micrometre thick, and conduction does not resolve it.
+points is the heat density. Weighted with the nodal functions, it is a load whose sum is the electrical input
+power on any mesh. Losses on a boundary are loads at its nodes: a boundary layer is half a
+micrometre thick, and conduction does not resolve it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeatSource(Brief):
-    """Heat released on the nodes of a mesh.
+    """Heat loads on the nodes of a mesh.
 
     ``loads`` (N,) W by region or boundary, on the N scalar nodes of the mesh in the numbering of the fields; ``owner``
-    the region that each of them counts for: heat of a boundary layer counts for its fluid, heat of another boundary for
-    its solid.
+    is the region of each: that of a boundary layer is its fluid, that of another boundary its solid.
     """
 
     loads: Mapping[str, Real]
@@ -43,16 +42,16 @@ class HeatSource(Brief):
 
     @property
     def power(self) -> float:
-        """Heat (W) released in all regions."""
+        """Heat (W) of all regions."""
         return float(sum(load.sum() for load in self.loads.values()))
 
     def released(self, region: str) -> float:
-        """Heat (W) that counts for a region."""
+        """Heat (W) of a region, its boundary loads included."""
         return float(sum(load.sum() for place, load in self.loads.items() if self.owner[place] == region))
 
 
 def heat_source(solution: Solution, voltage: float) -> HeatSource:
-    """The heat released by a full `solution` at one frequency under an electrode voltage amplitude (V).
+    """The heat of a full `solution` at a voltage amplitude (V).
 
     Raises:
         InputError: a solution of a reduced model, or one at several frequencies.

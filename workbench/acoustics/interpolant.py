@@ -1,7 +1,7 @@
-"""Values and slopes of nodal fields at many points in different cells at once, as a moving particle needs them.
+"""Values and slopes of nodal fields at many points, for moving particles.
 
 :func:`workbench.acoustics.nodal.interpolate` is for one set of points. An :class:`Interpolant` is called thousands of
-times with few points each: it keeps its tables, begins at the cell where each point was last, and gives slopes.
+times with few points each: it caches its tables, starts at the last cell of each point, and gives slopes.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from workbench.acoustics.curved_cells import BEYOND_NODES, GIVEN_UP_AT, INSIDE_W
 from workbench.acoustics.nodal import FloatArray, IntArray, NodalMesh
 from workbench.results.brief import Brief
 
-#: Number of buckets of the bounding grid for each cell of a mesh that is no grid. Doubled, a bucket names a few cells
-#: less, and takes twice the memory.
+#: Number of buckets of the bounding grid per cell of a mesh that is not a grid. Doubled, a bucket has fewer cells, and
+#: takes twice the memory.
 BUCKETS_PER_CELL = 4
 
 
@@ -32,11 +32,11 @@ class Interpolant(Brief):
     def __call__(
         self, points: FloatArray, cell: IntArray, *, slopes: bool = False
     ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Values (K, k) at `points` (K, 2) r, z in m, their slopes (K, k, 2) along r and z per m, and the cell (K,).
+        """Values (K, k) at `points` (K, 2), their slopes and cells (K,).
 
-        `cell` (K,) is where each point is looked for first. A point outside the mesh takes the values at the nearest
-        local coordinates of that cell, so that a field is continued over the edge, and its cell is -1. Slopes are empty
-        (K, k, 0) unless wanted.
+        Points are r, z in m; slopes (K, k, 2) are along r and z per m, empty (K, k, 0) unless `slopes`. The search for
+        each point starts in `cell` (K,). A point outside the mesh gets the values at the nearest local coordinates of
+        that cell, so that a field continues over the edge, and its cell is -1.
         """
         found, local = self._located(points, cell)
         at = np.where(found >= 0, found, cell)
@@ -54,8 +54,7 @@ class Interpolant(Brief):
         return values, both @ np.linalg.inv(self._stretch(at, local)[1]), found
 
     def cells_at(self, points: FloatArray, cell: IntArray | None = None) -> IntArray:
-        """The cell (K,) of each of `points` (K, 2), -1 outside the mesh; `cell` (K,) is where each is looked for first.
-        """
+        """The cells (K,) of `points` (K, 2), -1 outside the mesh. The search starts in `cell` (K,)."""
         return self._located(points, np.zeros(len(points), dtype=np.int64) if cell is None else cell)[0]
 
     @cached_property
@@ -70,12 +69,12 @@ class Interpolant(Brief):
 
     @cached_property
     def _nodes(self) -> FloatArray:
-        """Places of the nodes of every cell (M, p + 1, (p + 1) 2)."""
+        """Node coordinates of every cell: (M, nodes along, 2 nodes across)."""
         count = self.mesh.order + 1
         return np.asarray(self.mesh.points[self.mesh.cells].reshape(len(self.mesh.cells), count, -1))
 
     def _stretch(self, cell: IntArray, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Places (K, 2) of local coordinates (K, 2) of cells, and their derivatives (K, 2 r z, 2 local)."""
+        """Places (K, 2) of local coordinates, and derivatives (K, 2, 2)."""
         order = self.mesh.order
         (f, df), (g, dg) = (tabulated(order, local[:, axis]) for axis in (0, 1))
         own = self._nodes[cell]
@@ -83,8 +82,8 @@ class Interpolant(Brief):
         return (g[:, None] @ half)[:, 0], np.stack([(g[:, None] @ slope)[:, 0], (dg[:, None] @ half)[:, 0]], axis=2)
 
     def _located(self, points: FloatArray, cell: IntArray) -> tuple[IntArray, FloatArray]:
-        """The cell (K,) of each point, -1 outside, and local coordinates (K, 2) within it or, outside, of the nearest
-        place of `cell` (K,)."""
+        """The cells (K,) of points, and local coordinates (K, 2). A cell is -1 outside. Outside, they are those of the
+        nearest place in `cell` (K,)."""
         return self._in_grid(points, cell) if self.mesh.is_grid else self._in_curved(points, cell)
 
     def _in_grid(self, points: FloatArray, cell: IntArray) -> tuple[IntArray, FloatArray]:
@@ -120,7 +119,7 @@ class Interpolant(Brief):
 
     @cached_property
     def _edges(self) -> tuple[FloatArray, FloatArray]:
-        """The parallelogram close to each cell: its corner (M, 2), and the inverse of its edges (M, 2, 2)."""
+        """The parallelograms of cells: corners (M, 2), inverse edges (M, 2, 2)."""
         corners = self.mesh.points[self.mesh.cells[:, [0, 0, -1, -1], [0, -1, 0, -1]]]  # (M, 4, 2)
         low_low, low_high, high_low, high_high = corners.swapaxes(0, 1)
         edges = 0.5 * np.stack([high_low + high_high - low_low - low_high,
@@ -134,10 +133,10 @@ class Interpolant(Brief):
         return np.asarray(np.ptp(nodes, axis=(1, 2)).max(axis=1))
 
     def _newton(self, points: FloatArray, cell: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Local coordinates (K, 2) of points in cells (K,), and whether each lies within its cell."""
+        """Local coordinates (K, 2) of points, and whether they are inside."""
         begin, inverse = self._edges
         local = ((points - begin[cell])[:, None] @ inverse[cell])[:, 0]
-        # Far outside a cell its polynomials have no meaning.
+        # Far outside a cell its polynomials are meaningless.
         local = np.clip(local, -GIVEN_UP_AT, 1.0 + GIVEN_UP_AT)
         close = np.zeros(len(points), dtype=bool)
         left = np.arange(len(points))
@@ -164,7 +163,7 @@ class Interpolant(Brief):
 
 @dataclass(frozen=True, eq=False)
 class _Buckets:
-    """A grid over a mesh; ``cells[first[slot]:first[slot + 1]]`` may hold a point in a bucket."""
+    """A grid over a mesh, with the possible cells of points. They are ``cells[first[slot]:first[slot + 1]]``."""
 
     low: FloatArray
     size: FloatArray

@@ -1,4 +1,4 @@
-"""Lines at which a section ends while the body goes on as its mirror image: the axis, or planes of symmetry.
+"""Mirror lines that end a section: axis or symmetry planes.
 
 Quantities of second order in the sound (potential, force, flow) are even about all of them, planes of odd symmetry
 included.
@@ -18,8 +18,8 @@ from workbench.acoustics.grid import SAME_LINE, FloatArray
 
 @dataclass(frozen=True)
 class Mirrors:
-    """Places (m) across the section of the mirror lines at its ``left`` and ``right`` end, None for an end that is
-    none, and the largest distance ``slack`` (m) at which a place is on one."""
+    """Places (m) of the mirror lines at the left and right end. An end without a mirror line is None. ``slack`` (m) is
+    the largest distance of a place on one."""
 
     left: float | None
     right: float | None
@@ -32,23 +32,23 @@ class Mirrors:
 
     @property
     def there(self) -> tuple[bool, bool]:
-        """Whether there is one at the left and at the right end."""
+        """True at each end that has a mirror line."""
         return self.left is not None, self.right is not None
 
     def on(self, r: FloatArray) -> NDArray[np.bool_]:
-        """Mask of the places `r` (m) across the section that are on a mirror line."""
+        """Mask of the places `r` (m) on a mirror line."""
         result = np.zeros(np.shape(r), dtype=bool)
         for place in self.places:
             result |= np.abs(r - place) <= self.slack
         return result
 
     def snapped(self, r: float) -> float:
-        """A place (m) across the section, exactly on a mirror line if it is within the slack of one."""
+        """A place (m), moved onto a mirror line within the slack."""
         return next((place for place in self.places if abs(r - place) <= self.slack), r)
 
     def folded(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (K, 2) r, z in m with those beyond a mirror line put back, and their sense (K,) across: -1 for these,
-        1 for the others."""
+        """Points (K, 2) folded into the section, and their sense (K,) across. Points are r, z in m. The sense is -1 for
+        points beyond a mirror line, otherwise 1."""
         r, sense = points[:, 0], np.ones(len(points))
         for place, side in ((self.left, -1.0), (self.right, 1.0)):
             if place is not None:
@@ -58,7 +58,7 @@ class Mirrors:
 
 
 def mirrors_of(measure: Measure, r: FloatArray) -> Mirrors:
-    """The mirror lines of a section of that measure whose points are at places `r` (m) across."""
+    """The mirror lines of a section with points at `r` (m) across."""
     low, high = float(r.min()), float(r.max())
     slack = SAME_LINE * max(abs(low), abs(high))
     ends = measure.ends((0.0 if abs(low) <= slack else low, high))

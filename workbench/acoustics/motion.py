@@ -1,4 +1,7 @@
-"""Particles moved through a velocity field, each by steps of its own, until a time is over or they touch a wall."""
+"""Motion of particles in a velocity field, with individual time steps.
+
+It ends after a time or at a wall.
+"""
 
 from __future__ import annotations
 
@@ -14,23 +17,23 @@ from workbench.acoustics.rosenbrock import next_step, rosenbrock_step
 from workbench.acoustics.walls import Walls
 from workbench.jobs.progress import Progress
 
-#: Share of the fastest time scale at the start that the first step takes. Doubled, more first steps fail.
+#: First step, as a share of the fastest time scale at the start. Doubled, more first steps fail.
 FIRST_STEP = 0.1
-#: Steps of one particle, accepted or not, above which its motion counts as failed. The stiffest chips need a tenth.
+#: Most steps of one particle, accepted or not; above, its motion fails. The stiffest chips need a tenth.
 MOST_ATTEMPTS = 100_000
-#: Steps of the search for the moment of an arrival, which needs four or five.
+#: Iterations of the search for the time of an arrival, which needs four or five.
 CROSSING_STEPS = 12
 
 
 class Motion:
-    """The motion of particles of one `radius` (m) in a `velocity` field, from `starts` (P, 2), over `times` (n,).
+    """The motion of particles of one `radius` (m) in a `velocity` field.
 
-    ``positions`` (P, n, 2) at `times`, of which the first is the start. ``levitated_at``, ``focused_at`` (P,) and
-    ``trapped_at`` (P, T) are the times (s) from which the particle stays `within` a distance (m) of the height where it
-    neither rises nor falls, of the place across a channel where it moves to neither side, and of each of the places
-    `rest` (T, 2): one that passes has not arrived. ``stopped_at`` (P,) is the time at which its surface touched a wall.
-    They are NaN if that did not happen. ``away`` (P, 2) is the unit vector from that wall. `tolerance` (m) bounds the
-    estimated error of every step.
+    They move from `starts` (P, 2) over `times` (n,). ``positions`` (P, n, 2) are those at `times`, the first is the
+    start. ``levitated_at``, ``focused_at`` (P,) and ``trapped_at`` (P, T) are the times (s) from which the particle
+    stays `within` a distance (m) of the height where it neither rises nor falls, of the place across a channel where it
+    moves to neither side, and of each of the places `rest` (T, 2); a particle that passes has not arrived.
+    ``stopped_at`` (P,) is the time at which its surface touched a wall. They are NaN otherwise. ``away`` (P, 2) is the
+    unit vector from that wall. `tolerance` (m) bounds the estimated error of every step.
     """
 
     def __init__(
@@ -43,10 +46,10 @@ class Motion:
         self.positions = np.repeat(starts[:, None], len(times), axis=1)
         self.focused_at, self.levitated_at, self.stopped_at = np.full((3, count), np.nan)
         self.trapped_at = np.full((count, len(rest)), np.nan)
-        self._home = np.full((count, 2), np.nan)  # where it was last balanced along each direction
+        self._home = np.full((count, 2), np.nan)  # the last place of balance along each direction
         self.away = np.zeros((count, 2))
         self.attempts = 0
-        # Behind the axis or a plane of symmetry: rounding may take a particle there and back.
+        # Places may be beyond a mirror line: rounding moves particles there and back.
         self.place, self.time = starts.copy(), np.zeros(count)
         self._cell = np.maximum(velocity.cells_at(starts), 0)
         self.speed, self.slope, _ = velocity(starts, self._cell, slopes=True)
@@ -75,8 +78,8 @@ class Motion:
             progress("trajectories", float((self._next / len(self.times)).mean()))
 
     def balanced(self, which: IntArray, axis: int) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Whether each of the particles `which` (K,) is where nothing moves it along a direction (`axis` 0 across, 1
-        up), and that place (K,) in m; one that cannot be there, because a wall is too near, does not count."""
+        """Mask (K,) of particles in balance along a direction. The place (K,) of balance is returned too. `axis` is 0
+        across, 1 up; the place is in m. A place too near a wall does not count."""
         drawn, speed = self.slope[which, axis, axis], self.speed[which, axis]
         stable = drawn < 0.0
         goal = self.place[which, axis] - np.where(stable, speed / np.where(stable, drawn, 1.0), np.inf)
@@ -89,7 +92,7 @@ class Motion:
         return there, goal
 
     def _attempt(self, moving: IntArray) -> None:
-        """Try one step of the particles `moving`, and keep those that are accurate enough."""
+        """Try one step of the particles `moving`, and accept accurate ones."""
         target = self.times[self._next[moving]]
         left = target - self.time[moving]
         step, cell = np.minimum(self._step[moving], left), self._cell[moving]
@@ -97,7 +100,7 @@ class Motion:
                                        self.slope[moving], step)
         size = np.nan_to_num(np.abs(error).max(axis=1) / self.tolerance, nan=np.inf)
         good, proposed = size <= 1.0, next_step(step, size)
-        # A step that was cut short at a time of the record says little about how long the next may be.
+        # A step cut short at a recorded time does not limit the next one.
         short = good & (step < self._step[moving])
         self._step[moving] = np.where(short, np.maximum(self._step[moving], proposed), proposed)
         which, place, step = moving[good], place[good], step[good]
@@ -119,30 +122,29 @@ class Motion:
         self._next[reached] += 1
 
     def _touching(self, which: IntArray, inside: NDArray[np.bool_], path: _Path) -> NDArray[np.bool_]:
-        """Whether the surface of each of the particles `which` has come to a wall on its `path`."""
+        """Whether the surface of each particle has touched a wall."""
         self._room[which] -= np.linalg.norm(path.end - path.begin, axis=1)
-        # Only a particle that may have come to a wall since its distance was measured is measured again.
+        # Only particles that may have reached a wall since the last measurement are measured again.
         near = which[(self._room[which] <= 0.0) | ~inside]
         if near.size:
             self._room[near] = self._clearance(self.place[near], self._cell[near])
         return np.asarray(self._room[which] < 0.0)
 
     def _clearance(self, place: FloatArray, cell: IntArray) -> FloatArray:
-        """The gap (K,) in m between a wall and the surface of a particle at `place` (K, 2) in or near `cell` (K,),
-        negative beyond."""
+        """The gap (K,) in m between walls and particle surfaces, negative beyond. The particles are at `place` (K, 2)
+        in or near `cell` (K,)."""
         points = self._mirrored(place)
         distance = self.walls.nearest(points)[0]
         inside = self.velocity.cells_at(points, cell) >= 0
         return np.asarray(np.where(inside, distance, -distance) - self.radius)
 
     def _stop(self, which: IntArray, path: _Path, start: FloatArray) -> None:
-        """Stop the particles `which` where they touch a wall, on the `path` of a step that began at the time `start`.
-        """
+        """Stop the particles `which` at the wall on their `path`. The step began at the time `start`."""
         share = _crossing(lambda at: self._clearance(path.at(at), self._cell[which]), len(which))
         self.place[which] = self._mirrored(path.at(share))
         self.stopped_at[which] = self.time[which] = start + share * path.step
         self.away[which] = self.walls.nearest(self.place[which])[1]
-        # On a wall nothing levitates; a line across a channel goes on down to its floor.
+        # On a wall nothing levitates; a focus line across a channel extends down to its floor.
         self.levitated_at[which] = np.nan
         self.focused_at[which[~(np.abs(self.place[which, 0] - self._home[which, 0]) <= self.within)]] = np.nan
         for one in which:
@@ -150,8 +152,8 @@ class Motion:
         self._next[which] = len(self.times)
 
     def _arrive(self, which: IntArray, path: _Path, start: FloatArray) -> None:
-        """Note arrivals of the particles `which` on the `path` of a step that began at the time `start`, and those that
-        leave again."""
+        """Record arrivals and departures of the particles `which` on their `path`. The step began at the time
+        `start`."""
         for axis in self.velocity.mesh.measure.focusing:
             self._balance(which, path, start, axis)
         for number, rest in enumerate(self.rest):
@@ -163,7 +165,7 @@ class Motion:
                 self.trapped_at[which[new], number] = start[new] + share * path.step[new]
 
     def _balance(self, which: IntArray, path: _Path, start: FloatArray, axis: int) -> None:
-        """Note the particles that have come to where nothing moves them along one direction, and those that left."""
+        """Record particles that have reached or lost their balance along a direction."""
         arrived, home = (self.focused_at, self.levitated_at)[axis], self._home[:, axis]
         looking = np.flatnonzero(~(np.abs(path.end[:, axis] - home[which]) <= self.within))
         there, goals = self.balanced(which[looking], axis)
@@ -177,20 +179,21 @@ class Motion:
             arrived[which[new]] = start[new] + share * some.step
 
     def _trapped(self, path: _Path, rest: FloatArray) -> FloatArray:
-        """Shares (K,) of the step after which particles are within reach of a place `rest` (2,)."""
+        """Shares (K,) of the step until particles reach a place."""
         def gap(share: FloatArray) -> FloatArray:
             return np.asarray(np.linalg.norm(self._mirrored(path.at(share)) - rest, axis=1) - self.within)
 
         return _crossing(gap, len(path.step))
 
     def _mirrored(self, place: FloatArray) -> FloatArray:
-        """Places (K, 2) in the section that is kept."""
+        """Places (K, 2) folded into the section."""
         return self.velocity.mesh.mirrors.folded(place)[0]
 
 
 @dataclass(eq=False)
 class _Path:
-    """Ways of particles during a `step` (K,) in s, cubic from `begin` to `end` (K, 2) with the speeds there."""
+    """Cubic paths of particles during a `step` (K,) in s. They go from `begin` to `end` (K, 2) with the speeds
+    there."""
 
     begin: FloatArray
     end: FloatArray
@@ -205,13 +208,13 @@ class _Path:
                 + s * (1.0 - s) * step * ((1.0 - s) * self.first - s * self.last))
 
     def of(self, which: NDArray[np.bool_] | IntArray) -> _Path:
-        """The ways of some particles."""
+        """The paths of some particles."""
         return _Path(self.begin[which], self.end[which], self.first[which], self.last[which], self.step[which])
 
 
 def _crossing(gap: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
-    """Shares (count,) of a step at which `gap` falls to zero, by the Illinois method; 0 where it begins there, 1 where
-    it does not get there."""
+    """Shares (count,) of a step at which `gap` falls to zero. The method is Illinois; 0 if it starts there, 1 if it
+    does not reach zero."""
     low, high = np.zeros(count), np.ones(count)
     above, below = gap(low), gap(high)
     found = np.where(above <= 0.0, 0.0, 1.0)

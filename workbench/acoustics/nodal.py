@@ -1,8 +1,8 @@
-"""Values at the nodes of cells of any order: their gradient, their integral, their value at any point.
+"""Nodal values on cells of any order: gradient, integral, interpolation.
 
-A :class:`NodalMesh` holds the part of a finite-element mesh that post-processing and pictures need. Each node belongs
-to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
-axisymmetric, or (x, z) in a straight section.
+A :class:`NodalMesh` has the data of a finite-element mesh for post-processing and pictures. Each node belongs to one
+region, so a stress that jumps at an interface is single valued. Lengths are metres, (r, z) axisymmetric, or (x, z) in a
+straight section.
 """
 
 from __future__ import annotations
@@ -28,33 +28,32 @@ IntArray = NDArray[np.int64]
 #: Real or complex values at the nodes.
 NodalArray = NDArray[Any]
 
-#: The sides of a cell, left, right, below and above: direction (0 r, 1 z) and sense.
+#: The sides of a cell, left, right, below and above: direction (0 r, 1 z) and sign.
 SIDES = ((0, -1), (0, 1), (1, -1), (1, 1))
-#: Largest ratio of the sizes of two cells whose nodes share a polynomial. Measured on the reference chip, order 4:
-#: between 1.5 and 2.5 the stress does not change by a tenth of its error; at 4 that of the thin bond is 30 times as
-#: large, and at 20, beside the smallest cells of a corner, 1000 times.
+#: Largest size ratio of two cells whose nodes share a polynomial. On the reference chip, order 4: between 1.5 and 2.5
+#: the stress does not change by a tenth of its error; at 4 that of the thin bond is 30 times as large, and at 20,
+#: beside the smallest cells of a corner, 1000 times.
 SIMILAR_SIZES = 2.0
-#: Number of nodes of the neighbour on one side that are used for the other end of a cell. Two make the derivative there
-#: 2.5 times as accurate and three times as sensitive to noise, at any order; all of them would make it 3000 times as
-#: sensitive at order 8.
+#: Number of a neighbour's nodes used at the other end of a cell. Two make the derivative there 2.5 times as accurate
+#: and three times as sensitive to noise, at any order; all of them would make it 3000 times as sensitive at order 8.
 NEIGHBOUR_NODES = 2
-#: Largest difference between the shifts of two cells' points, per length, at which the cells count as moved alike.
+#: Largest difference of the displacements of two cells' points, per length, at which the cells count as displaced
+#: equally.
 SMOOTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NodalMesh(Brief):
-    """Cells with Gauss-Lobatto nodes that are not shared between regions.
+    """Cells with Gauss-Lobatto nodes that regions do not share.
 
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
     and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) are the
-    points before they are moved, in rectangles between the lines of one grid; None if they are not moved. ``free``
-    cells are of any shape and layout. ``measure`` is that of the section.
+    points before displacement, in rectangles between the lines of one grid; None without displacement. ``free`` cells
+    have any shape and layout. ``measure`` is that of the section.
 
     Raises:
-        ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
-            has misplaced nodes, one that is crossed by a line of another or covers it, a node in two regions or in
-            none.
+        ValueError: wrong shapes, an order below two, node or region numbers out of range, a clockwise cell or misplaced
+            nodes, cells that overlap or that other lines cross, a node in two regions or in none.
     """
 
     points: FloatArray
@@ -109,22 +108,22 @@ class NodalMesh(Brief):
 
     @property
     def flat(self) -> FloatArray:
-        """The points (N, 2) before they are moved, in rectangles."""
+        """The points (N, 2) before displacement, in rectangles."""
         return self.points if self.straight is None else self.straight
 
     @property
     def shift(self) -> FloatArray | None:
-        """The displacements of the points (N, 2) from the rectangles; None if they are not moved."""
+        """The displacements (N, 2) from the rectangles; None without."""
         return None if self.straight is None else self.points - self.straight
 
     @property
     def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper r, z of every cell, each (M, 2), as a rectangle."""
+        """Lower and upper r, z (M, 2) of cells as rectangles."""
         return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
 
     @cached_property
     def mirrors(self) -> Mirrors:
-        """The lines at which the mesh ends while the body goes on."""
+        """The mirror lines of the mesh."""
         return mirrors_of(self.measure, self.points[:, 0])
 
     @property
@@ -133,7 +132,7 @@ class NodalMesh(Brief):
 
     @property
     def lines(self) -> tuple[FloatArray, FloatArray]:
-        """Radii (n,) and heights (m,), ascending, from end to end, spaced about as the lines of the cells are."""
+        """Radii (n,) and heights (m,), ascending, spaced like the lines of cells."""
         if self.is_grid:
             return self.grid.r, self.grid.z
         if self.free:
@@ -145,7 +144,7 @@ class NodalMesh(Brief):
 
     @cached_property
     def neighbours(self) -> IntArray:
-        """Numbers (M, 4) of the neighbours of free cells at every side, see `curved_cells.beside`."""
+        """Neighbours (M, 4) of free cells; see `curved_cells.beside`."""
         return curved_cells.beside(self.points, self.cells)
 
     @cached_property
@@ -177,8 +176,9 @@ def mesh_of(
     low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int,
     measure: Measure = ABOUT_AXIS,
 ) -> NodalMesh:
-    """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of these numbers, with nodes of
-    `order`.
+    """The mesh of rectangles between `low` and `high` corners. Both are (M, 2) in metres.
+
+    `region` numbers their regions, `order` is that of the nodes.
 
     Raises:
         ValueError: see :class:`NodalMesh`.
@@ -198,11 +198,8 @@ def mesh_of(
 
 
 def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
-    """The cells of one region in a mesh of its own, with the nodes of another `order`.
-
-    Products of two fields are polynomials of twice their order, and keep all their information on the nodes of that
-    order.
-    """
+    """The cells of one region as a separate mesh with another `order`. Products of two fields are polynomials of twice
+    their order, and nodes of that order represent them exactly."""
     chosen = mesh.cells_of([region])
     if mesh.free:
         points, cells = curved_cells.of_order(mesh.points, mesh.cells[chosen], order)
@@ -215,7 +212,7 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
 
 
 def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArray:
-    """Values (N', ...) at the nodes of `finer`, made by :func:`raised`, from `values` (N, ...) of `mesh`."""
+    """Values (N', ...) at the nodes of `finer`, made by :func:`raised`. `values` (N, ...) are those of `mesh`."""
     weights = polynomials(mesh.order, gauss_lobatto(finer.order))
     (region,) = finer.regions
     inside = values[mesh.cells[mesh.cells_of([region])]]
@@ -225,16 +222,16 @@ def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArra
 
 
 def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
-    """Gradient at the nodes of `regions` of `values` (N, ...) per metre: (N, 2, ...), d/dr then d/dz; NaN elsewhere.
+    """Gradient (N, 2, ...) per metre of nodal `values` (N, ...).
 
-    The derivative of a cell's own polynomial is least accurate at the edges, where most of its nodes are. Therefore a
-    polynomial through more nodes is differentiated, in each of the two directions by itself. For a node in the half of
-    its cell towards a neighbour, it goes through the nodes of both cells. For a node in a half without neighbour, it
-    goes through those of the cell and the next :data:`NEIGHBOUR_NODES` on its other side, since further ones would
-    amplify noise there. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with
-    interpolation in place of the least-squares fit. A cell of another region, or one larger or smaller by more than
-    :data:`SIMILAR_SIZES`, is no neighbour, and free cells have none. At a node of several cells the gradient is their
-    mean.
+    The derivatives are d/dr, then d/dz; NaN elsewhere. The derivative of a cell's polynomial is least accurate at the
+    edges, where most of its nodes are. Therefore a polynomial through more nodes is differentiated, separately in each
+    direction. For a node in the half of its cell towards a neighbour, it uses the nodes of both cells. For a node in a
+    half without neighbour, it uses those of the cell and the next :data:`NEIGHBOUR_NODES` on its other side, since
+    further ones would amplify noise there. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput.
+    26, 1192, 2005) with interpolation instead of the least-squares fit. Cells of other regions, and those larger or
+    smaller by more than :data:`SIMILAR_SIZES`, are not neighbours; free cells have none. At a node of several cells the
+    gradient is their mean.
 
     Raises:
         ValueError: a name that is not a region of the mesh.
@@ -246,7 +243,7 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
         return result.reshape(len(mesh.points), 2, *values.shape[1:])
     result = _recovered(mesh, flat, chosen)
     if mesh.straight is not None:
-        # The chain rule, with the slopes of the map that moves the points.
+        # The chain rule, with the slopes of the displacement map.
         there = np.unique(mesh.cells[chosen])
         slopes = _recovered(mesh, mesh.points, chosen)[there]
         result[there] = np.linalg.solve(slopes, result[there])
@@ -254,14 +251,15 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
 
 
 def _recovered(mesh: NodalMesh, values: NodalArray, chosen: IntArray) -> NodalArray:
-    """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k), at the nodes of the cells
-    `chosen`; NaN elsewhere."""
+    """Derivatives (N, 2, k) along the rectangles of `values` (N, k). They are at the nodes of the cells `chosen`; NaN
+    elsewhere."""
     both = [_slopes(mesh, values, chosen, axis) for axis in (0, 1)]
     return _averaged(mesh, chosen, np.stack(both, axis=-2))
 
 
 def _averaged(mesh: NodalMesh, chosen: IntArray, slopes: NodalArray) -> NodalArray:
-    """Derivatives (N, 2, k) at the nodes from those on the cells `chosen` (m, p + 1, p + 1, 2, k); NaN elsewhere."""
+    """Nodal derivatives (N, 2, k) as means over the cells `chosen`. `slopes` are (m, p + 1, p + 1, 2, k); NaN
+    elsewhere."""
     nodes = mesh.cells[chosen]
     shares = np.bincount(nodes.ravel(), minlength=len(mesh.points))
     result = np.zeros((len(mesh.points), *slopes.shape[3:]), dtype=slopes.dtype)
@@ -272,17 +270,16 @@ def _averaged(mesh: NodalMesh, chosen: IntArray, slopes: NodalArray) -> NodalArr
 
 
 def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) -> NodalArray:
-    """Derivative in direction `axis` of `values` (N, k) at the nodes of the cells `chosen`: (m, p + 1, p + 1, k)."""
+    """Derivative along `axis` of `values` (N, k) in the cells `chosen`. It is (m, p + 1, p + 1, k) at their nodes."""
     order = mesh.order
     lines = mesh.cells if axis == 1 else mesh.cells.swapaxes(1, 2)  # (M, across, along)
     before, after = (_alike(mesh, axis, step)[chosen] for step in (-1, 1))
-    # The half that a node is in; one in the middle is in each to a half.
+    # The half of each node; a middle node is in both by half.
     first_half = 0.5 - 0.5 * np.sign(np.round(gauss_lobatto(order) - 0.5, 9))
     result = np.zeros((len(chosen), order + 1, order + 1, values.shape[1]), dtype=np.result_type(values.dtype, float))
 
     def add(members: IntArray, half: FloatArray, parts: Sequence[IntArray]) -> None:
-        """Add the derivative through the nodes of `parts` to the nodes of one half of some cells; the first part is the
-        cell itself."""
+        """Add the derivative through `parts` to one half of the nodes. The first part is the cell itself."""
         windows = np.concatenate(parts, axis=2)
         matrix = half[:, None] * _differentiation(mesh.flat[windows[:, 0], axis])[:, :order + 1]
         result[members] += np.einsum("mij,mcjk->mcik", matrix, values[windows], optimize=True)
@@ -302,7 +299,8 @@ def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) ->
 
 
 def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
-    """The neighbour (M,) of every cell in direction `axis`, of its region and about its size; -1 for none."""
+    """The similar neighbour (M,) of every cell along `axis`; -1 for none. It has the same region and about the same
+    size."""
     there = mesh.grid.cell >= 0
     beside = np.full(len(mesh.cells), -1)
     beside[mesh.grid.cell[there]] = mesh.grid.beside(mesh.grid.cell, axis, step)[there]
@@ -311,7 +309,7 @@ def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
     ratio = size[beside] / size
     fit = (mesh.region[beside] == mesh.region) & (ratio < SIMILAR_SIZES) & (ratio > 1.0 / SIMILAR_SIZES)
     if mesh.shift is not None:
-        # A cell that is moved differently is no neighbour: on the rectangles, the field has a kink there.
+        # A cell with another displacement is not a neighbour: on the rectangles, the field has a kink there.
         lines = np.moveaxis(mesh.shift[mesh.cells], 1 + axis, 1)
         matrix = _differentiation(gauss_lobatto(mesh.order)[None])[0]
         ends = np.einsum("ek,mkjx->emjx", matrix[[0, -1]], lines) / size[:, None, None]
@@ -321,11 +319,11 @@ def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
 
 
 def _differentiation(nodes: FloatArray) -> FloatArray:
-    """Differentiation matrices (P, n, n) of the polynomials through `nodes` (P, n), by barycentric weights."""
+    """Differentiation matrices (P, n, n) of polynomials through `nodes` (P, n). They use barycentric weights."""
     count = nodes.shape[1]
     diagonal = np.arange(count)
     apart = nodes[:, :, None] - nodes[:, None, :]
-    # Scaled by the length of all: products of metres would vanish.
+    # The products are scaled by the total length, since products of metres would underflow.
     length = np.ptp(nodes, axis=1, keepdims=True)[:, :, None]
     scaled = apart / length
     scaled[:, diagonal, diagonal] = 1.0
@@ -337,10 +335,8 @@ def _differentiation(nodes: FloatArray) -> FloatArray:
 
 
 def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
-    """Integral by the measure of the section over `regions` of nodal `values` (N, ...): shape (...).
-
-    The rule is the Gauss-Lobatto rule of the nodes, exact for the interpolant.
-    """
+    """Integral (...) of nodal `values` (N, ...) over `regions` by the measure. The rule is the Gauss-Lobatto rule of
+    the nodes, exact for the interpolant."""
     chosen = mesh.cells_of(regions)
     weights = lobatto_weights(mesh.order)
     nodes = mesh.cells[chosen]
@@ -356,10 +352,8 @@ def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> No
 
 
 def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Sequence[str]) -> NodalArray:
-    """Interpolant of nodal `values` (N, ...) at `points` (K, 2) r, z in metres: (K, ...); NaN outside.
-
-    At a point where two of `regions` touch, the cell with the lower number gives the value.
-    """
+    """Interpolant (K, ...) of nodal `values` (N, ...) at `points` (K, 2). Points are r, z in metres; NaN outside. At a
+    point where two of `regions` touch, the cell with the lower number gives the value."""
     cell, local = locate(mesh, points, regions)
     found = cell >= 0
     result = np.full((len(points), *values.shape[1:]), np.nan, dtype=np.result_type(values.dtype, float))
@@ -368,7 +362,8 @@ def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions
 
 
 def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
-    """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 for none, and local coordinates (K, 2), 0 to 1."""
+    """The cells (K,) of `points` (K, 2), and local coordinates (K, 2). The cells are those of `regions`, -1 for none;
+    local coordinates are 0 to 1."""
     if not mesh.is_grid:
         cells = mesh.cells_of(regions)
         found, local = curved_cells.cells_at(mesh.points, mesh.cells[cells], points)
@@ -376,7 +371,7 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
     grid = mesh.grid
     chosen = np.zeros(len(mesh.cells) + 1, dtype=bool)
     chosen[mesh.cells_of(regions)] = True
-    # A point on a line, or off it by rounding, may be in the cell on either side.
+    # A point on a line, within rounding, may be in the cell on either side.
     sides = []
     for lines, place in ((grid.r, points[:, 0]), (grid.z, points[:, 1])):
         slack = SAME_LINE * (lines[-1] - lines[0])
@@ -397,10 +392,10 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
 def raster(
     mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray, regions: Sequence[str]
 ) -> NodalArray:
-    """Interpolant (n, m) of nodal `values` (N,) at every pair of ascending `r` (n,) and `z` (m,) in metres; NaN outside
-    `regions`, and at nodes that are NaN.
+    """Interpolant (n, m) of nodal `values` at a raster.
 
-    The result is that of :func:`interpolate`, in a fraction of its time.
+    `r` (n,) and `z` (m,) in metres ascend. NaN outside `regions`, and at nodes that are NaN. The result is that of
+    :func:`interpolate`, in a fraction of its time.
     """
     result = np.full((len(r), len(z)), np.nan, dtype=np.result_type(values.dtype, float))
     if not mesh.is_grid:
@@ -408,7 +403,7 @@ def raster(
     grid = mesh.grid
     columns, rows = (_within(lines, place, mesh.order) for lines, place in ((grid.r, r), (grid.z, z)))
     chosen = np.isin(np.arange(len(mesh.cells)), mesh.cells_of(regions))
-    # The lowest number comes last: its values stay at points that several cells share.
+    # The lowest cell number comes last: its values remain at points of several cells.
     for cell, i, j in sorted(((int(grid.cell[i, j]), i, j) for i, j in zip(*np.nonzero(grid.cell >= 0), strict=True)),
                              reverse=True):
         (across, weights_r), (up, weights_z) = columns[i], rows[j]
@@ -418,8 +413,7 @@ def raster(
 
 
 def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray) -> NodalArray:
-    """The value (of `values` (M,), one a cell) at every pair of ascending `r` (n,) and `z` (m,) in metres: (n, m); NaN
-    outside all cells."""
+    """Cell values (n, m) at a raster. `values` (M,) are one per cell; NaN outside all cells."""
     if not mesh.is_grid:
         cell, _ = locate(mesh, _pairs(r, z), mesh.regions)
         return np.where(cell >= 0, values[cell], np.nan).reshape(len(r), len(z))
@@ -436,8 +430,8 @@ def _pairs(r: FloatArray, z: FloatArray) -> FloatArray:
 
 
 def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
-    """Numbers (L,) of the cells whose neighbour on a side has another `label` (M,) or is missing, for each of the four
-    sides :data:`SIDES`; the axis, or a plane of symmetry, is left out. Cells labelled -1 count as missing."""
+    """Cells (L,) whose neighbour has another `label` (M,), for each of :data:`SIDES`. Missing neighbours and cells with
+    the label -1 count too; mirror lines are left out."""
     if mesh.free:
         across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
@@ -457,13 +451,13 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
 
 
 def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:
-    """Nodes (L, p + 1) of one of the :data:`SIDES` of `cells` (L,), along r or upwards."""
+    """Nodes (L, p + 1) on one side of cells. `side` is an index of :data:`SIDES`. They ascend along r or z."""
     axis, step = SIDES[side]
     return np.take(mesh.cells[cells], 0 if step < 0 else -1, axis=1 + axis)
 
 
 def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
-    """Nodes (n, 2) at the ends of the lines that make up :func:`borders`: whole sides of rectangles, and from node to
+    """Nodes (n, 2) at the ends of the lines of :func:`borders`. Lines are whole sides of rectangles, and from node to
     node along the sides of other cells."""
     found = []
     for side, cells in borders(mesh, label):
@@ -474,8 +468,8 @@ def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
 
 
 def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
-    """The part of ascending `place` in every interval of `lines`, ends included, and the weights of the nodes there
-    (order + 1, count)."""
+    """The part of `place` in every interval, with nodal weights. `place` ascends; `lines` limit the intervals. Ends are
+    included; the weights are (order + 1, count)."""
     slack = SAME_LINE * (lines[-1] - lines[0])
     first = np.searchsorted(place, lines[:-1] - slack, side="left")
     last = np.searchsorted(place, lines[1:] + slack, side="right")
@@ -486,7 +480,8 @@ def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slic
 
 
 def grid_nodes(low: FloatArray, high: FloatArray, order: int) -> FloatArray:
-    """Gauss-Lobatto nodes (M, order + 1, order + 1, 2) of rectangles from `low` (M, 2) to `high` (M, 2)."""
+    """Gauss-Lobatto nodes (M, order + 1, order + 1, 2) of rectangles. The rectangles are from `low` (M, 2) to `high`
+    (M, 2)."""
     local = np.stack(np.meshgrid(gauss_lobatto(order), gauss_lobatto(order), indexing="ij"), axis=-1)
     nodes: FloatArray = low[:, None, None] + local * (high - low)[:, None, None]
     return nodes

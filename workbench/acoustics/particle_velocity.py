@@ -1,11 +1,12 @@
-"""Velocity of a particle at any place of a cavity: radiation force and weight against drag, and the flow of the liquid.
+"""Velocity of a particle: radiation force and weight against drag, and flow.
+
+::
 
     dx/dt = v2 + F / (6 pi eta a) - W / (6 pi eta a) e_z
 
-Next to a wall the drag is larger: along it by Faxen's formula, towards it by Brenner's, for the nearest wall alone.
-
-Inertia is negligible: a bead of 10 um in water forgets its speed in microseconds. ``v2`` is the velocity with which the
-liquid carries a particle, streaming and Stokes drift together (Bach and Bruus, J. Acoust. Soc. Am. 144, 766, 2018).
+Near a wall the drag is larger: along it by Faxen's formula, towards it by Brenner's, for the nearest wall only. Inertia
+is negligible: the relaxation time of a bead of 10 um in water is microseconds. ``v2`` is the velocity at which the
+liquid carries a particle, streaming plus Stokes drift (Bach and Bruus, J. Acoust. Soc. Am. 144, 766, 2018).
 """
 
 from __future__ import annotations
@@ -23,11 +24,8 @@ from workbench.model.particles import drag_coefficient, net_weight
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParticleVelocity(Interpolant):
-    """Velocity (m/s) along r and z, ``values`` (N, 2) at the nodes of ``mesh``, continued by symmetry behind the axis
-    or a plane of symmetry.
-
-    Called as an :class:`Interpolant`; points may lie behind it, such as at negative r.
-    """
+    """Velocity (m/s) along r and z, continued beyond mirror lines by symmetry. ``values`` (N, 2) are at the nodes of
+    ``mesh``. It is called like an :class:`Interpolant`; points may be beyond a mirror line, such as at negative r."""
 
     def __call__(
         self, points: FloatArray, cell: IntArray, *, slopes: bool = False
@@ -43,10 +41,11 @@ class ParticleVelocity(Interpolant):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class VelocityNearWalls(ParticleVelocity):
-    """The velocity of a particle of a ``radius`` (m) whose drag grows near ``walls``; ``values`` are those far away.
+    """The velocity of a particle whose drag grows near ``walls``.
 
-    ``parts`` interpolates the velocity by forces and that of the liquid (N, 4). A wall ``holds`` a particle at a gap of
-    so many radii: from twice that on its way there falls to zero, while it may slide and leave.
+    ``values`` are those far away; ``radius`` is in m. ``parts`` interpolates the velocity by forces and that of the
+    liquid (N, 4). A wall ``holds`` a particle at a gap of so many radii: from twice that gap its approach slows to
+    zero, while it may slide and leave.
     """
 
     walls: Walls
@@ -85,11 +84,11 @@ class VelocityNearWalls(ParticleVelocity):
 def wall_mobilities(
     distance: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Mobilities (K,) along and towards a plane wall, over that far away, and their derivatives by `distance` (K,).
+    """Relative mobilities (K,) along and towards a plane wall, and derivatives.
 
-    `distance` is that of the middle of the sphere in radii. Along: Faxen's series (Happel and Brenner 1965, eq.
-    7-4.28), 1 % below the exact one at 1.54 radii. Towards: the rational form of Brenner's series (Bevan and Prieve,
-    J. Chem. Phys. 113, 1228, 2000), within 1 %.
+    `distance` (K,) is that of the centre of the sphere in radii. Along: Faxen's series (Happel and Brenner 1965, eq.
+    7-4.28), 1 % below the exact one at 1.54 radii. Towards: the rational form of Brenner's series (Bevan and Prieve, J.
+    Chem. Phys. 113, 1228, 2000), within 1 %.
     """
     far = np.maximum(distance, 1.0)
     x, touching = 1.0 / far, distance < 1.0
@@ -105,13 +104,11 @@ def particle_velocity(
     forces: ParticleForces, *, flow: FloatArray | None = None, voltage_factor: float = 1.0, walls: Walls | None = None,
     holds: float = 0.0,
 ) -> ParticleVelocity:
-    """The velocity of the particle of `forces`, with the `flow` (N, 2) in m/s of the liquid at the nodes of its mesh.
+    """The velocity of the particle of `forces` in a `flow`.
 
-    With `walls` the drag grows near them, and they hold it at a gap of `holds` radii; the flow next to them is that
-    without the particle.
-
-    The radiation force grows with the square of the drive: with `voltage_factor` times the voltage it is that factor
-    squared times as large. The flow is taken as it is given.
+    The `flow` (N, 2) is in m/s at the nodes of the mesh of `forces`. With `walls` the drag grows near them, and they
+    hold the particle at a gap of `holds` radii; the flow there is that without the particle. The radiation force is
+    multiplied by `voltage_factor` squared; the flow is not scaled.
 
     Raises:
         ValueError: a flow of another shape, or with values that are not finite.
@@ -127,7 +124,7 @@ def particle_velocity(
     else:
         flow = np.zeros_like(velocity)
     parts = np.concatenate([velocity, flow], axis=1)
-    # On the axis, or a plane of symmetry, the force along r is zero but for the error of the mesh.
+    # On a mirror line, the force along r is zero except for the error of the mesh.
     parts[mesh.mirrors.on(mesh.points[:, 0]), ::2] = 0.0
     velocity = parts[:, :2] + parts[:, 2:]
     if walls is None:

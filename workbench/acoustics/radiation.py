@@ -16,7 +16,8 @@ from workbench.model.particles import FluidProperties, Particle, Scattering, com
 
 
 def acoustic_energy_density(pressure_amplitude: float, fluid: FluidProperties) -> float:
-    """Energy density (J/m^3), mean over time and space, of a standing wave of that amplitude (Pa): p0^2/(4 rho c^2)."""
+    """Mean energy density (J/m^3) of a standing wave of an amplitude (Pa). It is p0^2/(4 rho c^2), the mean over time
+    and space."""
     return pressure_amplitude**2 * compressibility(fluid) / 4.0
 
 
@@ -28,10 +29,8 @@ def gorkov_potential(
     pressure: NDArray[Any],
     velocity: NDArray[Any],
 ) -> FloatArray:
-    """Gor'kov potential U = V [ (f1/2) kappa <p^2> - (3/4) Re f2 rho <v^2> ] in J.
-
-    `pressure` (...) in Pa and `velocity` (..., d) in m/s are complex amplitudes, so <p^2> = |p|^2/2.
-    """
+    """Gor'kov potential (J) of a particle. U = V [ (f1/2) kappa <p^2> - (3/4) Re f2 rho <v^2> ]. `pressure` (...) in Pa
+    and `velocity` (..., d) in m/s are complex amplitudes, so <p^2> = |p|^2/2."""
     mean_pressure = np.abs(pressure) ** 2 / 2.0
     mean_velocity = (np.abs(velocity) ** 2).sum(axis=-1) / 2.0
     potential: FloatArray = particle.volume * (
@@ -51,7 +50,9 @@ def radiation_force(
     velocity: NDArray[Any],
     velocity_gradient: NDArray[Any],
 ) -> FloatArray:
-    """Time-averaged radiation force (..., d) in N, standing and travelling parts (Settnes & Bruus 2012).
+    """Time-averaged radiation force (..., d) in N (Settnes & Bruus 2012).
+
+    It includes standing and travelling parts:
 
         F = -pi a^3 [ (2 kappa/3) Re(f1* p* grad p) - rho Re(f2* (v* . grad) v) ]
 

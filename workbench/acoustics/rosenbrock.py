@@ -1,10 +1,10 @@
-"""One step of a stiff integrator for many small systems at once, each with a step of its own.
+"""One step of a stiff integrator for many small systems. Each system has its own step.
 
 RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd edition 1996, section IV.10): a Rosenbrock
 method of order 4 with an embedded one of order 3, L-stable, six values of the right side and one exact Jacobian a step.
-Fast motion that has died down does not limit the step, so that seconds of levitation and minutes of gathering cost
-alike. The stiff integrators of scipy take about as long on particles that nothing stops (`tests/benchmarks/beads.py`),
-but give all of them one step and one history, which end whenever one particle comes to a wall.
+Fast motion that has decayed does not limit the step, so seconds of levitation and minutes of gathering cost the same.
+The stiff integrators of scipy take about as long for particles that nothing stops (`tests/benchmarks/beads.py`), but
+have one step and one history for all, which end whenever one particle reaches a wall.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ import numpy as np
 
 from workbench.acoustics.nodal import FloatArray
 
-#: Order of the embedded solution plus one: the power of the step that its error is proportional to.
+#: Order of the embedded solution plus one: the error is proportional to this power of the step.
 ERROR_ORDER = 4
-#: Share of the step that the error alone would allow, and least and largest change of a step. Doubled changes make more
-#: steps fail.
+#: Safety factor of the step, and smallest and largest change of a step. With doubled changes more steps fail.
 SAFETY, LEAST_CHANGE, LARGEST_CHANGE = 0.9, 0.2, 6.0
 
 _GAMMA = 0.25
@@ -37,10 +36,8 @@ def rosenbrock_step(
     right: Callable[[FloatArray], FloatArray], place: FloatArray, slope: FloatArray, jacobian: FloatArray,
     step: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """The places (K, n) after a `step` (K,) of dx/dt = right(x) from `place` (K, n), and their estimated errors (K, n).
-
-    `slope` (K, n) and `jacobian` (K, n, n) are those of `right` at `place`.
-    """
+    """The places (K, n) after a step, and their errors. The `step` is (K,), the estimated errors are (K, n). The system
+    is dx/dt = right(x) from `place` (K, n); `slope` (K, n) and `jacobian` (K, n, n) are those of `right` there."""
     count = place.shape[1]
     inverse = np.linalg.inv(np.eye(count) / (step * _GAMMA)[:, None, None] - jacobian)
 
@@ -51,14 +48,14 @@ def rosenbrock_step(
     for a, c in zip(_A, _C, strict=False):
         at = place + sum(weight * stage for weight, stage in zip(a, stages, strict=True))
         stages.append(solved(right(at) + sum(w * stage for w, stage in zip(c, stages, strict=True)) / step[:, None]))
-    # The last two stages differ by the embedded solution alone (stiffly accurate).
+    # The last two stages differ only by the embedded solution (stiffly accurate).
     at = at + stages[-1]
     error = solved(right(at) + sum(w * stage for w, stage in zip(_C[-1], stages, strict=True)) / step[:, None])
     return at + error, error
 
 
 def next_step(step: FloatArray, error: FloatArray) -> FloatArray:
-    """The step (K,) to take after one of `step` (K,) with an `error` (K,) relative to the tolerance."""
+    """The step (K,) after one with a relative `error` (K,)."""
     with np.errstate(divide="ignore"):
         change = SAFETY * error ** (-1.0 / ERROR_ORDER)
     return np.asarray(step * np.clip(np.nan_to_num(change, nan=LEAST_CHANGE), LEAST_CHANGE, LARGEST_CHANGE))

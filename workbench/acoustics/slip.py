@@ -38,17 +38,17 @@ from workbench.acoustics.nodal import SIDES, FloatArray, IntArray, NodalArray, N
 from workbench.fem.elements import polynomials
 from workbench.results.brief import Brief
 
-#: Largest distance between the nodes of both sides of an interface, as a share of the length of the cell's edge.
+#: Largest distance between the nodes of both sides of an interface, as a share of the edge's length.
 SAME_PLACE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WallEdges(Brief):
-    """The edges of cells of one region at one neighbour: ``neighbour`` is its name, "" if there is none.
+    """The edges of one region's cells at one neighbour.
 
-    ``cells`` (L,) are cells of the whole mesh with their ``sides`` (L,) (:data:`~workbench.acoustics.nodal.SIDES`),
-    ``nodes`` (L, k + 1) the nodes of the region there, and ``beyond`` (L, k + 1) those of the neighbour at the same
-    places, empty without neighbour.
+    ``neighbour`` is its name, "" if there is none. ``cells`` (L,) are cells of the whole mesh with their ``sides`` (L,)
+    (:data:`~workbench.acoustics.nodal.SIDES`), ``nodes`` (L, k + 1) the nodes of the region there, and ``beyond`` (L, k
+    + 1) those of the neighbour at the same places, empty without neighbour.
     """
 
     neighbour: str
@@ -59,7 +59,7 @@ class WallEdges(Brief):
 
 
 def wall_edges(mesh: NodalMesh, region: str) -> tuple[WallEdges, ...]:
-    """The border of `region`, the axis left out, by neighbour.
+    """The border of `region` by neighbour, without mirror lines.
 
     Raises:
         ValueError: unknown region.
@@ -81,7 +81,7 @@ def wall_edges(mesh: NodalMesh, region: str) -> tuple[WallEdges, ...]:
 
 
 def _neighbours(mesh: NodalMesh, cell: IntArray, side: IntArray) -> IntArray:
-    """The cell (L,) beyond each side (L,) of some cells (L,); -1 for none."""
+    """The cell (L,) beyond each side (L,); -1 for none."""
     if mesh.free:
         return mesh.neighbours[cell, side]
     result = np.full(len(cell), -1)
@@ -94,7 +94,7 @@ def _neighbours(mesh: NodalMesh, cell: IntArray, side: IntArray) -> IntArray:
 
 
 def _matched(mesh: NodalMesh, nodes: IntArray, cells: IntArray) -> IntArray:
-    """The nodes (L, k + 1) of `cells` (L,) at the places of `nodes` (L, k + 1)."""
+    """The nodes of `cells` at the places of `nodes`. Both are (L, k + 1)."""
     candidates = mesh.cells[cells].reshape(len(cells), -1)
     apart = np.linalg.norm(mesh.points[nodes][:, :, None] - mesh.points[candidates][:, None], axis=3)
     nearest = apart.argmin(axis=2)
@@ -107,11 +107,12 @@ def _matched(mesh: NodalMesh, nodes: IntArray, cells: IntArray) -> IntArray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WallFields(Brief):
-    """First-order fields along some edges, at m points of each: arrays (L, m) and (L, m, 2) r, z; e^{-i w t}.
+    """First-order fields along edges, at m points of each. They are (L, m) or (L, m, 2).
 
-    ``points`` m, ``tangent`` and ``normal`` unit vectors, ``turning`` 1/m the derivative of the tangent along the wall
-    times the normal. ``pressure`` Pa, ``velocity`` of the liquid just outside the layer and ``wall`` of the wall in
-    m/s, ``velocity_slope`` and ``wall_slope`` their derivatives along the wall in 1/s.
+    Vectors are r, z; the time factor is e^{-i w t}. ``points`` m, ``tangent`` and ``normal`` unit vectors, ``turning``
+    1/m the derivative of the tangent along the wall times the normal. ``pressure`` Pa, ``velocity`` of the liquid just
+    outside the layer and ``wall`` of the wall in m/s, ``velocity_slope`` and ``wall_slope`` their derivatives along the
+    wall in 1/s.
     """
 
     points: FloatArray
@@ -129,10 +130,11 @@ def wall_fields(
     mesh: NodalMesh, edges: WallEdges, *, pressure: NodalArray, velocity: NodalArray, velocity_gradient: NodalArray,
     wall: NodalArray, order: int,
 ) -> WallFields:
-    """Fields along `edges` at the Gauss-Lobatto points of `order`, from nodal values on `mesh`.
+    """Fields along `edges` at the Gauss-Lobatto points of `order`.
 
-    `velocity_gradient` (N, 2, 2) has the direction before the component. The motion `wall` (N, 2) m/s of the walls is
-    differentiated along the wall cell by cell: at the corner of a cavity it has a kink.
+    The nodal values are those on `mesh`. `velocity_gradient` (N, 2, 2) has the direction before the component. The
+    motion `wall` (N, 2) m/s of the walls is differentiated along the wall cell by cell: at the corner of a cavity it
+    has a kink.
     """
     matrix = tabulated(mesh.order, gauss_lobatto(mesh.order))[1]
     weights = polynomials(mesh.order, gauss_lobatto(order))  # (k + 1, m)
@@ -160,8 +162,8 @@ def wall_fields(
 def slip_velocity(
     fields: WallFields, *, frequency: float, density: float, sound_speed: float, measure: Measure = ABOUT_AXIS
 ) -> FloatArray:
-    """Slip (L, m) in m/s along the tangent, by the formula of the module, in a section of that
-    `measure`; `frequency` in Hz."""
+    """Slip (L, m) in m/s along the tangent. The formula is that of the module. `frequency` is in Hz, `measure` is that
+    of the section."""
     omega = 2.0 * np.pi * frequency
     t, n = fields.tangent, fields.normal
 
@@ -173,7 +175,7 @@ def slip_velocity(
     slope_t = dot(t, fields.velocity_slope)
     apart = wall_t - dot(t, fields.velocity)
     apart_slope = wall_slope_t - slope_t
-    # The liquid outside moves across the wall as the wall does, and along it by `apart` less.
+    # The liquid outside has the wall's normal velocity, and its tangential velocity minus `apart`.
     slope_n = wall_slope_n - apart * fields.turning
     divergence = 1j * omega * fields.pressure / (density * sound_speed**2)
     apart_hoop, wall_hoop, liquid_hoop = (measure.hoop(across, slope, fields.points[:, :, 0]) for across, slope in (
@@ -186,11 +188,13 @@ def slip_velocity(
 
 
 def stokes_drift(velocity: NodalArray, velocity_gradient: NodalArray, frequency: float) -> FloatArray:
-    """Stokes drift (..., 2) in m/s of a first-order `velocity` (..., 2) with its gradient (..., 2, 2), direction first.
+    """Stokes drift (..., 2) in m/s of a first-order `velocity` (..., 2).
+
+    Its gradient is (..., 2, 2), direction first:
 
         <s.grad v> = 1/(2w) Im{ (v*.grad) v }        s = i v / w
 
-    Zero in a standing wave, k |v|^2 / (2w) along a plane travelling one.
+    It is zero in a standing wave and k |v|^2 / (2w) along a plane travelling one.
     """
     convected = np.einsum("...j,...ji->...i", np.conj(velocity), velocity_gradient)
     return np.asarray(convected.imag / (4.0 * np.pi * frequency))

@@ -1,11 +1,13 @@
-"""The mean energy density of sound in the cavity as a form of a state, with its exact derivatives.
+"""The mean acoustic energy density of the cavity.
+
+It has exact derivatives:
 
     E = 1/(4 V) [ 1/(rho w^2) int |grad p|^2 + 1/(rho c^2) int |p|^2 ],
 
 kinetic and compressional (Bruus 2012, Lab Chip 12, 20: acoustofluidics 2, eq. 24 with its time averages). Both are
-integrals of the model, so that any state gives E, of the full model or of a reduced one, in a cavity of any shape:
-E = N / (4 V) with N = x^H B x and B = sum_q s_q Re(g_q) A_q, where s_q is 1 for the kinetic energy and -1 for the
-compressional one, whose sign in the equation of motion is the other. V moves with the lengths of the cavity.
+integrals of the model, so any state gives E, of the full model or of a reduced one, in a cavity of any shape: E = N /
+(4 V) with N = x^H B x and B = sum_q s_q Re(g_q) A_q, where s_q is 1 for the kinetic energy and -1 for the compressional
+one, whose sign in the equation of motion is the opposite. V depends on the lengths of the cavity.
 """
 
 from __future__ import annotations
@@ -35,21 +37,21 @@ Complex = NDArray[np.complex128]
 #: Products of the kinetic and of the compressional energy.
 KINETIC, COMPRESSIONAL = (set(integral.products) for integral in AcousticFluid("", "").integrals())
 
-#: Least ratio of a peak to the deeper of the valleys beside it. Doubled, a shoulder of 1.5 dB is no peak.
+#: Smallest ratio of a peak to the higher of the valleys beside it. Doubled, a shoulder of 1.5 dB is not a peak.
 LEAST_RISE = 1.2
 
 
 class NoSound(ValueError):
-    """A cavity without a fluid that carries sound."""
+    """A cavity without a fluid."""
 
 
 @dataclass(frozen=True, eq=False)
 class SoundEnergy:
-    """The mean energy density of sound in the cavity of a model.
+    """The mean acoustic energy density in the cavity of a model.
 
-    ``operators`` hold its integrals alone, on the unknowns of the model; ``signs`` (integrals,) is 1 for kinetic and -1
+    ``operators`` have only its integrals, on the unknowns of the model; ``signs`` (integrals,) is 1 for kinetic and -1
     for compressional energy. ``stretches`` (m,) are the factors of the ``volumes`` (m,) m^3 of the parts of the cavity,
-    in a straight section those of the length of the chip.
+    in a straight section for the length of the chip.
     """
 
     operators: Operators
@@ -62,14 +64,14 @@ class SoundEnergy:
         """The energy of the states of a `full` model.
 
         Raises:
-            NoSound: the cavity holds no fluid.
+            NoSound: the cavity contains no fluid.
         """
         kinds = [KINETIC if set(each.products) <= KINETIC else COMPRESSIONAL if set(each.products) <= COMPRESSIONAL
                  else None for each in full.integrals]
         acting = np.array([q for q, (each, kind) in enumerate(zip(full.integrals, kinds, strict=True))
                            if kind is not None and parent_place(each.place) == CAVITY], dtype=int)
         if not acting.size:
-            raise NoSound("the cavity holds no fluid with sound in it")
+            raise NoSound("the cavity contains no fluid")
         stretched = [(each, coefficient) for each in (full.integrals[q] for q in acting)
                      if (coefficient := _stretch(each)) is not None]
         return cls(full.of(acting), np.array([1.0 if kinds[q] is KINETIC else -1.0 for q in acting]),
@@ -79,10 +81,8 @@ class SoundEnergy:
     def on(
         self, basis: Real, moving: set[str] | None = None, values: Values = MappingProxyType({}),
     ) -> SoundEnergy:
-        """The energy of states on a `basis` (size, r) of the full model.
-
-        Integrals that depend alike on the parameters named `moving` become one, the others stay at `values`.
-        """
+        """The energy of states on a `basis` (size, r). Integrals with equal dependence on the parameters named `moving`
+        become one; others stay at `values`."""
         full = self.operators
         assert isinstance(full, FullOperators)
         matrices = full.project(basis)
@@ -103,8 +103,7 @@ class SoundEnergy:
         return replace(self, operators=small, signs=signs)
 
     def _gathered(self, moving: set[str], values: Values) -> tuple[tuple[Integral, ...], Real, Real]:
-        """Integrals that depend alike on parameters, their signs, and the weights (k, integrals) of the others in them.
-        """
+        """Integrals with equal dependence, their signs, and weights (k, integrals)."""
         integrals, signs, weights = list[Integral](), list[float](), list[Real]()
         for sign in (1.0, -1.0):
             members = np.flatnonzero(self.signs == sign)
@@ -115,20 +114,21 @@ class SoundEnergy:
         return tuple(integrals), np.array(signs), np.array(weights)
 
     def density(self, frequency: Real, states: Complex, values: Values) -> Real:
-        """The mean energy density (n,) J/m^3 of `states` (size, n) at 1 V and their `frequency` (n,) Hz."""
+        """The mean energy density (n,) in J/m^3 of `states` at 1 V. The `states` are (size, n), at `frequency` (n,) in
+        Hz."""
         coefficients = self.operators.coefficients(2.0 * np.pi * frequency, values).real
         energy = np.sum(coefficients * self.signs * self._forms(states, states), axis=1)
         return np.asarray(0.25 * energy / self.volume(values))
 
     def volume(self, values: Values) -> float:
-        """The volume of the cavity in m^3, in a straight section that of the length of the chip."""
+        """The volume (m^3) of the cavity. A straight one has the chip's length."""
         return float(self.stretches(np.ones(1), values)[0].real @ self.volumes)
 
     def log_level(self, state: LinearisedState, values: Values, turns: Complex) -> Level:
-        """ln E of a `state` at 1 V, and its first and second derivatives by frequency and by numbers.
+        """ln E of a `state` at 1 V, with its derivatives. They are by frequency and numbers.
 
-        The complex parameters ``state.names`` move by `turns` (k,) with the numbers. Second derivatives are NaN without
-        those of the state.
+        Derivatives are first and second ones. The complex parameters ``state.names`` move by `turns` (k,) with the
+        numbers. Second derivatives are NaN without those of the state.
         """
         frequency, names, k = state.frequency, state.names, len(state.names)
         at = 2.0 * np.pi * difference_frequencies(frequency)
@@ -173,7 +173,7 @@ class SoundEnergy:
 
 
 def _stretch(integral: Integral) -> Coefficient | None:
-    """The factor of the volume of an integral of |p|^2 / (rho c^2), None if it is none."""
+    """The volume factor of a compressional integral, or None. Its product is |p|^2 / (rho c^2)."""
     base = integral.coefficient
     while isinstance(base, Times):
         base = base.first
@@ -187,7 +187,7 @@ def _stretch(integral: Integral) -> Coefficient | None:
 
 
 def sound_energy(full: FullOperators) -> SoundEnergy | None:
-    """The energy as of :meth:`SoundEnergy.of`, None where the cavity holds no fluid."""
+    """The energy from :meth:`SoundEnergy.of`, None without a fluid in the cavity."""
     try:
         return SoundEnergy.of(full)
     except NoSound:
@@ -195,9 +195,7 @@ def sound_energy(full: FullOperators) -> SoundEnergy | None:
 
 
 def peaks_of(energy: Real) -> list[int]:
-    """Indices of the peaks of energies (n,) over frequency, the highest first.
-
-    A peak rises by :data:`LEAST_RISE` above the valleys that part it from higher ones, or from the ends of the band.
-    """
+    """Indices of the peaks of energies (n,) over frequency, the highest first. A peak rises by :data:`LEAST_RISE` above
+    the valleys that part it from higher ones, or from the ends of the band."""
     places, _ = find_peaks(np.log(energy), math.log(LEAST_RISE))
     return sorted(map(int, places), key=lambda k: -energy[k])

@@ -1,4 +1,4 @@
-"""Start points of particles, drawn evenly over the volume that their centres can take."""
+"""Start points of particles, spread evenly over their accessible volume."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from workbench.acoustics.nodal import FloatArray, NodalMesh
 from workbench.acoustics.walls import Walls
 from workbench.files.errors import InputError
 
-#: Steps of a sequence of points that fills a square evenly, along its two sides: powers of the root of x^3 = x + 1 (M.
-#: Roberts, 2018). Shares of 200 points are good to 1 %, those of independent draws to 3 %.
+#: Steps of an even sequence of points in a square, along its two sides: powers of the root of x^3 = x + 1 (M. Roberts,
+#: 2018). Shares of 200 points are accurate to 1 %, those of random points to 3 %.
 EVEN_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-#: Points drawn for each one wanted, over all attempts, before a particle counts as too large for its cavity: its centre
-#: has a thousandth of the box around the cavity. Doubled, a still tighter fit is accepted.
+#: Trial points per wanted one before a particle counts as too large for its cavity: its centre then has a thousandth of
+#: the box around the cavity. Doubled, a tighter fit is accepted.
 DRAWN_PER_POINT = 1000
-#: Steps of the way down to the floor, between which no ledge is missed that is higher than a hundredth of the way, and
-#: halvings of the last one: to a millionth.
+#: Steps of the search for the floor, which misses no ledge higher than a hundredth of the distance, and halvings of the
+#: last one: to a millionth.
 WAY_DOWN, HALVINGS = 101, 14
 
 
 def draw_starts(
     mesh: NodalMesh, walls: Walls, count: int, *, radius: float, random: np.random.Generator
 ) -> FloatArray:
-    """Start points (count, 2) r, z in m in a `mesh` of one region, evenly by volume, none within a `radius`
-    (m) of a wall.
+    """Start points (count, 2) away from walls, even by volume. They are r, z in m.
 
-    They are those of one even sequence, shifted by the `random` numbers.
+    They are in a `mesh` of one region, more than a `radius` (m) from walls, from one even sequence shifted by `random`
+    numbers.
 
     Raises:
-        InputError: next to no place of the region is that far from all walls.
+        InputError: almost no place of the region is that far from all walls.
     """
     (low_r, low_z), (high_r, high_z) = mesh.points.min(axis=0), mesh.points.max(axis=0)
     search = Interpolant(mesh, np.zeros((len(mesh.points), 1)))
@@ -52,12 +52,13 @@ def draw_starts(
 
 
 def put_down(mesh: NodalMesh, walls: Walls, starts: FloatArray, *, radius: float, down: float) -> FloatArray:
-    """The places (count, 2) on the wall below `starts`, at a distance of a `radius` (m); above them if `down` is 1."""
+    """The places (count, 2) on the wall below `starts`. Their distance from it is `radius` (m). They are above if
+    `down` is 1."""
     search = Interpolant(mesh, np.zeros((len(mesh.points), 1)))
     end = mesh.points[:, 1].min() if down < 0.0 else mesh.points[:, 1].max()
 
     def free(share: FloatArray) -> NDArray[np.bool_]:
-        """Whether a particle has room after a share (count,) of the way to the end of the cavity."""
+        """Whether a particle has room after a share (count,) of the distance."""
         points = np.stack([starts[:, 0], starts[:, 1] + share * (end - starts[:, 1])], axis=1)
         return np.asarray((search.cells_at(points) >= 0) & (walls.nearest(points)[0] >= radius))
 

@@ -1,9 +1,11 @@
-"""Slow steady flow of an incompressible liquid in the cells of one region: Stokes' equations.
+"""Slow steady flow of an incompressible liquid in one region: Stokes' equations.
+
+::
 
     -grad p + eta lap u + f = 0        div u = 0
 
-By the measure of the mesh: 2 pi r dr dz, where the viscous term of u_r includes -u_r / r^2, or length dx dz. In weak
-form, for all test fields w and q,
+With the measure of the mesh, 2 pi r dr dz (the viscous term of u_r then includes -u_r / r^2) or length dx dz, the weak
+form for all test fields w and q is::
 
     int 2 eta e(u) : e(w) - p div w = int f . w        int q div u = 0
 
@@ -32,9 +34,9 @@ from workbench.fem.elements import Lagrange
 from workbench.fem.places import areas, mapped_nodes
 from workbench.results.brief import Brief
 
-#: Largest number of refinement steps of a solve, and residual of the scaled system at which they end: rounding.
+#: Most refinement steps of a solve, and residual of the scaled system at which they end: rounding.
 REFINEMENTS, SOLVED_TO = 5, 1e-13
-#: Residual above which a solve has failed: far above rounding, far below the error of a mesh.
+#: Residual of a failed solve: far above rounding, far below the error of a mesh.
 FAILED_ABOVE = 1e-8
 
 
@@ -42,17 +44,17 @@ FAILED_ABOVE = 1e-8
 class FlowConditions(Brief):
     """Conditions on the velocity at the nodes (N,) of a mesh.
 
-    ``held`` (N, 2) marks the components that are prescribed. ``tangent`` (N, 2) is the unit vector along which alone
-    the liquid may move, at nodes of a surface that it slides along without friction; NaN at all others.
+    ``prescribed`` (N, 2) marks the prescribed components. ``tangent`` (N, 2) is the unit vector of the only possible
+    motion at nodes of a surface without friction; NaN at all others.
     """
 
-    held: NDArray[np.bool_]
+    prescribed: NDArray[np.bool_]
     tangent: FloatArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StokesFlow(Brief):
-    """A flow: ``velocity`` (N, 2) m/s at the nodes of the mesh.
+    """A flow: ``velocity`` (N, 2) in m/s at the nodes.
 
     ``net_flux`` is the largest |int q div u| over all functions q of the pressure, such as the net flux out of a cell,
     relative to the largest sum of the magnitudes of its parts. ``residual`` is that of the scaled system.
@@ -64,23 +66,23 @@ class StokesFlow(Brief):
 
 
 class StokesSolver:
-    """Stokes' equations in a mesh of one region under some conditions, factorised once for any number of loads."""
+    """Stokes' equations in a mesh of one region, factorised for many loads."""
 
     def __init__(self, mesh: NodalMesh, conditions: FlowConditions) -> None:
-        self.mesh, self.held = mesh, conditions.held
-        # Lengths in the size of the region, pressure in eta / length: all entries are of one size.
+        self.mesh, self.prescribed = mesh, conditions.prescribed
+        # Lengths are in units of the region's size, pressure in eta / length: all entries have one magnitude.
         self._length = float(np.ptp(mesh.points, axis=0).max())
         blocks = _Blocks(mesh, self._length)
         self._stiffness, self._divergence, self._mass = blocks.stiffness(), blocks.divergence(), blocks.mass()
         self._expand = _expansion(conditions)
-        # Only differences of the pressure act within what is connected: there one unknown of either kind is left out.
-        # One in a tiny cell would cost the digits by which the cell is small, so it is that of the largest patch.
+        # Only pressure differences within a connected part matter: one unknown of either kind is dropped there. That of
+        # the largest patch keeps all digits, unlike one of a tiny cell.
         squares = blocks.pressure_squares()
         self._kept = np.delete(np.arange(squares.size), [
             int(found[np.argmax(squares[found])]) for found in blocks.pressures_that_differ()])
         stiff = (self._expand.T @ self._stiffness @ self._expand).tocsc()
         across = (self._divergence[self._kept] @ self._expand).tocsc()
-        # The pressure in units that give its rows the size of those of the velocity.
+        # Pressure units give its rows the size of those of the velocity.
         scale = np.concatenate([1.0 / np.sqrt(stiff.diagonal()), 1.0 / np.sqrt(squares[self._kept])])
         self._system = _Factorised(sparse.bmat([[stiff, -across.T], [-across, None]], format="csc"), scale)
 
@@ -88,39 +90,36 @@ class StokesSolver:
         self, viscosity: float, *, velocity: FloatArray | None = None, force: FloatArray | None = None,
         strained: FloatArray | None = None,
     ) -> StokesFlow:
-        """The flow of a liquid of that `viscosity` (Pa s).
+        """The flow of a liquid with a `viscosity` (Pa s).
 
         Args:
-            velocity: (N, 2) m/s, of which the prescribed components are read; zero unless given.
+            velocity: (N, 2) in m/s for the prescribed components; zero unless given.
             force: body force (N, 2) in N/m^3 at the nodes; none unless given.
-            strained: velocity (N, 2) in m/s whose viscous stress is taken off: the solution u obeys
+            strained: velocity (N, 2) in m/s whose viscous stress is subtracted: the solution u obeys
                 -grad p + eta lap (u - strained) + f = 0.
 
         Raises:
             RuntimeError: the residual stays above :data:`FAILED_ABOVE`.
         """
         count = len(self.mesh.points)
-        held = np.zeros(2 * count) if velocity is None else np.where(self.held, velocity, 0.0).T.ravel()
-        load = -self._stiffness @ held
+        fixed = np.zeros(2 * count) if velocity is None else np.where(self.prescribed, velocity, 0.0).T.ravel()
+        load = -self._stiffness @ fixed
         if force is not None:
             load += self._mass @ (force.T.ravel() * self._length**2 / viscosity)
         if strained is not None:
             load += self._stiffness @ strained.T.ravel()
-        right = np.concatenate([self._expand.T @ load, (self._divergence @ held)[self._kept]])
+        right = np.concatenate([self._expand.T @ load, (self._divergence @ fixed)[self._kept]])
         solution, residual = self._system.solve(right)
         free = self._expand.shape[1]
-        found = held + self._expand @ solution[:free]
+        found = fixed + self._expand @ solution[:free]
         parts = float((abs(self._divergence) @ np.abs(found)).max())
         net_flux = float(np.abs(self._divergence @ found).max()) / parts if parts else 0.0
         return StokesFlow(found.reshape(2, count).T, net_flux, residual)
 
 
 class _Factorised:
-    """A matrix (n, n), scaled from both sides by `scale` (n,) and factorised.
-
-    SuperLU with partial pivoting: the matrix has no pressure on its diagonal, and an LDL^T that keeps to a given order
-    loses all digits in the flat cells beside a corner.
-    """
+    """A scaled and factorised matrix (n, n). Both sides are scaled by `scale` (n,). SuperLU pivots: the matrix has no
+    pressure on its diagonal, and an LDL^T in a fixed order loses all digits in the flat cells beside a corner."""
 
     def __init__(self, matrix: sparse.csc_matrix, scale: FloatArray) -> None:
         scaling = sparse.diags(scale)
@@ -128,7 +127,7 @@ class _Factorised:
         self._factor = splu(self._matrix)
 
     def solve(self, right: FloatArray) -> tuple[FloatArray, float]:
-        """The solution for `right` (n,), refined, and its relative residual in the scaled system."""
+        """The refined solution for `right` (n,), and its relative residual."""
         target = self._scale * right
         size = float(np.abs(target).max())
         found, left, residual = np.zeros_like(target), target, 0.0
@@ -144,10 +143,10 @@ class _Factorised:
 
 
 def _expansion(conditions: FlowConditions) -> sparse.csc_matrix:
-    """The matrix (2 N, number of free unknowns) from the free unknowns to the velocities, all u_r and then all u_z."""
-    count = len(conditions.held)
+    """The matrix (2 N, free unknowns) from free unknowns to velocities. The velocities are all u_r, then all u_z."""
+    count = len(conditions.prescribed)
     slides = np.isfinite(conditions.tangent[:, 0])
-    unknown = ~conditions.held & ~slides[:, None]
+    unknown = ~conditions.prescribed & ~slides[:, None]
     rows = np.concatenate([np.flatnonzero(unknown.T.ravel()), np.flatnonzero(slides), count + np.flatnonzero(slides)])
     alone, sliding = int(unknown.sum()), int(slides.sum())
     columns = np.concatenate([np.arange(alone), np.tile(alone + np.arange(sliding), 2)])
@@ -156,7 +155,7 @@ def _expansion(conditions: FlowConditions) -> sparse.csc_matrix:
 
 
 def _pressure_cells(mesh: NodalMesh) -> IntArray:
-    """Numbers (M, k, k) of the continuous pressure's unknowns in every cell: Lagrange nodes of order k - 1."""
+    """Unknowns (M, k, k) of the continuous pressure in every cell. They belong to Lagrange nodes of order k - 1."""
     if mesh.order == 2:
         corners = mesh.cells[:, [0, -1]][:, :, [0, -1]]
         return np.asarray(np.unique(corners, return_inverse=True)[1].reshape(corners.shape), dtype=np.int64)
@@ -164,13 +163,13 @@ def _pressure_cells(mesh: NodalMesh) -> IntArray:
 
 
 def _in_order(cells: IntArray, order: int) -> IntArray:
-    """Nodes of cells (M, k + 1, k + 1) as (M, nb), in the order of `workbench.fem.elements.Lagrange`."""
+    """Nodes (M, nb) of cells, ordered as in `Lagrange`. The cells are (M, k + 1, k + 1)."""
     along, across = np.array(Lagrange(order).indices).T
     return cells[:, along, across]
 
 
 class _Blocks:
-    """The matrices of Stokes' equations on a mesh, for lengths in units of `length` and a viscosity of one."""
+    """The matrices of Stokes' equations in units of `length` and viscosity."""
 
     def __init__(self, mesh: NodalMesh, length: float) -> None:
         order = mesh.order
@@ -178,7 +177,7 @@ class _Blocks:
         own = int(continuous.max()) + 1 + np.arange(len(continuous))
         self.count, self.pressures = len(mesh.points), int(own[-1]) + 1
         self.nodes, self.pressure_nodes = _in_order(mesh.cells, order), np.column_stack([continuous, own])
-        # The divergence is integrated exactly, so that what flows into a cell leaves it to rounding.
+        # The divergence is integrated exactly, so that inflow and outflow of a cell agree to rounding.
         points, weights = get_quadrature(RefQuad, 2 * order + 1 if mesh.is_grid else 4 * order)
         value, along, across = Lagrange(order).tabulated(points)
         radius, slopes = mapped_nodes(mesh.points[self.nodes].transpose(2, 1, 0) / length, points)
@@ -192,7 +191,7 @@ class _Blocks:
         self.pressure_value = np.column_stack([Lagrange(order - 1).tabulated(points)[0], np.ones(len(weights))])
 
     def pressures_that_differ(self) -> Iterator[IntArray]:
-        """The continuous pressure's unknowns in every connected part of the mesh, and the cells' own ones there."""
+        """Pressure unknowns of every connected part: continuous ones, and the cells' constants."""
         count = len(self.nodes)
         touched = sparse.csr_matrix((np.ones(self.nodes.size), (np.repeat(np.arange(count), self.nodes.shape[1]),
                                                                 self.nodes.ravel())))
@@ -202,7 +201,8 @@ class _Blocks:
             yield self.pressure_nodes[part == number, -1]
 
     def _gram(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Integrals (M, nb, nb') of products of functions (M, nq, nb) and (M, nq, nb') in every cell."""
+        """Integrals (M, nb, nb') of products of functions in every cell. The functions are (M, nq, nb) and (M, nq,
+        nb')."""
         return np.swapaxes(one * self.weights[:, :, None], 1, 2) @ other
 
     @staticmethod
@@ -234,7 +234,7 @@ class _Blocks:
         return sparse.block_diag([one, one], format="csr")
 
     def pressure_squares(self) -> FloatArray:
-        """The integral of the square of every function of the pressure: (number of pressures,)."""
+        """Integrals (pressures,) of the square of every pressure function."""
         own = self.weights @ self.pressure_value**2
         sums = np.bincount(self.pressure_nodes.ravel(), weights=own.ravel(), minlength=self.pressures)
         return np.asarray(sums, dtype=np.float64)

@@ -1,12 +1,12 @@
-"""Acoustic streaming: the steady flow that sound drives in the liquid of a region, at one frequency and drive.
+"""Acoustic streaming: the steady flow that sound drives in a liquid.
 
 The flow v2 obeys Stokes' equations in the bulk (`stokes`), with the slip of the boundary layers along the walls
 (`slip`) and the forces of sound and gravity on the liquid (`flow_forces`). Particles and dye move with the mean
-velocity of the liquid itself, v2 plus the Stokes drift vS of the sound. For this sum u,
+velocity of the liquid itself, v2 plus the Stokes drift vS of the sound. For this sum u::
 
     -grad p + eta lap (u - vS) + f = 0        div u = 0        n.u = 0,  t.u = slip + t.vS  at walls
 
-The flow is slow: its inertia, and the heat and particles that it moves, are left out.
+The flow is slow: its inertia, and its transport of heat and particles, are neglected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from materials.kinds import Fluid
 from workbench.acoustics.critical import RAYLEIGH_SLIP as RAYLEIGH_SLIP
-from workbench.acoustics.critical import SoundThere, critical_diameters
+from workbench.acoustics.critical import FirstOrderFields, critical_diameters
 from workbench.acoustics.critical import critical_diameter as critical_diameter
 from workbench.acoustics.fields import Fields
 from workbench.acoustics.flow_forces import TemperatureSlopes, absorption_force, thermoacoustic_force
@@ -37,15 +37,15 @@ from workbench.results.brief import Brief
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Streaming(Brief):
-    """The steady flow in ``region``, at the N nodes of ``mesh``, the mesh of the region alone.
+    """The steady flow in ``region``, at the N nodes of its ``mesh``.
 
-    ``velocity`` (N, 2) m/s along r and z is the flow v2, ``drift`` (N, 2) the Stokes drift; particles are carried by
-    their sum, :attr:`carrier_velocity`. ``causes`` are its parts (N, 2): of the "walls", of the "absorption" in the
-    bulk, of "heat" (the thermoacoustic force) and of "buoyancy", as far as known. ``slips`` hold the slip along every
-    wall. ``net_flux`` is the largest share of the flow that enters a cell or patch of cells and does not leave
-    it, ``residual`` that of the solves. ``assumptions`` are sentences on surfaces without a wall and on forces left
-    out. ``critical_diameters`` m of a particle that radiation and this flow move alike along each direction, by its
-    name (``radial``, ``axial``, or ``lateral``, ``vertical``; `acoustics.critical`), empty without a particle.
+    ``velocity`` (N, 2) m/s along r and z is the flow v2, ``drift`` (N, 2) the Stokes drift; their sum carries
+    particles, :attr:`carrier_velocity`. ``causes`` are its parts (N, 2): of the "walls", of the "absorption" in the
+    bulk, of "heat" (the thermoacoustic force) and of "buoyancy", if known. ``slips`` have the slip along every wall.
+    ``net_flux`` is the largest relative flux imbalance of a cell or patch of cells, ``residual`` that of the solves.
+    ``assumptions`` are sentences on surfaces without a wall and on neglected forces. ``critical_diameters`` (m), at
+    which radiation and this flow cause equal speeds, are by direction (``radial``, ``axial``, or ``lateral``,
+    ``vertical``; `acoustics.critical`), empty without a particle.
     """
 
     excitation: Excitation
@@ -63,45 +63,45 @@ class Streaming(Brief):
 
     @property
     def critical_diameter(self) -> float | None:
-        """Diameter (m) of a particle that radiation and this flow move alike as seen from above: along the plane of
-        levitation of a round cavity, across a channel. NaN if no size is as fast, None without a particle."""
+        """Critical diameter (m) along the plane of levitation or across a channel. NaN if no size is as fast as the
+        flow, None without a particle."""
         return self.critical_diameters.get(self.mesh.measure.directions[0])
 
     @property
     def carrier_velocity(self) -> FloatArray:
-        """Velocity (N, 2) in m/s with which the liquid carries a particle: flow plus Stokes drift."""
+        """Velocity (N, 2) in m/s of suspended particles: flow plus Stokes drift."""
         return self.velocity + self.drift
 
     @cached_property
     def largest_speed(self) -> float:
-        """Largest speed in m/s at which a particle is carried."""
+        """Largest speed (m/s) of suspended particles."""
         return float(np.linalg.norm(self.carrier_velocity, axis=1).max())
 
     @cached_property
     def rms_speed(self) -> float:
-        """Root mean square over the region's volume of the speed (m/s) at which a particle is carried."""
+        """Root mean square speed (m/s) of suspended particles over the volume."""
         return self.rms_of(self.carrier_velocity)
 
     def carried_on(self, mesh: NodalMesh) -> FloatArray:
-        """:attr:`carrier_velocity` (N', 2) at the nodes of `mesh`, the same cells with nodes of any order, such as the
-        mesh of `forces.ParticleForces` in the region."""
+        """:attr:`carrier_velocity` (N', 2) at the nodes of `mesh`. It has the same cells with nodes of any order, such
+        as the mesh of `forces.ParticleForces` in the region."""
         return transfer(self.mesh, self.carrier_velocity, mesh)
 
     def rms_of(self, velocity: FloatArray) -> float:
-        """Root mean square over the region's volume of a `velocity` (N, 2), in m/s."""
+        """Root mean square of a `velocity` (N, 2) in m/s."""
         square = np.stack([(velocity**2).sum(axis=1), np.ones(len(velocity))], axis=1)
         total, volume = integrate(self.mesh, square, [self.region])
         return math.sqrt(float(total / volume))
 
     @property
     def height(self) -> float:
-        """The smaller of the section's height and width in m: the length in the Peclet number."""
+        """The smaller of height and width (m), for the Peclet number."""
         return float(np.ptp(self.mesh.points, axis=0).min())
 
     @property
     def peclet(self) -> float | None:
-        """Peclet number of heat, largest speed times :attr:`height` over the thermal diffusivity; None if that is
-        unknown. Above one the flow changes the temperature that drives it."""
+        """Thermal Peclet number, or None if the thermal diffusivity is unknown. It is the largest speed times
+        :attr:`height` over the diffusivity. Above one the flow changes the temperature that drives it."""
         fluid = self.fluid
         if fluid.thermal_conductivity is None or fluid.heat_capacity is None:
             return None
@@ -124,11 +124,11 @@ def acoustic_streaming(
     Args:
         diffusivity: of sound, in m^2/s, for the force of absorption; that of the fluid unless given.
         temperature: K above ambient at the nodes (N,) of the mesh of `fields` (NaN outside of the region), or at those
-            of the region alone, in their order; even unless given.
+            of the region alone, in their order; uniform unless given.
         slopes: change of the fluid with temperature; needed with a temperature.
         forces: on a particle in this field, for its critical diameters.
         order: polynomial order of the flow's velocity, 2 or more; that of the fields unless given. On the chips of the
-            package order 4 leaves 0.3 % rms of the flow and order 6 a tenth of that, in five times the time.
+            package order 4 has an error of 0.3 % rms of the flow and order 6 a tenth of that, in five times the time.
 
     Raises:
         InputError: a region without pressure or that touches another fluid, a fluid without viscosity, a temperature of
@@ -153,14 +153,14 @@ def acoustic_streaming(
     assumed = _open_words(opened, region)
     diffusivity = fluid.diffusivity_of_sound if diffusivity is None else diffusivity
     if diffusivity is None:
-        assumed.append(f"The absorption of {fluid.name} is unknown; its force on the liquid is left out.")
+        assumed.append(f"The absorption of {fluid.name} is unknown; its force on the liquid is neglected.")
     else:
         if isinstance(fluid, Fluid) and fluid.absorbs_more and diffusivity == fluid.diffusivity_of_sound:
             assumed.append(f"The absorption of {fluid.name} is a lower bound, and so is its force on the liquid.")
         pushing["absorption"] = absorption_force(fluid, diffusivity, fields.frequency, pressure=pressure,
                                                  velocity=velocity)
     if temperature is None:
-        assumed.append("The temperature is taken as even: no force of sound or gravity on warmer liquid.")
+        assumed.append("The temperature is assumed uniform: no force of sound or gravity on warmer liquid.")
     else:
         pushing |= _heat_forces(fields, fluid, slopes, temperature, finer, pressure, velocity)
     causes, net_flux, residual = _flows(finer, border, viscosity(fluid), _at_nodes(slips, len(finer.points)), drift,
@@ -170,7 +170,7 @@ def acoustic_streaming(
         fluid=fluid, mesh=finer, velocity=sum(causes.values()) - drift, drift=drift, causes=causes, slips=slips,
         net_flux=net_flux, residual=residual, assumptions=tuple(assumed),
         critical_diameters={} if forces is None else dict(zip(mesh.measure.directions, critical_diameters(
-            forces, SoundThere(mesh=finer, pressure=pressure, velocity=velocity, velocity_gradient=there),
+            forces, FirstOrderFields(mesh=finer, pressure=pressure, velocity=velocity, velocity_gradient=there),
             np.sum(list(causes.values()), axis=0)), strict=True)))
 
 
@@ -186,7 +186,7 @@ def _checked(fields: Fields, fluid: Fluid, region: str) -> tuple[WallEdges, ...]
     touching = [each.neighbour for each in edges if each.neighbour in fields.fluid_regions]
     if touching:
         raise InputError("streaming", "region", region, f"a region bounded by solids; {touching[0]} is a fluid too, "
-                         "and no condition for a flow between two fluids is known here")
+                         "and a flow between two fluids is not implemented")
     return edges
 
 
@@ -195,15 +195,15 @@ def _is_solid(fields: Fields, region: str) -> bool:
 
 
 def _open_words(opened: list[WallEdges], region: str) -> list[str]:
-    """A sentence for each part of the border that is no wall."""
-    return [f"Where the {region} meets {each.neighbour or 'the outside'} its surface is taken to stay in place, "
-            "without friction: nothing flows through it." for each in opened]
+    """A sentence for each open part of the border."""
+    return [f"The surface between the {region} and {each.neighbour or 'the outside'} is assumed fixed and "
+            "frictionless: nothing flows through it." for each in opened]
 
 
 def _slip(
     fields: Fields, fluid: Fluid, edges: WallEdges, nodes: NodalArray, velocity_gradient: NodalArray, order: int
 ) -> WallSlip:
-    """The slip along one wall, at its nodes (L, m + 1) of the mesh of the flow."""
+    """The slip along one wall, at nodes (L, m + 1). They belong to the flow's mesh."""
     wall = -2j * np.pi * fields.frequency * fields.displacement
     along = wall_fields(fields.mesh, edges, pressure=fields.pressure, velocity=fields.velocity,
                         velocity_gradient=velocity_gradient, wall=wall, order=order)
@@ -213,7 +213,7 @@ def _slip(
 
 
 def _at_nodes(slips: tuple[WallSlip, ...], count: int) -> FloatArray:
-    """The slip as velocities (N, 2), the mean where several edges meet; zero off the walls."""
+    """The slip as velocities (N, 2). They are means over edges, and zero off the walls."""
     total, times = np.zeros((count, 2)), np.zeros(count)
     for each in slips:
         np.add.at(total, each.nodes, each.speed[:, :, None] * each.tangent)
@@ -225,7 +225,7 @@ def _flows(
     mesh: NodalMesh, border: FlowBorder, eta: float, slip: FloatArray, drift: FloatArray,
     forces: Mapping[str, FloatArray],
 ) -> tuple[dict[str, FloatArray], float, float]:
-    """The flow, drift included, by cause, with the largest net flux and the largest residual."""
+    """The flow with drift by cause, net flux and residual. Net flux and residual are the largest ones."""
     solver = StokesSolver(mesh, border.conditions())
     flows = {"walls": solver.solve(eta, velocity=border.along_walls(slip + drift), strained=drift)}
     flows |= {cause: solver.solve(eta, force=force) for cause, force in forces.items()}
@@ -237,7 +237,7 @@ def _heat_forces(
     fields: Fields, fluid: Fluid, slopes: TemperatureSlopes | None, temperature: FloatArray, finer: NodalMesh,
     pressure: NodalArray, velocity: NodalArray,
 ) -> dict[str, FloatArray]:
-    """The forces (N, 2) of sound and of gravity on the unevenly warm liquid at the nodes of `finer`."""
+    """The forces (N, 2) on warm liquid at nodes of `finer`. They are those of sound and of gravity."""
     mesh, (region,) = fields.mesh, finer.regions
     if slopes is None:
         raise InputError("streaming", "slopes", slopes, f"the change of {fluid.name} with temperature")

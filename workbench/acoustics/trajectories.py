@@ -1,6 +1,6 @@
-"""Trajectories of particles in a computed field: where they are, where they end, and when they arrive there.
+"""Trajectories of particles in a computed field, and their arrivals.
 
-Particles do not see each other. Each follows the velocity of `particle_velocity` until the time is over or its surface
+Particles do not interact. Each follows the velocity of `particle_velocity` until the time is over or its surface
 touches a wall, where it stays.
 """
 
@@ -26,40 +26,42 @@ from workbench.jobs.progress import Progress, no_progress
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
 
-#: Distance, as a share of a quarter of the wavelength of sound, within which a particle has arrived; that of
-#: `traps.focus_time`. Doubled, arrivals are sooner by ln 2 of the e-folding time.
+#: Distance of an arrival, as a share of a quarter wavelength of sound; that of `traps.focus_time`. Doubled, arrivals
+#: are earlier by ln 2 of the e-folding time.
 ARRIVED = 0.1
 #: Estimated error of one step, as a share of the wavelength of sound: 15 nm at 1 MHz. Halved, no capture fraction of
 #: the shipped chips changes by 0.1 %.
 TOLERANCE = 1e-5
-#: Share of the time for which a particle must have stayed at its end to count as having arrived. Doubled, particles
-#: that arrive late count as moving; at zero, so many of those that circulate have arrived as happen to pass.
+#: Share of the time that a particle must spend at its end to count as arrived. Doubled, late arrivals count as moving;
+#: at zero, circulating particles that pass count as arrived.
 STAYS = 0.1
-#: Times of the record unless given. They lie closer at the beginning, with the square of their number: the first of 30
-#: minutes after 0.06 s, the last but one 20 s before the end. Doubled, steps are taken that accuracy does not need.
+#: Default number of recorded times. They are denser at the beginning, with the square of their number: the first of 30
+#: minutes after 0.06 s, the last but one 20 s before the end. Doubled, there are more steps than accuracy needs.
 RECORDED = 181
-#: Gap in radii between a wall and a particle that touches it, where its drag is that next to walls: the roughness of a
-#: bead. Halved, beads of 10 um come to rest a second later, and as much later off the floor.
+#: Gap in radii between a wall and a touching particle, for the drag near walls: the roughness of a bead. Halved, beads
+#: of 10 um stop a second later, and leave the floor a second later.
 CONTACT = 0.01
-#: Least vertical part of the unit vector from a wall for the wall to carry a weight: it slopes by up to 45 degrees.
+#: Smallest vertical part of the unit vector from a wall that supports a weight: slopes up to 45 degrees.
 CARRIES = 0.7071
-#: Steps of the search for a place of rest next to a trap, and largest step as a share of the wavelength of sound: half
-#: of the way to the next antinode takes four.
+#: Steps of the search for a place of rest near a trap, and largest step as a share of the wavelength of sound: half the
+#: distance to the next antinode takes four.
 REST_STEPS, LARGEST_REST_STEP = 60, 1.0 / 32.0
 
 
-#: Description of a number that start points are drawn by.
+#: Description of the seed of start points.
 SEED = "a whole number of 0 or more, such as 0"
-#: Length of the piece of a straight channel that the particles are spread over, as a multiple of its width. Doubled, a
-#: picture shows half as many particles on a width.
+#: Length of the shown piece of a straight channel, as a multiple of its width. Doubled, a picture shows half as many
+#: particles per width.
 STRIP = 1.5
 
 
 class Fate(IntEnum):
-    """The end of a particle within the time. A wall, or the surface of an open well, that carries its net weight lets
-    it settle (``SEDIMENTED``), the lid holds one that sound or flow press to it, any other wall stops it. One that
-    stays at its height is levitated; in a channel, one that stays at its place across, and still rises or falls there,
-    is focused."""
+    """The end of a particle within the time.
+
+    A wall, or the surface of an open well, that supports its net weight lets it settle (``SEDIMENTED``), the lid holds
+    one that sound or flow press to it, any other wall stops it. One that stays at its height is levitated; in a
+    channel, one that stays at its place across, and still rises or falls there, is focused.
+    """
 
     MOVING, LEVITATED, TRAPPED, AT_WALL, SEDIMENTED, FOCUSED, AT_LID = range(7)
 
@@ -67,22 +69,22 @@ class Fate(IntEnum):
     def words(self) -> str:
         """The fate in words."""
         return ("still moving", "levitated", "in a trap", "at a wall", "settled on the floor, lid or surface",
-                "focused across the channel", "held at the lid")[self]
+                "focused across the channel", "pressed to the lid")[self]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Trajectories(Brief):
-    """The way of every particle in the field of ``report``, at ``voltage_factor`` times its voltage.
+    """The trajectories of particles in the field of ``report``.
 
-    ``positions`` (particles, n, 2) r, z in m at ``times`` (n,) in s, of a half section those in it; ``azimuths``
-    (particles,) in radians, which do not change and, in a straight section, stand for the place along the channel.
-    ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap of one that is trapped, -1
-    otherwise. ``rest`` (traps, 2) are the places where weight and flow let a particle rest next to the traps of the
-    report, NaN for a trap that holds none. ``levitated_at``, ``focused_at``, ``trapped_at`` (particles,) s: the time
-    from which the particle stays at the height where it neither rises nor falls, at the place across a channel where it
-    moves to neither side, and at the trap that it is in at the end; NaN for one that only passed, or that stays for
-    less than :data:`STAYS` of the time. ``stopped_at`` is the time at which it came to a wall, NaN without. ``within``
-    m is the distance that counts as arrival, ``lying`` whether they lay on a wall at the start.
+    ``voltage_factor`` multiplies its voltage. ``positions`` (particles, n, 2) r, z in m at ``times`` (n,) in s, folded
+    into a half section; ``azimuths`` (particles,) in radians, constant and, in a straight section, a measure of the
+    place along the channel. ``fate`` (particles,) numbers of :class:`Fate`; ``trap`` (particles,) number of the trap,
+    -1 without. ``rest`` (traps, 2) are the places where weight and flow let a particle rest near the traps of the
+    report, NaN for a trap without. ``levitated_at``, ``focused_at``, ``trapped_at`` (particles,) s: the time from which
+    the particle stays at the height where it neither rises nor falls, at the place across a channel where it moves to
+    neither side, and at its final trap; NaN for one that only passed, or that stays for less than :data:`STAYS` of the
+    time. ``stopped_at`` is the time of its contact with a wall, NaN without. ``within`` m is the distance of an
+    arrival, ``lying`` whether they lay on a wall at the start.
     """
 
     report: TrapReport
@@ -113,15 +115,15 @@ class Trajectories(Brief):
 
     @property
     def spatial(self) -> FloatArray:
-        """Positions (particles, n, 3) x, y, z in m; in a straight section along a piece of the channel, :attr:`strip`
-        long."""
+        """Positions (particles, n, 3) x, y, z in m. In a straight section they spread over a piece of the channel of
+        length :attr:`strip`."""
         r, z = np.moveaxis(self.positions, 2, 0)
         x, y = self.velocity.mesh.measure.spatial(r, self.azimuths[:, None], self.strip)
         return np.stack([x, y, z], axis=2)
 
     @property
     def strip(self) -> float:
-        """Length (m) of the piece of a channel that pictures show: :data:`STRIP` of its width."""
+        """Length (m) of the shown piece of a channel. It is :data:`STRIP` of its width."""
         return STRIP * 2.0 * float(np.abs(self.velocity.mesh.points[:, 0]).max())
 
     def __str__(self) -> str:
@@ -147,17 +149,18 @@ def follow(
     flow: FloatArray | None = None, voltage_factor: float = 1.0, tolerance: float | None = None,
     near_walls: bool = False, lying: bool = False, progress: Progress = no_progress,
 ) -> Trajectories:
-    """Follow particles in the field of `report` and record them at `times` (n,), ascending from 0 s.
+    """Follow particles in the field of `report`, recorded at `times` (n,).
 
     Args:
-        particles: number of start points, drawn evenly over the volume by `seed`; or start points (P, 2) r, z in m.
-        flow: velocity (N, 2) in m/s with which the liquid carries a particle, at the nodes of ``report.forces.mesh``.
-        voltage_factor: of the voltage that the field was computed for; forces grow with its square.
+        times: ascending from 0 s.
+        particles: number of start points, spread evenly over the volume by `seed`; or start points (P, 2) r, z in m.
+        flow: velocity (N, 2) in m/s at which the liquid carries a particle, at the nodes of ``report.forces.mesh``.
+        voltage_factor: of the voltage of the field; forces grow with its square.
         tolerance: estimated error of a step in m; :data:`TOLERANCE` of the wavelength unless given.
-        near_walls: whether the drag is that next to walls (`particle_velocity`), which particles then touch at a gap of
+        near_walls: whether drag increases near walls (`particle_velocity`), which particles then touch at a gap of
             :data:`CONTACT` radii.
-        lying: whether start points that are drawn lie on the wall below them (above, if the particle is light). Walls
-            then hold particles, which slide along them and may leave, and `near_walls` is taken as true.
+        lying: whether random start points are on the wall below them (above, for a light particle). Walls then hold
+            particles, which slide along them and may leave, and `near_walls` applies.
 
     Raises:
         InputError: times that do not ascend from 0, a start outside the cavity or nearer to a wall than the particle's
@@ -206,10 +209,10 @@ def follow(
 
 
 def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) -> FloatArray:
-    """Places (traps, 2) where a particle rests next to each trap of `report`: zeros of its `velocity` that draw it in.
+    """Places of rest (traps, 2) near each trap of `report`.
 
-    NaN for a trap on a wall, one without such a place, and one that shares its place with a deeper trap. Newton's
-    method from the trap.
+    They are zeros of the `velocity` that attract the particle, by Newton's method from the trap. NaN for a trap on a
+    wall, one without such a place, and one that shares its place with a deeper trap.
     """
     forces = report.forces
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
@@ -239,8 +242,7 @@ def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) ->
 
 
 def _fates(motion: Motion, weight: float, lies: NDArray[np.bool_] | None) -> tuple[IntArray, IntArray]:
-    """The fate (P,) of every particle of a finished motion and the trap (P,) that it is in; `weight` in N, `lies` (P,)
-    whether a wall holds it."""
+    """The fate and the trap (P,) of every particle. `weight` in N; `lies` (P,) whether a wall holds it."""
     count = len(motion.place)
     fate, trap = np.full(count, int(Fate.MOVING)), np.full(count, -1)
     for axis in sorted(motion.velocity.mesh.measure.focusing, reverse=True):
@@ -259,7 +261,7 @@ def _fates(motion: Motion, weight: float, lies: NDArray[np.bool_] | None) -> tup
 
 
 def _lies(motion: Motion, radius: float) -> NDArray[np.bool_]:
-    """Whether a wall holds each particle at the end, where it may slide; the direction from that wall is noted."""
+    """Whether a wall holds each particle at the end. Its direction is recorded."""
     distance, away = motion.walls.nearest(motion.positions[:, -1])
     lies = distance < radius * (1.0 + 2.0 * CONTACT)
     motion.away[lies] = away[lies]
@@ -267,15 +269,13 @@ def _lies(motion: Motion, radius: float) -> NDArray[np.bool_]:
 
 
 def _stays(motion: Motion, at: FloatArray) -> NDArray[np.bool_]:
-    """Whether each particle stays, from a time (P,) in s on, for :data:`STAYS` of the time at least."""
+    """Whether each particle stays for :data:`STAYS` of the time. It stays from `at` (P,) on."""
     return np.asarray(at <= (1.0 - STAYS) * motion.times[-1])
 
 
 def _on_a_line(motion: Motion, forces: ParticleForces) -> NDArray[np.bool_]:
-    """Whether each particle of a channel ends at a line that the sound focuses to, True for all without such a line.
-
-    In the middle of a roll nothing moves a particle to either side, and it is not focused.
-    """
+    """Whether each particle of a channel ends at a focus line. True for all without such a line. In the middle of a
+    streaming roll nothing moves a particle to either side, but it is not focused."""
     places = [line.place for line in focus_lines(forces)]
     if not places:
         return np.ones(len(motion.place), dtype=bool)

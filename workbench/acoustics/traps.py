@@ -1,4 +1,4 @@
-"""Traps of a particle: minima of the potential, the barriers around them, and the time to get there."""
+"""Traps of a particle: minima of the potential, barriers, focus times."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
 
-#: Points per wavelength of sound of the raster on which minima and passes of the potential are found. They are 32 per
-#: period of the potential of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
+#: Raster points per wavelength of sound for minima and passes of the potential. They are 32 per period of the potential
+#: of a standing wave, so the error of a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span.
 RASTER_POINTS = 64
-#: Points on the way from a trap to a side wall: one that slopes or is round is as far off as they are apart.
+#: Points between a trap and a side wall; their distance is the error for a sloping or round wall.
 WAY_POINTS = 257
 #: Degree of the polynomial fitted about a minimum; over half a period its relative error in the curvature is 1e-6.
 FIT_DEGREE = 8
@@ -27,19 +27,19 @@ FIT_DEGREE = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Trap:
-    """A place where the sound field alone would bring the particle to rest, and the barriers against its weight.
+    """A place where the sound field would bring a particle to rest.
 
-    ``radius``, ``height`` r, z in m (of a straight section, whose traps are lines along the channel, x and z), and
+    ``radius``, ``height`` r, z in m (in a straight section, whose traps are lines along the channel, x and z), and
     ``above_floor`` m from the cavity's floor below it; ``potential`` J; ``depth`` J below the pass to a deeper trap or,
     for the deepest, below the highest potential in the region. ``radial_stiffness``, ``axial_stiffness`` N/m, along r
-    (or x) and z; ``on_wall``: held at a wall, where the force need not vanish (stiffness is then the curvature at the
-    wall). ``measure`` is that of the section.
+    (or x) and z; ``on_wall``: at a wall, where the force need not vanish (stiffness is then the curvature at the wall).
+    ``measure`` is that of the section.
 
-    With the weight less buoyancy in the potential: ``barrier`` J, the lowest pass over which the particle leaves, to
-    another trap or to a wall that it does not lie on; ``axial_barrier`` and ``radial_barrier`` J, the passes for a
-    particle that moves along z or along r alone, hence no lower. All are 0 if the weight pulls the particle out, and
-    None if no way leads out. ``lift`` N, the largest force against the weight on the vertical line through the trap;
-    None if a wall carries the weight. ``share``: the part of the cavity's volume that drains into the trap.
+    With the weight less buoyancy in the potential: ``barrier`` J, the lowest pass on the way to another trap or
+    to a wall on which the particle does not lie; ``axial_barrier`` and ``radial_barrier`` J, the passes for
+    motion along z or along r only, hence no lower. All are 0 if the weight pulls the particle out, and None if it
+    cannot leave. ``lift`` N, the largest force against the weight on the vertical line through the trap; None if a wall
+    supports the weight. ``share``: the part of the cavity's volume that drains into the trap.
     """
 
     radius: float
@@ -59,7 +59,7 @@ class Trap:
 
     @property
     def holds(self) -> bool:
-        """Whether the particle stays in spite of its weight."""
+        """Whether the particle stays against its weight."""
         return self.barrier is None or self.barrier > 0.0
 
     def __str__(self) -> str:
@@ -81,19 +81,19 @@ def barrier_words(barrier: float | None) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrapReport(Brief):
-    """The traps of one field for one particle, deepest first, with the forces they were found in."""
+    """The traps of one field and particle, deepest first."""
 
     forces: ParticleForces
     traps: tuple[Trap, ...]
 
     @property
     def excitation(self) -> Excitation:
-        """The field in which the traps were found."""
+        """The field of the traps."""
         return self.forces.excitation
 
     @property
     def settled(self) -> float:
-        """The part of the cavity's volume from which particles reach no trap: their weight brings them to a wall."""
+        """Share of the cavity's volume from which particles settle on a wall."""
         return max(0.0, 1.0 - sum(trap.share for trap in self.traps))
 
     def __str__(self) -> str:
@@ -104,7 +104,7 @@ class TrapReport(Brief):
 def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapReport:
     """Minima of the potential, deepest first.
 
-    A minimum shallower than `least_depth` times the span of the potential in the region is left out, since it may be an
+    A minimum shallower than `least_depth` times the span of the potential in the region is omitted, since it may be an
     artefact of the mesh. Depths are topological: the lowest pass to a deeper minimum, on a raster of
     :data:`RASTER_POINTS` per wavelength. Barriers are found in the same way in the potential that includes the weight.
     Place, value and stiffness come from a polynomial fitted to the potential around, mirrored at the axis
@@ -124,23 +124,23 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
         place, value, curvature = _refine(forces, np.array([r[i], z[j]]), wavelength)
         if not np.isfinite(interpolate(mesh, potential, place[None, :], [forces.region])[0]):
             place, value = np.array([r[i], z[j]]), float(values[i, j])
-        # A trap on the axis, or on a plane of symmetry, is exactly on it, not a rounding error beside it.
+        # A trap on a mirror line is exactly on it, without rounding.
         radius = mesh.mirrors.snapped(float(place[0]))
         column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
         floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
-        held = landscape.hold(i, j)
+        found = landscape.hold(i, j)
         traps.append(Trap(
             radius=radius, height=float(place[1]), above_floor=max(0.0, float(place[1] - floor)), potential=value,
-            depth=highest - value, barrier=held.barrier, axial_barrier=held.axial, radial_barrier=held.radial,
-            lift=held.lift, share=held.share, radial_stiffness=float(curvature[0]),
+            depth=highest - value, barrier=found.barrier, axial_barrier=found.axial, radial_barrier=found.radial,
+            lift=found.lift, share=found.share, radial_stiffness=float(curvature[0]),
             axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]), measure=mesh.measure,
         ))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
 
 
 @dataclass(frozen=True)
-class _Held:
-    """The barriers that hold a particle in a trap: see :class:`Trap`."""
+class _Barriers:
+    """The barriers around a particle in a trap; see :class:`Trap`."""
 
     barrier: float | None
     axial: float | None
@@ -150,11 +150,9 @@ class _Held:
 
 
 class _Landscape:
-    """The potential with the particle's weight on a raster, and the ways out of its basins.
-
-    A particle leaves a trap when it comes to another one, or to a wall that it does not lie on: near a wall other
-    forces act and it may stay. Walls that face within 60 degrees of the one that the trap lies on count as that wall.
-    """
+    """The potential with weight on a raster, and ways out. A particle leaves a trap when it comes to another one, or to
+    a wall on which it does not lie: near a wall other forces act and it may stay. Walls with normals within 60 degrees
+    of that of the trap's wall count as that wall."""
 
     def __init__(self, forces: ParticleForces, r: FloatArray, z: FloatArray, values: FloatArray, least: float) -> None:
         self.forces, self.r, self.z, self.acoustic, self.least = forces, r, z, values, least
@@ -173,19 +171,19 @@ class _Landscape:
         heights[[0, -1]] *= 0.5
         depth = forces.mesh.measure.depth(0.5 * (edges[1:] + edges[:-1]))
         self.volume = np.where(inside, np.outer(depth * np.diff(edges), heights), 0.0)
-        self.taken: set[int] = set()
+        self.used: set[int] = set()
 
-    def hold(self, i: int, j: int) -> _Held:
+    def hold(self, i: int, j: int) -> _Barriers:
         """The barriers around the trap at a place of the raster."""
         rest = int(self.label[i, j])
         at = divmod(rest, self.total.shape[1])
         lies = bool(self.walls[i, j])
         lift = self._lift(i, j)
-        # At a wall that faces another way, another wall carries the particle.
+        # At a wall with another direction, another wall supports the particle.
         elsewhere = self.walls[at] and not (lies and float(self.outward[i, j] @ self.outward[at]) >= 0.5)
-        if rest in self.taken or self.by_sound[at] != self.by_sound[i, j] or elsewhere:
-            return _Held(0.0, 0.0, 0.0, lift, 0.0)
-        self.taken.add(rest)
+        if rest in self.used or self.by_sound[at] != self.by_sound[i, j] or elsewhere:
+            return _Barriers(0.0, 0.0, 0.0, lift, 0.0)
+        self.used.add(rest)
         others = self.walls.copy()
         if lies:
             others &= self.outward @ self.outward[at] < 0.5
@@ -195,18 +193,16 @@ class _Landscape:
         i, j = at
         axial = self._climb(self._along(self.total[i], j, mirrored=(False, False)), at)
         radial = self._climb(self._along(self.total[:, j], i, mirrored=self.mirrored), at)
-        # In a corner, where two walls share one mean direction, a straight way may end sooner.
+        # In a corner, where two walls share one mean direction, a straight path may end sooner.
         ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
-        return _Held(min(ways, default=None), axial, radial, lift, share)
+        return _Barriers(min(ways, default=None), axial, radial, lift, share)
 
     def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
         return None if level is None else level - float(self.total[at])
 
     def _along(self, line: FloatArray, start: int, *, mirrored: tuple[bool, bool]) -> float | None:
-        """The lowest pass (J) out of the place `start` of a line (n,), to its end at a wall or to another minimum.
-
-        A `mirrored` line continues beyond its first or last point: there is no wall.
-        """
+        """The lowest pass (J) out of a place of a line. The line is (n,), the place is `start`. The line ends at a wall
+        or at another minimum. A `mirrored` line continues beyond its first or last point: there is no wall."""
         inside = np.pad(np.isfinite(line), 1)
         inside[[0, -1]] = mirrored
         exits = inside[1:-1] & ~(inside[:-2] & inside[2:])
@@ -217,8 +213,7 @@ class _Landscape:
         return lowest_pass(line[:, None], (start, 0), exits[:, None])
 
     def _lift(self, i: int, j: int) -> float | None:
-        """The largest force (N) against the weight between the trap and the next pass in the direction of the weight.
-        """
+        """The largest force (N) against the weight up to the next pass. The pass is in the direction of the weight."""
         step = -1 if self.weight > 0.0 else 1
         column = self.acoustic[i]
         end = j
@@ -232,18 +227,18 @@ class _Landscape:
 
 
 def focus_time(report: TrapReport) -> float | None:
-    """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
+    """Time (s) to the deepest trap along the axial line through it.
 
-    In a straight section the line runs across the channel instead, over a quarter wavelength or the way to the side
-    wall if that is shorter, where the trap is stiffer that way, or where that is the only way. None if there is no
-    trap, or if a particle starting there does not come to rest at it: a wall is in between, or the field is too weak to
-    draw it down all the way, or to hold it against its weight.
+    The particle moves from 90 % to 10 % of a quarter wavelength above it. In a straight section the line is across the
+    channel instead, over a quarter wavelength or the distance to the side wall if that is shorter, if the trap is
+    stiffer that way, or if that is the only way. None without a trap, or if a particle starting there does not come to
+    rest at it: a wall is in between, or the field is too weak against the weight.
     """
     return None if not report.traps else _time_from(report, report.traps[0], 1.0)
 
 
 def time_to(report: TrapReport, trap: Trap) -> float | None:
-    """Time (s) as in :func:`focus_time` to any one of the traps or, if that is None, from as far on its other side."""
+    """Time (s) to a trap as in :func:`focus_time`, from either side. The other side is used if the first gives None."""
     above = _time_from(report, trap, 1.0)
     return _time_from(report, trap, -1.0) if above is None else above
 
@@ -266,8 +261,7 @@ def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
 
 
 def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:
-    """The way (m) from a trap to the wall beside it; infinite to a plane of symmetry, behind which the channel goes on.
-    """
+    """The distance (m) from a trap to the wall beside it. It is infinite to a mirror line."""
     mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
     way = np.linspace(trap.radius, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
     inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, trap.height)], axis=1))[:, 0])
@@ -285,11 +279,11 @@ def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:
 
 
 def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tuple[FloatArray, float, FloatArray]:
-    """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `start` (2,).
+    """Place (2,), value and second derivatives (2,) of the minimum near `start`.
 
-    Newton's method runs on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an
-    eighth of the `wavelength` of sound on all sides, that is half a period of the potential of a standing wave. The
-    potential is even in r, so it is mirrored at the axis; so it is at planes of symmetry, even or odd.
+    The derivatives are along r and z. Newton's method runs on a polynomial of :data:`FIT_DEGREE` along r and along z,
+    fitted to the potential within an eighth of the `wavelength` of sound on all sides, half a period of the potential
+    of a standing wave. The potential is mirrored at the axis and at planes of symmetry, where it is even.
     """
     reach = wavelength / 8.0
     across = np.linspace(-1.0, 1.0, 2 * FIT_DEGREE + 1)
@@ -317,7 +311,7 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
             break
         step = np.linalg.solve(hessian, slope)
         place = place - step
-        # A minimum that is not within half the patch belongs to another point, or to a wall.
+        # A minimum outside half the patch belongs to another point, or to a wall.
         if np.abs(place).max() > 0.5:
             place = np.zeros(2)
             break
@@ -325,6 +319,6 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
             break
     curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / reach**2
     minimum = start + place * reach
-    # Rounding may put a minimum on the axis slightly behind it.
+    # Rounding may put a minimum on the axis slightly beyond it.
     minimum = forces.mesh.mirrors.folded(minimum[None])[0][0]
     return minimum, derivative(0, 0, place), curvature

@@ -1,4 +1,4 @@
-"""Distance of particles from the walls of a region, and the direction that a wall faces."""
+"""Distance of particles from the walls of a region, and wall directions."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines
 from workbench.results.brief import Brief
 
-#: Number of distances that are computed at a time: 64 MB. Doubled, starts of a mesh of many walls take twice that.
+#: Number of distances per block: 64 MB. Doubled, start points in a mesh with many walls take twice that.
 DISTANCES_AT_A_TIME = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Walls(Brief):
-    """The walls around a region as straight pieces from `begin` (S, 2) to `end` (S, 2), r and z in m."""
+    """The walls of a region as straight pieces. They go from `begin` (S, 2) to `end` (S, 2), r and z in m."""
 
     begin: FloatArray
     end: FloatArray
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance (K,) in m of `points` (K, 2) from the nearest wall, and the unit vectors (K, 2) from there; zero for
-        a point on a wall."""
+        """Distance (K,) in m of points from walls, and directions (K, 2). The `points` are (K, 2). The directions are
+        unit vectors from the nearest wall, zero for a point on a wall."""
         distance, away = np.empty(len(points)), np.empty((len(points), 2))
         at_a_time = max(1, DISTANCES_AT_A_TIME // len(self.begin))
         along = self.end - self.begin
@@ -40,11 +40,11 @@ class Walls(Brief):
 
 
 def walls_of(mesh: NodalMesh) -> Walls:
-    """The walls of a `mesh` of one region; the axis and planes of symmetry are none. Pieces on one line are joined."""
+    """The walls of a `mesh` of one region, without mirror lines. Pieces on one line are joined."""
     ends = mesh.points[border_lines(mesh, np.zeros(len(mesh.cells), dtype=np.int64))]
     if not mesh.is_grid:
         return Walls(ends[:, 0], ends[:, 1])
-    # Sides of rectangles run along r or z: a line is a direction and a place across it.
+    # Sides of rectangles are along r or z: a line is a direction and a place across it.
     pieces: list[FloatArray] = []
     for axis in (0, 1):
         own = ends[ends[:, 1, axis] != ends[:, 0, axis]]

@@ -53,7 +53,7 @@ from workbench.physics import (
     surface_load,
     thin_layer,
 )
-from workbench.physics.rim import LARGEST_WIDTH, WIDTHS, Rim
+from workbench.physics.annulus import LARGEST_WIDTH, WIDTHS, Annulus
 from workbench.physics.solid import ElasticSolid as SolidTerm
 from workbench.physics.term import Admissible, FreeParameter
 
@@ -187,11 +187,11 @@ def meniscus(device: Device) -> Iterator[Effect]:
     states = device.filled
     if states and states[0].fluid is not None:
         yield _missing(device, "cavity not full", "the liquid does not reach the wall that the ports are in", states,
-                       CAVITY, states[0].fluid, Rim("cavity rim", limit=NOT_FULL[-1], widths=NOT_FULL[:-1]))
+                       CAVITY, states[0].fluid, Annulus("cavity rim", limit=NOT_FULL[-1], widths=NOT_FULL[:-1]))
 
 
 def _missing(
-    device: Device, name: str, about: str, states: Sequence[DeviceState], region: str, fluid: Fluid, rim: Rim
+    device: Device, name: str, about: str, states: Sequence[DeviceState], region: str, fluid: Fluid, rim: Annulus
 ) -> Effect:
     """Gas in an annulus at the edge of a fluid's region."""
     air = device.load_fluid(AIR)
@@ -291,7 +291,7 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     if viscous.terms:
         yield viscous
     yield _missing(device, f"{region} missing at its rim", "the layer does not reach its edge everywhere", states,
-                   region, fluid, Rim(f"{region} rim"))
+                   region, fluid, Annulus(f"{region} rim"))
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
     stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
     yield with_terms(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it", states,
@@ -341,12 +341,12 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
         most = LARGEST_OPENING * (edge - hole)
         return max((width for width in widths if width <= most), default=most)
 
-    outside = Rim(f"{joint} open at its rim", edge, widest((*WIDTHS, LARGEST_WIDTH)))
+    outside = Annulus(f"{joint} open at its rim", edge, widest((*WIDTHS, LARGEST_WIDTH)))
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its edge", states,
                      lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:
         widths = outside.widths_from(hole)
-        inside = Rim(f"{joint} open around the cavity", hole, widest(widths), True, widths)
+        inside = Annulus(f"{joint} open around the cavity", hole, widest(widths), True, widths)
         yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 

@@ -13,7 +13,7 @@ from workbench.campaign.numbers import stated_number
 from workbench.campaign.state import DeviceState
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import LOSS, ParameterName
-from workbench.physics.rim import OfRim
+from workbench.physics.annulus import AnnulusTerm
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, FreeParameter, Term
 
@@ -48,14 +48,14 @@ class Effect:
     @property
     def rims(self) -> tuple[str, ...]:
         """Names of the widths of annuli among its parameters."""
-        return tuple(dict.fromkeys(term.rim.number for terms in self.terms.values() for term in terms
-                                   if isinstance(term, OfRim)))
+        return tuple(dict.fromkeys(term.annulus.number for terms in self.terms.values() for term in terms
+                                   if isinstance(term, AnnulusTerm)))
 
     def with_rings(self, widths: Mapping[str, float]) -> Effect:
         """A copy with meshes refined about annuli of given `widths`, by name."""
         def own(term: Any) -> Term:
-            known = isinstance(term, OfRim) and term.rim.number in widths
-            return replace(term, rim=term.rim.about(widths[term.rim.number])) if known else term
+            known = isinstance(term, AnnulusTerm) and term.annulus.number in widths
+            return replace(term, annulus=term.annulus.about(widths[term.annulus.number])) if known else term
 
         return replace(self, terms={state: tuple(map(own, terms)) for state, terms in self.terms.items()})
 

@@ -13,7 +13,7 @@ from workbench.campaign.campaign import DeviceState
 from workbench.catalogue.effect import Device, Effect, is_liquid, is_polymer, with_terms
 from workbench.model.problem import boundary_layers, material_values, terms_of
 from workbench.physics import gas_pocket, other_material, surface_load
-from workbench.physics.rim import Rim
+from workbench.physics.annulus import Annulus
 from workbench.physics.term import Term
 
 #: Depths of slabs above a free surface, relative to the cavity's height. Beyond the last one the liquid is a film. A
@@ -43,11 +43,11 @@ def filling(device: Device) -> Iterator[Effect]:
     states = device.filled
     if not states or not isinstance(fluid := states[0].fluid, Fluid):
         return
-    surface = Rim("free surface", limit=DEPTHS[-1], widths=DEPTHS[:-1], measure="height")
+    surface = Annulus("free surface", limit=DEPTHS[-1], widths=DEPTHS[:-1], measure="height")
     yield with_terms("cavity filled up to a height", CAVITY, "geometry", "the liquid ends at a level surface below the "
                      "lid", states, lambda state: [gas_pocket.GasPocket(
                          CAVITY, state.materials[CAVITY].name, surface, _height(state))])
-    bubble = Rim("bubble under the lid", 0.0, AREAS[-1], True, AREAS[:-1], "area")
+    bubble = Annulus("bubble under the lid", 0.0, AREAS[-1], True, AREAS[:-1], "area")
     covered = [state for state in states if _lid(state)]
     if covered:
         yield with_terms("bubble under the lid", CAVITY, "geometry", "a bubble of air sits under the middle of the lid",

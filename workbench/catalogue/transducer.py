@@ -19,7 +19,7 @@ from workbench.catalogue.effect import (
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics import depoled, electrode_mass, partial_electrode, softening, surface_load
-from workbench.physics.rim import Rim
+from workbench.physics.annulus import Annulus
 from workbench.physics.term import Admissible
 
 #: Range of a ceramic's loss factors, in words.
@@ -46,11 +46,11 @@ def transducer(device: Device) -> Iterator[Effect]:
                      "own", states,
                      lambda _: [electrode_mass.ElectrodeMass(ELECTRODE_LIVE, ELECTRODE_GROUND, TRANSDUCER)])
     yield with_terms("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "an edge that is not "
-                     "poled", states, lambda _: [depoled.DepoledRim(TRANSDUCER, material.name,
-                                                                        Rim("rim without poling"))])
+                     "poled", states, lambda _: [depoled.DepoledAnnulus(TRANSDUCER, material.name,
+                                                                        Annulus("rim without poling"))])
     yield with_terms("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare "
                      "at its edge", states, lambda state: [partial_electrode.PartialElectrode(
-                         TRANSDUCER, material.name, Rim("bare rim"), upper=_is_live_on_top(state))])
+                         TRANSDUCER, material.name, Annulus("bare rim"), upper=_is_live_on_top(state))])
     yield with_terms("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
                      states, lambda state: [surface_load.SurfaceLoad(
                          ELECTRODE_GROUND if _is_live_on_top(state) else ELECTRODE_LIVE, TRANSDUCER, "backing")])

@@ -119,8 +119,8 @@ class Description:
             sentences.append(f"{text}.")
         for first in self.takers[:1]:
             odds = (" by its score, which is not a fit" if first.log_odds is None else
-                    f", at odds of {odds_text(first.log_odds)} against nothing further")
-            sentences.append(f"Of the catalogue, {plain_words(first.name)} would explain most of it: "
+                    f", with odds of {odds_text(first.log_odds)} against nothing further")
+            sentences.append(f"The hypothesis {plain_words(first.name)} would explain most of it: "
                              f"{100.0 * first.share:.3g} %{odds}.")
         return tuple(sentences)
 

@@ -37,9 +37,9 @@ from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
 from workbench.model.problem import Problem, build
-from workbench.physics.rim import FOUND, OfRim
+from workbench.physics.annulus import EDGE_STEP, AnnulusTerm
+from workbench.physics.cosine_mode import CosineMode
 from workbench.physics.term import Term
-from workbench.physics.uneven import UnevenSolid
 
 Real = NDArray[np.float64]
 
@@ -90,22 +90,22 @@ class Model:
     accuracy: float | Discretisation
     widths: Mapping[str, float]
     others: tuple[str, ...] = ()
-    uneven: Mapping[int, UnevenSolid] = field(default_factory=dict)
+    uneven: Mapping[int, CosineMode] = field(default_factory=dict)
     refusals: list[str] = field(default_factory=list)
     _made: list[Model] = field(default_factory=list)
 
     def of(self, chosen: Sequence[Effect], x: Real | None = None) -> Model:
         """The model with only the `chosen` hypotheses, on meshes of its own.
 
-        With x (p,), meshes have lines of nodes at the present edges of annuli (`rim.FOUND`), not at those of all
-        widths. Models made before are used again.
+        With x (p,), meshes have lines of nodes at the present edges of annuli (`annulus.EDGE_STEP`), not at those of
+        all widths. Models made before are used again.
         """
         sizes = {} if x is None else {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
         for model in (self, *self._made):
             if {each.name for each in model.acting} == {each.name for each in chosen} and (
                     model.widths.keys() == wanted.keys()) and all(
-                    abs(model.widths[name] - size) <= FOUND for name, size in wanted.items()):
+                    abs(model.widths[name] - size) <= EDGE_STEP for name, size in wanted.items()):
                 return model
         made = device_model(self.campaign, accuracy=self.accuracy, like=self, widths=wanted,
                             acting=[each.name for each in chosen])
@@ -210,7 +210,7 @@ def inhomogeneities(campaign: Campaign) -> tuple[float, ...]:
     return tuple(map(float, INHOMOGENEITIES)) if stated is None else (stated,)
 
 
-def _cosine_modes(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[UnevenSolid, Parameter]:
+def _cosine_modes(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[CosineMode, Parameter]:
     """The cosine modes in the transducer, with amplitudes of the largest inhomogeneity."""
     size = inhomogeneities(campaign)[-1]
     if not size:
@@ -223,7 +223,7 @@ def _cosine_modes(campaign: Campaign, problems: Mapping[str, Problem]) -> dict[U
     return amplitudes
 
 
-def _with_cosines(recording: FitRecording, uneven: Sequence[UnevenSolid]) -> FitRecording:
+def _with_cosines(recording: FitRecording, uneven: Sequence[CosineMode]) -> FitRecording:
     """A recording with the cosine modes in its transducer, if any."""
     if not uneven or TRANSDUCER not in recording.problem.materials:
         return recording
@@ -312,7 +312,7 @@ def lines_of_nodes(
              if integral.skin and integral.place != CAVITY}
     radii = {integral.radius_fraction * _radius(state.chip, integral.place) for term, integral in integrals
              if integral.radius_fraction and (
-                 not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+                 not widths or (isinstance(term, AnnulusTerm) and term.annulus.number in widths))}
     holes = state.chip.holes
     levels = {holes[-1].z_top - integral.skin * (holes[-1].z_top - holes[0].z_bottom) for _, integral in integrals
               if integral.skin and integral.place == CAVITY}

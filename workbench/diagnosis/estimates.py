@@ -114,7 +114,7 @@ class Established(Brief):
             return f"{plain_words(self.effect.name)}: {word_list([each.in_short for each in self.estimates])}"
         times = "twice" if abs(loss / stated - 2.0) < 0.05 else f"{loss / stated:.2g} times"
         kind, factor = name.coefficient.removesuffix(ADDED_LOSS).removesuffix("_modulus"), shown_factor(first.unit)
-        return (f"{plain_words(name.owner)} loses {times} what is stated ({kind} loss {factor * loss:.3g} "
+        return (f"{plain_words(name.owner)} has {times} the stated loss ({kind} loss {factor * loss:.3g} "
                 f"{shown_unit(first.unit)}, stated {factor * stated:.3g}){first.at_its_end}")
 
 

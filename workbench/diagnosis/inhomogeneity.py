@@ -29,8 +29,8 @@ from workbench.fem.energy import LOSS, MASS, STIFFNESS, cell_forms
 from workbench.fem.operators import FullOperators
 from workbench.fitting.objective import Objective
 from workbench.model.problem import Problem
+from workbench.physics.cosine_mode import CosineMode, VaryingProperty
 from workbench.physics.piezoelectric import PiezoelectricSolid
-from workbench.physics.uneven import UnevenProperty, UnevenSolid
 from workbench.reduced.predictor import Prediction
 
 Real = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Inhomogeneity:
     regions: Mapping[str, Real]
 
 
-def cosine_modes(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSolid, float]]:
+def cosine_modes(problem: Problem, frequency: float) -> Iterator[tuple[CosineMode, float]]:
     """The cosine modes along the transducer's radius, with their amplitude deviations. These are those of a field of
     unit size.
 
@@ -77,14 +77,14 @@ def cosine_modes(problem: Problem, frequency: float) -> Iterator[tuple[UnevenSol
     integrals, radius = PiezoelectricSolid(TRANSDUCER, material.name).integrals(), float(size[0])
     for (i, k), deviation in cosines(size, _correlation_length(material, frequency)):
         if k == 0:
-            for uneven in UnevenProperty:
-                yield UnevenSolid.of(integrals, uneven, i, radius, problem.values), deviation
+            for uneven in VaryingProperty:
+                yield CosineMode.of(integrals, uneven, i, radius, problem.values), deviation
 
 
-def cosine_keys(acting: Iterable[UnevenSolid]) -> set[Key]:
+def cosine_keys(acting: Iterable[CosineMode]) -> set[Key]:
     """The changes by cosine modes that are parameters."""
-    rows = {UnevenProperty.STIFFNESS: STIFFNESS, UnevenProperty.DENSITY: MASS}
-    return {(each.region, rows[each.uneven], each.half_waves, 0) for each in acting}
+    rows = {VaryingProperty.STIFFNESS: STIFFNESS, VaryingProperty.DENSITY: MASS}
+    return {(each.region, rows[each.varying], each.half_waves, 0) for each in acting}
 
 
 def inhomogeneity(objective: Objective, x: Real, acting: Collection[Key] = ()) -> Inhomogeneity:

@@ -120,7 +120,7 @@ def next_measurement_text(options: Sequence[Option], alive: Sequence[str], wante
     best = options[0]
     head = f"{best.name[0].upper()}{best.name[1:]}, {'once' if best.times == 1 else f'{best.times} times'}"
     if best.odds < wanted:
-        head = f"No number of further recordings decides at odds of {wanted:.3g}. {head}"
+        head = f"No number of further recordings decides with odds of {wanted:.3g}. {head}"
     odds = f"{best.odds:.3g}" if best.odds < 1e4 else "more than 10000"
     listed = ", ".join(f"{option.name} {100.0 * option.share:.0f} %" for option in options[:5])
     return (f"{head}: the expected odds between {alive[0]} and {alive[1]} are {odds}. Ambiguity removed by one "

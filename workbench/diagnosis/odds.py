@@ -70,8 +70,8 @@ class Criteria:
 
     def __post_init__(self) -> None:
         if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.redundant > 0.0):
-            raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
-                             "1")
+            raise ValueError(f"{self}: the odds of a hint must be above 0 and at most those of an accepted cause; "
+                             "the odds of a rival must be above 1")
         if not (min(self.fitted, self.held_out) >= 1.0 and 0.0 < self.level < 1.0 and 0.0 < self.most <= 1.0
                 and self.at_odds > 0.0):
             raise ValueError(f"{self}: factors of one at least, shares of one at most, and standard uncertainties "

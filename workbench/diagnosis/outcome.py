@@ -257,7 +257,7 @@ class Diagnosis(Shown):
                 text = f"the known parameters explain the recordings: {left}; but some are {self._beyond()}"
             case "below_detection":
                 name = decision.remaining[0].name
-                text = (f"something may be missing, {plain_words(name)} most likely, at odds of "
+                text = (f"something may be missing, {plain_words(name)} most likely, with odds of "
                         f"{odds_text(decision.log_odds[name])}: not enough to name a cause")
             case "not_finished":
                 text = f"not finished: {self._not_looked_at()}"
@@ -296,7 +296,7 @@ class Diagnosis(Shown):
             effects = "; ".join(each.in_words for each in self.provisional.established)
             best = f"best so far is {effects}. The missing steps may explain as much, or more" if effects else (
                 "nothing explains it so far")
-            yield f"Provisional: of what was tried ({', '.join(map(plain_words, self.tried))}), {best}."
+            yield f"Provisional: of the tried hypotheses ({', '.join(map(plain_words, self.tried))}), {best}."
         every = dict.fromkeys(map(plain_words, self.found.undone))
         if len(every) > NAMED:
             yield f"Not looked at: {', '.join(every)}."

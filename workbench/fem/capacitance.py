@@ -1,9 +1,9 @@
-"""Capacitance of the electrodes in a model: clamped, and at a frequency far below every mode.
+"""Capacitance of the electrodes: clamped, and at low frequency.
 
-The clamped capacitance, C0 in the reports, is the one at zero displacement: one electrostatic solve with the
-permittivity at constant strain. It is the parallel capacitance of the equivalent circuit with all its branches, and
-depends on the transducer alone, not on the parts mounted on it. The low-frequency capacitance is the reading of a meter
-at 1 kHz. It exceeds the clamped one by the sum of the capacitances of all modes.
+The clamped capacitance, C0 in the reports, is that at zero displacement: one electrostatic solve with the permittivity
+at constant strain. It is the parallel capacitance of the equivalent circuit with all its branches and depends only on
+the transducer. The low-frequency capacitance is the reading of a meter at 1 kHz. It exceeds the clamped one by the sum
+of the modal capacitances.
 """
 
 from __future__ import annotations
@@ -17,16 +17,14 @@ from workbench.fem.operators import FullOperators
 from workbench.fem.solve import NotConverged, System
 from workbench.physics.term import Values
 
-#: Hz at which LCR meters measure capacitors. A first mode at ten times that would add 1 % to the reading.
+#: Test frequency (Hz) of LCR meters. A first mode at ten times that would add 1 % to the reading.
 METER_FREQUENCY = 1e3
 
 
 @dataclass(frozen=True)
 class Capacitance:
-    """Capacitance in farad of the electrodes: ``clamped``, and ``low_frequency`` at :data:`METER_FREQUENCY`.
-
-    ``low_frequency`` is None where the model is singular at that frequency.
-    """
+    """Clamped and low-frequency capacitance (F). ``low_frequency`` is that at :data:`METER_FREQUENCY`, None if the
+    model is singular there."""
 
     clamped: float
     low_frequency: float | None
@@ -42,10 +40,8 @@ def capacitance(system: System) -> Capacitance:
 
 
 def clamped_capacitance(operators: FullOperators, values: Values, frequency: float) -> float:
-    """Capacitance (F) with every displacement and every pressure held at zero and without losses.
-
-    The permittivity is that of `frequency` (Hz).
-    """
+    """Lossless capacitance (F) with all displacements and pressures fixed at zero. The permittivity is that at
+    `frequency` (Hz)."""
     omega = np.array([2.0 * np.pi * frequency])
     electrode = operators.size - 1
     numbers = np.unique(operators.numbering["phi"])

@@ -1,8 +1,7 @@
-"""All coefficients of a model at once: their factors, their values, and their derivatives by parameters.
+"""All coefficients of a model: factors, values, and derivatives by parameters.
 
-A coefficient is a product of a function of frequency, powers of parameters, and functions of several parameters. A
-model has thousands of coefficients but few distinct factors, so each factor is evaluated once and the products are
-taken together.
+A coefficient is a product of a function of frequency, powers of parameters, and functions of parameters. A model has
+thousands of coefficients but few distinct factors, so each factor is evaluated once.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-#: A model as few matrices, one for each frequency dependence: h(w) (n,) and constants (integrals,) of each.
+#: A model as few matrices, one per frequency dependence: pairs of h(w) (n,) and constants (integrals,).
 Groups = tuple[tuple[Complex, Complex], ...]
 
 
 @dataclass(frozen=True)
 class FrequencyLaw:
-    """The frequency dependence of a coefficient: w^``power``, or a general ``coefficient``, or the derivative of that
-    coefficient by the parameter ``name``."""
+    """The frequency dependence of a coefficient. It is w^``power``, a general ``coefficient``, or the derivative of
+    that coefficient by the parameter ``name``."""
 
     power: float = 0.0
     coefficient: Coefficient | None = None
@@ -48,10 +47,11 @@ Factor = tuple[str, float] | Constant
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The coefficients g_q(w, theta) of ``count`` integrals, factorised: scale_q shape_q(w) product_k factor_qk.
+    """The factorised coefficients of ``count`` integrals.
 
-    ``shapes`` and ``factors`` hold the distinct ones. ``shape`` (count,) is the index of each coefficient's shape,
-    ``factor`` (count, m) the indices of its factors. An index equal to the number of factors stands for the factor one.
+    g_q(w, theta) = scale_q shape_q(w) product_k factor_qk. ``shapes`` and ``factors`` are the distinct ones; ``shape``
+    (count,) and ``factor`` (count, m) are indices into them. An index equal to the number of factors means a factor of
+    one.
     """
 
     scale: Complex
@@ -67,7 +67,7 @@ class Coefficients:
         factors: dict[Factor, int] = {}
         scale, shape, rows = [], [], []
         for integral in integrals:
-            size, where, parts = _taken_apart(integral.coefficient)
+            size, where, parts = _factorised(integral.coefficient)
             scale.append(size)
             shape.append(shapes.setdefault(where, len(shapes)))
             rows.append([factors.setdefault(part, len(factors)) for part in parts])
@@ -81,10 +81,9 @@ class Coefficients:
         return self.scale.size
 
     def groups(self, omega: Real, values: Values) -> Groups:
-        """Pairs of (h(w) (n,), constants (count,)) whose products sum to the coefficients at `omega` (n,) in rad/s.
+        """Pairs of h(w) (n,) and constants (count,) that sum to the coefficients.
 
-        Coefficients with the same power of w share a pair, and so do those with the same other dependence. Pairs that
-        are zero are left out.
+        `omega` (n,) is in rad/s. Coefficients with equal frequency dependence share a pair. Zero pairs are omitted.
 
         Raises:
             KeyError: a parameter without a value.
@@ -93,8 +92,8 @@ class Coefficients:
         found = []
         for k, shape in enumerate(self.shapes):
             own = np.where(self.shape == k, constants, 0.0)
-            # Tested at one fixed frequency, so that `omega` does not decide the groups: a thick layer underflows at
-            # some.
+            # The test uses one fixed frequency, so that the groups do not depend on `omega`: a thick layer underflows
+            # at some.
             if own.any() and (shape.coefficient is None or shape(np.ones(1), values).any()):
                 found.append((shape(omega, values), own))
         return tuple(found)
@@ -104,7 +103,9 @@ class Coefficients:
         return summed(self.groups(omega, values), omega.size, self.count)
 
     def slopes(self, values: Values, names: Sequence[str]) -> tuple[dict[FrequencyLaw, Complex], ...]:
-        """Derivatives of the coefficients by complex parameters: for each parameter, constants (count,) by shape.
+        """Derivatives of the coefficients by complex parameters.
+
+        For each parameter, they are constants (count,) by shape.
 
         Raises:
             KeyError: a parameter without a value.
@@ -143,7 +144,7 @@ class Coefficients:
         return found
 
     def acting(self, values: Values) -> NDArray[np.bool_]:
-        """Mask (count,) of the coefficients that are not zero at `values`, or whose first derivative there is not zero.
+        """Mask (count,) of coefficients with a nonzero value or first derivative.
 
         Raises:
             KeyError: a parameter without a value.
@@ -162,7 +163,7 @@ class Coefficients:
         return frozenset().union(*shapes, *map(_parameters, self.factors))
 
     def _factor_values(self, values: Values) -> Complex:
-        """Values (number of factors + 1,) of the factors; the last one is 1."""
+        """Values of the factors and, last, 1."""
         return np.array([*(complex(values[each[0]]) ** each[1] if isinstance(each, tuple) else each.constant(values)
                            for each in self.factors), 1.0], dtype=complex)
 
@@ -175,7 +176,7 @@ def summed(groups: Groups, frequencies: int, count: int) -> Complex:
     return result
 
 
-def _taken_apart(coefficient: Coefficient) -> tuple[complex, FrequencyLaw, list[Factor]]:
+def _factorised(coefficient: Coefficient) -> tuple[complex, FrequencyLaw, list[Factor]]:
     """Scale, shape and factors of one coefficient."""
     scale, factors = 1.0 + 0.0j, list[Factor]()
     parts: list[Constant] = []

@@ -1,9 +1,8 @@
-"""Dense systems at many frequencies: the reduced model's sweep.
+"""Dense systems at many frequencies, for sweeps of the reduced model.
 
-A reduced model is sum_g h_g(w) B_g with a few dense complex-symmetric matrices, solved at hundreds of frequencies. A
-factorisation at each would cost the cube of the rank every time. Where the frequency dependence is that of stiffness
-and mass, and perhaps of fluids, the pencil is diagonalised once. A large system is first projected on the few states
-that one set of parameters needs: the Krylov spaces of a few factorisations.
+A reduced model is sum_g h_g(w) B_g with few dense complex-symmetric matrices, solved at hundreds of frequencies. If the
+frequency dependence is that of stiffness, mass and perhaps fluids, the pencil is diagonalised once, instead of one
+factorisation per frequency. A large system is first projected on Krylov spaces of a few factorisations.
 """
 
 from __future__ import annotations
@@ -18,28 +17,28 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest relative residual of a sweep by eigenvectors. Above it, every frequency is factorised. The error of the
-#: charge is the square of it, times the amplification at resonances.
+#: Largest relative residual of a sweep by eigenvectors; above it, every frequency is factorised. The error of the
+#: charge is its square times the amplification at resonances.
 PENCIL_RESIDUAL = 1e-9
 
-#: Smallest numbers of unknowns and of frequencies at which a system is projected before the sweep.
+#: Least numbers of unknowns and frequencies for a projection before the sweep.
 LARGE, MANY = 80, 60
 
-#: Settings of the projection: number of frequencies factorised first, number added at a time, vectors from each, and
-#: the relative change of the charge at which it ends. The error of the charge is of second order, so the remaining
-#: error is smaller than the last change. The three numbers decide the work, not the accuracy.
+#: Settings of the projection: number of first and of added frequencies, vectors from each, relative change of the
+#: charge at which it ends. The charge error is of second order and smaller than the last change. The first three
+#: numbers affect only the speed.
 FIRST_NODES, ADDED_NODES, KRYLOV_VECTORS, CHARGE_CHANGE = 3, 2, 10, 1e-5
 
-#: Ratio of the error of the charge to the square of the residual, at most: 0.01 to 40 in bands of chips and discs.
+#: Upper bound of the ratio of charge error to squared residual; 0.01 to 40 in bands of chips and discs.
 AMPLIFIED = 100.0
 
-#: Number of matrix entries solved at once, so that they stay in the processor's cache. It decides speed alone.
+#: Number of matrix entries solved at once to fit the processor's cache; it affects only the speed.
 ENTRIES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """States as combinations of few vectors: ``basis`` (r, k) and ``coordinates`` (k, n), complex."""
+    """States as combinations of few vectors. ``basis`` (r, k) and ``coordinates`` (k, n) are complex."""
 
     basis: Complex
     coordinates: Complex
@@ -47,11 +46,8 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class DenseSweep:
-    """A dense system solved at n frequencies at unit electrode voltage.
-
-    ``states`` (r, n), last entry 1; ``charge`` (n,), -x^T A x; ``residual`` (n,) relative to the load; ``span`` the few
-    vectors whose combinations the states are, if the system was projected on such vectors.
-    """
+    """A dense system solved at n frequencies at unit electrode voltage. ``states`` (r, n), last entry 1; ``charge``
+    (n,), -x^T A x; ``residual`` (n,) relative to the load; ``span`` of the states, if the system was projected."""
 
     states: Complex
     charge: Complex
@@ -60,10 +56,8 @@ class DenseSweep:
 
 
 def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
-    """Solve sum_g factors_g(w) matrices_g at n frequencies: `factors` (g, n), symmetric `matrices` (g, r, r).
-
-    The last unknown is the electrode's voltage, which is held at one.
-    """
+    """Solve sum_g factors_g(w) matrices_g at n frequencies. `factors` are (g, n), the symmetric `matrices` (g, r, r).
+    The last unknown is the electrode voltage, fixed at one."""
     loads = -np.ascontiguousarray(matrices[:, :-1, -1])
     inner = np.ascontiguousarray(matrices[:, :-1, :-1])
     rank, count = inner.shape[1], factors.shape[1]
@@ -88,7 +82,8 @@ def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
 
 
 def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex) -> tuple[Complex, Complex]:
-    """Solutions x (r, n) for right-hand sides `right` (r, n), the `factors` times `loads` (g, r), and remainders."""
+    """Solutions x (r, n) and remainders, for right-hand sides `right` (r, n). `right` is the sum of `factors` times
+    `loads` (g, r)."""
     x = _swept(factors, matrices, loads)
     remainder = right - _product(factors, matrices, x)
     if (np.linalg.norm(remainder, axis=0) > PENCIL_RESIDUAL * np.linalg.norm(right, axis=0)).any():
@@ -98,19 +93,19 @@ def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex)
 
 
 def _product(factors: Complex, matrices: Complex, x: Complex) -> Complex:
-    """sum_g factors_g (n,) matrices_g (g, r, k) times x (k, n): (r, n)."""
+    """The sum (r, n) of factors_g matrices_g x. The factors are (g, n), the matrices (g, r, k) and x (k, n)."""
     return np.asarray(sum((each @ x) * h for h, each in zip(factors, matrices, strict=True)))
 
 
 def _projected(
     factors: Complex, matrices: Complex, loads: Complex, electrode: Complex
 ) -> tuple[Complex, Complex, Complex] | None:
-    """States (r, n) in the Krylov spaces of a few factorisations, or None if the spaces would fill most of the system.
+    """States in the Krylov spaces of few factorisations, or None.
 
-    With A_0 factorised at one frequency and dA the change to the next one, the states nearby lie close to the Krylov
-    space of A_0^-1 dA started at the state there (see `solve.System.krylov`). Frequencies are added where the residual
-    is largest, until they change the charge by less than :data:`CHARGE_CHANGE` anywhere. `electrode` (g,) belongs to
-    the last unknown as `loads` (g, r) do to the others.
+    None means that the spaces would fill most of the system. With A_0 factorised at one frequency and dA the change to
+    the next one, nearby states lie close to the Krylov space of A_0^-1 dA started at the state there (see
+    `solve.System.krylov`). Frequencies are added where the residual is largest, until the charge changes by less than
+    :data:`CHARGE_CHANGE`. `electrode` (g,) belongs to the last unknown as `loads` (g, r) do to the others.
 
     Returns:
         vectors (r, k), their images (g, r, k) by the matrices, and the coordinates (k, n) of the states.
@@ -137,14 +132,14 @@ def _projected(
         new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
         new = new[:, np.abs(np.diag(triangle)) > 1e-10]
         basis, images = np.column_stack([basis, new]), np.concatenate([images, matrices @ new], axis=2)
-        inner, held = basis.T @ images, loads @ basis
-        small = _swept(some, inner, held)
-        before, charge = charge, np.sum(small * (held.T @ some), axis=0) - electrode @ some
+        inner, projected_loads = basis.T @ images, loads @ basis
+        small = _swept(some, inner, projected_loads)
+        before, charge = charge, np.sum(small * (projected_loads.T @ some), axis=0) - electrode @ some
         residual = np.linalg.norm(right - _product(some, images, small), axis=0) / norm
         # The error of the charge is the square of the residual, times the amplification at resonances.
         is_enough = AMPLIFIED * residual.max() ** 2 <= CHARGE_CHANGE
         if is_enough or (np.abs(charge - before) <= CHARGE_CHANGE * np.abs(charge)).all():
-            return basis, images, _swept(factors, inner, held)
+            return basis, images, _swept(factors, inner, projected_loads)
         worst = [int(k) for k in np.argsort(-residual) if int(k) not in done]
         wanted = [k for i, k in enumerate(worst[: 4 * ADDED_NODES])
                   if all(abs(k - other) > watched.size // (2 * FIRST_NODES) for other in worst[:i])][:ADDED_NODES]
@@ -152,13 +147,14 @@ def _projected(
 
 
 def _swept(factors: Complex, matrices: Complex, loads: Complex) -> Complex:
-    """Solutions (k, n) of a small system for `loads` (g, k), with the pencil if it is one."""
+    """Solutions (k, n) of a small system for `loads` (g, k)."""
     pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
     return solve_each(factors, matrices, loads.T @ factors) if pencil is None else pencil.solve(factors, loads.T)
 
 
 def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Complex:
-    """Orthonormal vectors (r, depth) of the Krylov space of whole^-1 change, started at x = whole^-1 right."""
+    """Orthonormal vectors (r, depth) of a Krylov space. The space is that of whole^-1 change, started at x = whole^-1
+    right."""
     factor = scipy.linalg.lu_factor(whole, check_finite=False)
     found = np.zeros((right.size, depth), dtype=complex)
     vector = right
@@ -171,14 +167,14 @@ def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Comp
 
 
 def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
-    """Indices of those of `count` frequencies that lie next to Chebyshev's nodes, without repetitions."""
+    """Indices of the frequencies next to Chebyshev nodes, without repetition."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes
     return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
 
 
 def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
-    """Solve sum_g factors_g(w) matrices_g (groups, r, r) times x = right for x and right (..., r, n), at n frequencies.
-    """
+    """Solve sum_g factors_g(w) matrices_g x = right at n frequencies. `matrices` are (groups, r, r); x and `right` are
+    (..., r, n)."""
     count, rank = len(matrices), matrices.shape[1]
     if rank == 0:
         return np.zeros(right.shape, dtype=complex)
@@ -194,14 +190,15 @@ def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
 
 
 class Pencil:
-    """The pencil h(w) (B_0 + t B_1 + t^2 B_2) at n values of t = w^2: stiffness and mass, and the terms of a fluid.
+    """A pencil of two or three matrices, diagonalised once.
 
+    The pencil h (B_0 + t B_1 + t^2 B_2) is solved at n values t. The matrices are stiffness, mass and terms of a fluid.
     With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S, S = [[P_0^-1
-    P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
+    P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 without P_2, diagonalised once.
     """
 
     def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
-        """Diagonalise for `scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
+        """Diagonalise for `scale` h, `ratio` t and two or three matrices. h and t are (n,), the matrices (r, r)."""
         self._scale = scale
         middle = np.median(ratio.real)
         self._shift = ratio / middle - 1.0
@@ -220,7 +217,7 @@ class Pencil:
 
     @classmethod
     def of(cls, factors: Complex, matrices: Complex) -> Pencil | None:
-        """The sum of factors_g (groups, n) matrices_g (groups, r, r) as a pencil, or None if it is not of that form."""
+        """A sum of factors_g (n,) matrices_g as a pencil, or None. The matrices are (groups, r, r)."""
         if len(matrices) == 2:
             return cls(factors[0], factors[1] / factors[0], list(matrices))
         if len(matrices) != 3:
@@ -233,6 +230,6 @@ class Pencil:
         return None
 
     def solve(self, factors: Complex, loads: Complex) -> Complex:
-        """Solve the pencil times x (r, n) = loads (r, g) times factors (g, n)."""
+        """Solve for x (r, n). The right-hand side is `loads` (r, g) times `factors` (g, n)."""
         inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False) @ factors
         return np.asarray(self._vectors @ (self._damped * (inside / self._scale)))

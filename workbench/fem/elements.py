@@ -20,10 +20,8 @@ Real = NDArray[np.float64]
 
 
 class Lagrange(ElementH1):
-    """Lagrange element of one order: products of polynomials that are 1 at one Gauss-Lobatto node and 0 at the others.
-
-    Order 2 is the biquadratic element of nine nodes.
-    """
+    """Lagrange element of one order, with Gauss-Lobatto nodes. Its functions are products of polynomials that are 1 at
+    one node and 0 at the others. Order 2 is the biquadratic element of nine nodes."""
 
     refdom = RefQuad
     nodal_dofs = 1
@@ -38,12 +36,13 @@ class Lagrange(ElementH1):
         self.doflocs = np.array([[nodes[i], nodes[j]] for i, j in self.indices])
 
     def tabulated(self, points: Real) -> tuple[Real, Real, Real]:
-        """Values of all functions at local points (2, n), and their slopes along both coordinates: (n, nb) each."""
+        """Values and slopes of all functions at local points (2, n). The arrays are the values and the slopes along
+        both coordinates, (n, nb) each."""
         points = np.ascontiguousarray(points, dtype=float)
         return _tabulated(self.order, points.tobytes(), points.shape)
 
     def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:
-        """Value (n,) and gradient (2, n) of function `i` at local points X (2, n)."""
+        """Value (n,) and gradient (2, n) of one function at `X`. `X` are local points (2, n)."""
         if not 0 <= i < len(self.indices):
             self._index_error()
         (f, df), (g, dg) = (_polynomials(self.order, x.tobytes(), x.shape) for x in X)
@@ -52,14 +51,14 @@ class Lagrange(ElementH1):
 
 
 def lobatto_weights(order: int) -> Real:
-    """Weights (order + 1,) of the Gauss-Lobatto rule on [0, 1], exact for polynomials of twice the order less one."""
+    """Weights (order + 1,) of the Gauss-Lobatto rule on [0, 1]. It is exact for polynomials of degree 2 order - 1."""
     at_nodes = legendre.legval(2.0 * gauss_lobatto(order) - 1.0, [0.0] * order + [1.0])
     return np.asarray(1.0 / (order * (order + 1) * at_nodes**2))
 
 
 @lru_cache(maxsize=256)
 def _tabulated(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real, Real]:
-    """:meth:`Lagrange.tabulated` at some points, which many places of a mesh share; the arrays cannot be written to."""
+    """Cached, read-only :meth:`Lagrange.tabulated`, shared by many places of a mesh."""
     element, local = Lagrange(order), np.frombuffer(points).reshape(shape)
     values, slopes = zip(*(element.lbasis(local, i) for i in range(len(element.indices))), strict=True)
     found = (np.stack(values, axis=-1), *np.stack(slopes, axis=-1))
@@ -70,7 +69,7 @@ def _tabulated(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real,
 
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    """Values and slopes of :func:`polynomials` at some points: two arrays (order + 1, *shape)."""
+    """Values and slopes of :func:`polynomials`, (order + 1, *shape) each."""
     x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
     slopes = []
     for node in range(order + 1):
@@ -82,8 +81,8 @@ def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Rea
 
 
 def polynomials(order: int, x: Real) -> Real:
-    """Values (order + 1, ...) at points `x` (...) of the Lagrange polynomials on [0, 1]. Each is 1 at one Gauss-Lobatto
-    node and 0 at the others."""
+    """Values (order + 1, ...) of the Lagrange polynomials at `x` (...). They are polynomials on [0, 1], each 1 at one
+    Gauss-Lobatto node and 0 at the others."""
     nodes = gauss_lobatto(order)
     values = []
     for node in range(order + 1):

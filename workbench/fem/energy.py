@@ -17,9 +17,9 @@ STIFFNESS, MASS, LOSS = range(3)
 
 
 def energy_shares(operators: FullOperators, states: Complex, coefficients_of: Complex) -> dict[str, Real]:
-    """The share (n,) of each region in the mechanical energy of `states` (size, n).
+    """The share (n,) of each region in the energy of `states`.
 
-    `coefficients_of` (n, integrals) are the coefficients at their frequencies.
+    `states` (size, n) are columns, and `coefficients_of` (n, integrals) are the coefficients at their frequencies.
     """
     stored = coefficients_of.real.astype(np.complex128)
     cells = cell_forms(operators, np.conj(states), states, stored)[[STIFFNESS, MASS]].real

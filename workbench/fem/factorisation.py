@@ -1,10 +1,10 @@
 """Sparse factorisations of complex-symmetric matrices that share one pattern.
 
-The ordering of the unknowns depends on the pattern alone and is found once. SuperLU, which scipy brings, is the
-reference. Where `rslab` is installed, as it is by default, its LDL^T is used instead: it keeps the symmetry, which
-halves the work, and keeps its analysis of the pattern. On these meshes it takes half to a fifth of the time
-(`tests/benchmarks/factorisation.py`). Matrices come scaled to a diagonal of ones: without that SuperLU's symmetric mode
-takes a hundred times as long.
+The ordering of the unknowns depends only on the pattern and is computed once. SuperLU, a part of scipy, is the
+reference. If `rslab` is installed, as it is by default, its LDL^T replaces it: it keeps the symmetry, which halves the
+work, and its analysis of the pattern. On these meshes it takes a half to a fifth of the time
+(`tests/benchmarks/factorisation.py`). Matrices are scaled to unit diagonal: without that SuperLU's symmetric mode takes
+a hundred times as long.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from workbench.jobs.memory import address_limit, confined, require
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int32]
 
-#: Environment variable that names the factorisation to use. Without it, the installed packages decide.
+#: Environment variable that names the factorisation. Without it, the installed packages decide.
 FACTORISATION_VARIABLE = "WORKBENCH_FACTORISATION"
 
 
-#: Bytes of address space for the analysis of a pattern, and for each of its stored entries (12 are used). Doubled, the
+#: Address space (bytes) for the analysis of a pattern, and for each of its stored entries (12 are used). Doubled, the
 #: threads of `rslab` have larger stacks in a limited address space.
 ANALYSIS, ANALYSIS_OF_ENTRY = 100e6, 100.0
 
-#: Address space for a factorisation, relative to the memory that `rslab` plans. Doubled, a factorisation that would fit
-#: into a limited address space is refused.
+#: Address space for a factorisation, relative to the memory that `rslab` plans. Doubled, a factorisation that fits into
+#: a limited address space may be refused.
 PLANNED = 1.3
 
 
 class Factorisation(Protocol):
-    """A pattern, ready to be factorised with one set of values after the other."""
+    """A pattern, ready to be factorised for several sets of values."""
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
-        """Factorise the symmetric matrix of these entries (nnz,) of the upper triangle.
+        """Factorise the symmetric matrix with these upper entries (nnz,).
 
-        The result solves for (n,) or (n, k), in the shape given.
+        The result solves for right-hand sides (n,) or (n, k).
 
         Raises:
             RuntimeError: the matrix is singular.
@@ -58,8 +58,7 @@ class Factorisation(Protocol):
 
 
 class SuperLU:
-    """SuperLU with threshold pivoting on the diagonal (0.01), in a minimum-degree order found from the pattern alone.
-    """
+    """SuperLU with threshold pivoting (0.01) in a minimum-degree order."""
 
     def __init__(self, triangle: sparse.csc_array) -> None:
         number = sparse.csc_array((np.arange(1, triangle.nnz + 1), triangle.indices, triangle.indptr),
@@ -81,11 +80,11 @@ class SuperLU:
 
     @cached_property
     def _ordered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Integers, Integers]:
-        """The order of elimination, and the pattern in that order: the index of each stored entry, its row, and the
-        starts."""
+        """The elimination order, and the pattern in that order. The pattern has the index and the row of each stored
+        entry, and the starts of columns."""
         pattern = self._pattern
         column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-        # Values that need no pivots: each diagonal entry exceeds the sum of its row.
+        # Diagonally dominant values need no pivots.
         dominant = np.where(pattern.indices == column, float(pattern.shape[0]), 1.0)
         found = splu(sparse.csc_matrix((dominant, pattern.indices, pattern.indptr), shape=pattern.shape),
                      permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -100,18 +99,18 @@ class Ldlt:
 
     def __init__(self, triangle: sparse.csc_array) -> None:
         rslab = _lasting_rslab()
-        # By rows the upper triangle is the lower one by columns, which it takes.
+        # The upper triangle by rows is the lower one by columns, which rslab requires.
         number = sparse.csc_array((np.arange(triangle.nnz), triangle.indices, triangle.indptr), shape=triangle.shape)
         lower = number.tocsr()
         self._lower = lower.data
         ones = sparse.csc_matrix((np.ones(lower.nnz), lower.indices, lower.indptr), shape=lower.shape)
-        # Each of its threads maps a stack of 1 or 2 GB if it can.
+        # Each of its threads reserves a stack of 1 or 2 GB if possible.
         with confined(ANALYSIS + 2.0 * ANALYSIS_OF_ENTRY * triangle.nnz):
             self._analysis = rslab.analyze(ones, path="ldlt", ordering="amd")
         self._peak = PLANNED * self._analysis.memory_plan(dtype="complex128", threads=1)["peak_bytes"]
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
-        require(self._peak, "a factorisation")  # It ends the program where an allocation fails.
+        require(self._peak, "a factorisation")  # rslab ends the program if an allocation fails.
         factor = self._analysis.factor(data[self._lower], threads=1, scaling="identity")
 
         def solve(right: Complex) -> Complex:
@@ -124,11 +123,9 @@ class Ldlt:
 
 
 def _lasting_rslab() -> ModuleType:
-    """Load `rslab` in a thread that lasts as long as the program, with little memory in advance if that is limited.
-
-    Its allocator keeps memory that belongs to the thread that loads it, and every later thread reads that memory. If a
-    worker thread loads it and ends, the next new thread to factorise crashes (rslab 1.7).
-    """
+    """Load `rslab` in a thread that never ends. Its allocator keeps memory of the thread that loads it, and every later
+    thread reads that memory. If a worker thread loads it and ends, the next factorisation in a new thread crashes
+    (rslab 1.7). In a limited address space it reserves less memory."""
     if address_limit() is not None:
         os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "32768")  # kB of address space, not 1 GB
     if "rslab" not in sys.modules and threading.current_thread() is not threading.main_thread():
@@ -147,7 +144,7 @@ def _lasting_rslab() -> ModuleType:
     return importlib.import_module("rslab")
 
 
-#: Classes by the name of the package that they need.
+#: Classes by the name of the package that they use.
 KNOWN: Mapping[str, Callable[[sparse.csc_array], Any]] = {"superlu": SuperLU, "rslab": Ldlt}
 
 
@@ -155,7 +152,7 @@ def chosen() -> str:
     """The name of the factorisation in use.
 
     Raises:
-        ValueError: the environment asks for an unknown one.
+        ValueError: the environment names an unknown one.
     """
     name = os.environ.get(FACTORISATION_VARIABLE)
     if name is None:
@@ -168,6 +165,6 @@ def chosen() -> str:
 
 
 def factorisation(triangle: sparse.csc_array) -> Factorisation:
-    """The factorisation in use, for the pattern of an upper `triangle` (n, n) with sorted indices."""
+    """The factorisation in use, for the pattern of an upper triangle. `triangle` (n, n) has sorted indices."""
     found: Factorisation = KNOWN[chosen()](triangle)
     return found

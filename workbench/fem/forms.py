@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Number of entries of the states that forms are made from at once, so that they stay in the processor's cache.
+#: Number of state entries per block of forms, to fit the processor's cache.
 AT_ONCE = 40_000
 
 
 def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Complex:
-    """Forms left^T A right (n, k) for columns of `left` and `right` (r, n) and symmetric `matrices` A (k, r, r)."""
+    """Forms left^T A right (n, k) of symmetric `matrices` A. The matrices are (k, r, r). `left` and `right` are columns
+    (r, n)."""
     rank, points = right.shape
     result = np.empty((points, len(matrices)), dtype=complex)
     at_once = max(1, AT_ONCE // max(rank, 1))
@@ -26,10 +27,8 @@ def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Co
 
 
 def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
-    """Products (k, r, n) of `matrices` (k, r, r) and `columns` (r, n).
-
-    Real matrices take one real product for the real and imaginary parts together.
-    """
+    """Products (k, r, n) of `matrices` (k, r, r) and `columns`. The columns are (r, n). A real matrix multiplies real
+    and imaginary parts in one real product."""
     count, rows, rank = matrices.shape
     flat, columns = matrices.reshape(count * rows, rank), np.ascontiguousarray(columns)
     images = flat @ columns if np.iscomplexobj(flat) else (flat @ columns.view(np.float64)).view(np.complex128)
@@ -37,7 +36,8 @@ def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
 
 
 def combined_matrices(constants: Complex, matrices: Real) -> Complex:
-    """Sum over q of constants_q matrices_q, for `constants` (..., integrals) and real `matrices` (integrals, ...)."""
+    """The sum over q of constants_q matrices_q. `constants` are (..., integrals), the real `matrices` (integrals,
+    ...)."""
     flat = matrices.reshape(len(matrices), math.prod(matrices.shape[1:]))
     result = np.asarray(constants.real @ flat, dtype=complex)
     if constants.imag.any():

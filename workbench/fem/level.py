@@ -1,4 +1,4 @@
-"""The logarithm of a response with the derivatives from which Newton's method finds resonances."""
+"""The logarithm of a response, with derivatives for Newton's method at resonances."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from workbench.fem.linearised import DIFFERENCE_PLACES, FIRST_WEIGHTS, SECOND_WE
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: No numbers to take derivatives by.
+#: An empty set of numbers to differentiate by.
 NO_NUMBERS = np.zeros(0, dtype=complex)
 
-#: Relative step of the differences of a drive's formula: for a rational function of the impedance the error of a second
-#: derivative is 1e-9.
+#: Relative step of the difference quotients of a drive's formula. For a rational function of the impedance the error of
+#: a second derivative is 1e-9.
 STEP = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The logarithm of a response: ``value``, its ``slope`` (1/Hz) and ``curvature`` (1/Hz^2) by frequency, its
-    derivatives ``by_number`` (k,) and the ``mixed`` ones (k,) by frequency and number."""
+    """The logarithm of a response and its derivatives. ``slope`` (1/Hz) and ``curvature`` (1/Hz^2) are by frequency,
+    ``by_number`` (k,) by numbers, ``mixed`` (k,) by frequency and number."""
 
     value: float
     slope: float
@@ -44,8 +44,8 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class _LogImpedance:
-    """The derivatives of ln Z of a state, Z = i / (w Q): by frequency once and ``twice``, ``by_number`` (k,) and
-    ``mixed`` (k,)."""
+    """The derivatives of ln Z of a state. Z is i / (w Q). They are by frequency, ``twice`` by frequency, ``by_number``
+    (k,) and ``mixed`` (k,)."""
 
     by_frequency: complex
     twice: complex
@@ -61,18 +61,16 @@ class _LogImpedance:
 
 
 def impedance_level(state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
-    """ln |Z| of a state, by the numbers that its parameters move by `turns` (k,) with: 1 for a real part, 1j for an
-    imaginary one."""
+    """ln |Z| of a state. Its numbers move its parameters by `turns` (k,): 1 for a real part, 1j for an imaginary
+    one."""
     found = _LogImpedance.of(state, turns)
     return Level(-math.log(2.0 * math.pi * state.frequency * abs(state.charge)), found.by_frequency.real,
                  found.twice.real, found.by_number.real, found.mixed.real)
 
 
 def drive_level(amplitude: Callable[[Complex], Complex], state: LinearisedState, turns: Complex) -> Level:
-    """ln |V|^2 of the `amplitude` V that a drive gives at a device of the impedance (ohm) of a state.
-
-    `amplitude` is a closed formula (`workbench.model.drive.Drive.amplitude`); `turns` as of :func:`impedance_level`.
-    """
+    """ln |V|^2 of the drive's voltage V at a device. `amplitude` is a closed formula
+    (`workbench.model.drive.Drive.amplitude`) of the impedance (ohm); `turns` are as in :func:`impedance_level`."""
     impedance, found = complex(state.solution.impedance[0]), _LogImpedance.of(state, turns)
     z_f, z_ff = impedance * found.by_frequency, impedance * (found.twice + found.by_frequency**2)
     z_k, z_fk = impedance * found.by_number, impedance * (found.mixed + found.by_frequency * found.by_number)

@@ -1,10 +1,10 @@
-"""A state at one frequency and its exact derivatives by frequency and by parameters, full or reduced.
+"""A state at one frequency and its exact derivatives, full or reduced.
 
-With A x = 0 on the free unknowns and the electrode held at one volt, A dx = -(dA) x for any change of A, and
+With A x = 0 on the free unknowns and the electrode fixed at one volt, A dx = -(dA) x for any change of A, and
     Q = -x^T A x,   dQ = -x^T (dA) x,   d2Q by a and b = -(2 x_a^T (A_b) x + x^T (A_ab) x).
 
-One factorisation serves all of them. Coefficients depend on frequency through few scalar functions; these are
-differentiated by central differences of sixth order, whose error is below rounding.
+One factorisation serves all of them. Coefficients depend on frequency through few scalar functions; central differences
+of sixth order differentiate these with an error below rounding.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from workbench.physics.term import Values
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Relative step of the differences of a scalar function of frequency, and their places and weights. For a power of
+#: Relative step, places and weights of the difference quotients of a scalar function of frequency. For a power of
 #: frequency the relative error is 1e-13 in the first derivative and 1e-11 in the second.
 DIFFERENCE_STEP = 3e-3
 DIFFERENCE_PLACES = np.arange(-3.0, 4.0)
 FIRST_WEIGHTS = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 SECOND_WEIGHTS = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 
-#: Largest scaled residual of an accepted derivative of a state. Its right side is spread over the parts, where a graded
-#: mesh makes the scaled solution up to a million times as large; rounding then leaves 1e-10 of the right side.
+#: Largest scaled residual of an accepted derivative of a state. Its right side is spread over the parts; on a graded
+#: mesh the scaled solution is up to a million times as large, so rounding is up to 1e-10 of the right side.
 DERIVATIVE_LIMIT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
 class Twice:
-    """Second derivatives of a state: ``by_frequency`` (size,) per Hz^2, and ``by_both`` (size, k) by frequency and
+    """Second derivatives of a state. ``by_frequency`` (size,) is per Hz^2; ``by_both`` (size, k) is by frequency and
     complex parameters."""
 
     by_frequency: Complex
@@ -48,11 +48,11 @@ class Twice:
 
 @dataclass(frozen=True, eq=False)
 class LinearisedState:
-    """A state at one frequency (Hz) and unit electrode voltage, e^{-i w t}, with its derivatives.
+    """A state at one frequency (Hz) and unit electrode voltage, with derivatives.
 
-    ``state`` (size,), ``by_frequency`` (size,) per Hz and ``by_parameter`` (size, k) by the complex parameters
-    ``names``; ``charge`` (C), its first and second derivative by frequency, its derivatives (k,) by parameters, and its
-    mixed derivatives (k,) by frequency and parameter. ``twice`` are the second derivatives of the state, if requested.
+    The time factor is e^{-i w t}. ``by_frequency`` (size,) is per Hz, ``by_parameter`` (size, k) by the complex
+    parameters ``names``. Derivatives of the charge (C) are by frequency, twice by frequency, by parameters (k,) and by
+    both (k,). ``twice`` has the second derivatives of the state, if requested.
     """
 
     solution: Solution
@@ -81,7 +81,8 @@ class LinearisedState:
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    """Products (dA) x for changes of A: by frequency once and twice (size,), by parameters and by both (size, k)."""
+    """Products (dA) x for derivatives of A. By frequency once and twice they are (size,), by parameters and by both
+    (size, k)."""
 
     by_frequency: Complex
     twice: Complex
@@ -92,8 +93,7 @@ class _Forces:
 def _linearised(
     solution: Solution, names: tuple[str, ...], forces: _Forces, moved: Complex, twice: Twice | None
 ) -> LinearisedState:
-    """The state with its derivatives; `moved` (size, 1 + k) are those of the state by frequency and by the parameters.
-    """
+    """The state with its derivatives. `moved` (size, 1 + k) are the derivatives by frequency and by the parameters."""
     state, by_frequency = solution.states[:, 0], moved[:, 0]
     return LinearisedState(
         solution, names, by_frequency, moved[:, 1:],
@@ -106,21 +106,18 @@ def _linearised(
 
 
 def _twice_forces(forces: _Forces, changing: Complex, of_slope: Complex) -> Complex:
-    """Forces (size, 1 + k) of the second derivatives of a state x by frequency, and by frequency and parameters.
-
-    A x_ff = -(2 A_f x_f + A_ff x), A x_fa = -(A_f x_a + A_a x_f + A_fa x), with `changing` A_f (x_f, x_a) and
-    `of_slope` A_a x_f.
-    """
+    """Forces (size, 1 + k) of the second derivatives of a state. A x_ff = -(2 A_f x_f + A_ff x), A x_fa = -(A_f x_a +
+    A_a x_f + A_fa x), with `changing` A_f (x_f, x_a) and `of_slope` A_a x_f."""
     return np.column_stack([2.0 * changing[:, 0] + forces.twice, changing[:, 1:] + of_slope + forces.by_both])
 
 
 def difference_frequencies(frequency: float) -> Real:
-    """The frequencies (Hz) of the central differences at `frequency`, which is the middle one."""
+    """The frequencies (Hz) of the central differences at `frequency`."""
     return frequency * (1.0 + DIFFERENCE_STEP * DIFFERENCE_PLACES)
 
 
 def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex, Complex]:
-    """Value, first and second derivative (per Hz) of a function given (..., 7) at the frequencies of
+    """Value, first and second derivative (per Hz) of a function. The function is given (..., 7) at the frequencies of
     :func:`difference_frequencies`."""
     step = DIFFERENCE_STEP * frequency
     return function[..., 3], function @ FIRST_WEIGHTS / step, function @ SECOND_WEIGHTS / step**2
@@ -129,7 +126,7 @@ def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex,
 def slope_columns(
     operators: Operators, frequency: float, values: Values, names: tuple[str, ...]
 ) -> tuple[Complex, Complex]:
-    """Derivatives d g_q / d theta (integrals, k) at a frequency, and their derivatives per Hz."""
+    """Derivatives of the coefficients g_q (integrals, k), and per Hz."""
     omega = 2.0 * np.pi * difference_frequencies(frequency)
     coefficients = operators.coefficients
     slopes, change = np.zeros((2, coefficients.count, len(names)), dtype=complex)
@@ -142,7 +139,7 @@ def slope_columns(
 
 
 class ReducedSystem:
-    """A reduced model with parameter values, ready to be solved and linearised at any frequency."""
+    """A reduced model with parameter values."""
 
     def __init__(self, operators: ReducedOperators, values: Values) -> None:
         self.operators, self.values = operators, values
@@ -160,8 +157,8 @@ class ReducedSystem:
         return solve_groups(self.operators, frequencies, self.groups(frequencies))
 
     def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
-        """The state at one frequency with its derivatives, also second ones if `twice` is set; those by parameters of
-        no coefficient are zero."""
+        """The state at one frequency with its derivatives. `twice` adds second derivatives. Derivatives by parameters
+        of no coefficient are zero."""
         groups = self.groups(difference_frequencies(frequency))
         value, first, second = by_frequency(np.stack([h for h, _ in groups]), frequency)
         matrix = np.tensordot(value, self._matrices, axes=1)
@@ -201,15 +198,16 @@ class ReducedSystem:
 
 
 class FullSystem:
-    """The full model with parameter values, linearised like a :class:`ReducedSystem`."""
+    """The full model with parameter values."""
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         self._system = System(operators, values)
 
     def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
-        """The state with its derivatives, by one factorisation and a back substitution for each name, two for each if
-        second ones are requested (`twice`).
+        """The state with its derivatives, by one factorisation.
+
+        Each name takes one back substitution, or two with second derivatives (`twice`).
 
         Raises:
             NotConverged: the solve did not reach its tolerance.

@@ -1,4 +1,4 @@
-"""Complex eigenfrequencies and mode shapes of a model: the poles of its admittance.
+"""Complex eigenfrequencies and mode shapes: the poles of the admittance.
 
 The electrodes are short-circuited. The matrix A(w) of a model has any powers of w in it (fluids, boundary layers, laws
 of loss), so its modes are solutions of a nonlinear eigenvalue problem A(w) x = 0. With its rows of the pressure times
@@ -64,7 +64,7 @@ LEAST_Q = 20.0
 
 
 class ModesNotConverged(RuntimeError):
-    """Eigenfrequencies (n,) in Hz still changed in the last round, by ``changes`` (n,)."""
+    """Eigenfrequencies (n,) in Hz that still changed in the last round."""
 
     def __init__(self, frequencies: Complex, changes: Real) -> None:
         worst = int(np.argmax(changes))
@@ -101,7 +101,7 @@ class Eigenmodes:
 
 
 def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LEAST_Q) -> Eigenmodes:
-    """All modes of a model in a band with at least some quality factor.
+    """All modes of a model in a band, above a quality factor.
 
     Parameters
     ----------
@@ -214,9 +214,9 @@ def _refined(
 
 
 def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: float = 0.0) -> NDArray[np.bool_]:
-    """Mask (n,) of the modes in a `band` (Hz), of at least a quality factor.
+    """Mask (n,) of the modes in a band, above a quality factor.
 
-    The band is widened by the share `margin` of its width.
+    The `band` (Hz) is widened by the share `margin` of its width.
     """
     low, high = (2.0 * np.pi * each for each in band)
     wider = margin * (high - low)
@@ -240,7 +240,7 @@ class _Continued:
         return cls(system, [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups)
 
     def image(self, omega: complex, state: Complex) -> Complex:
-        """The product A(w) x (size - 1,) for a state x without voltage."""
+        """The product A(w) x (size - 1,) for a `state` without voltage."""
         state = np.append(state, 0.0)
         return np.asarray(sum(law(omega) * matrix.times(state)
                               for law, matrix in zip(self.laws, self.system.groups, strict=True)))[:-1]
@@ -274,7 +274,7 @@ class _Projected:
         return [law.deriv() for law in self.laws]
 
     def mode_near(self, omega: complex, state: Complex) -> tuple[complex, Complex] | None:
-        """The mode that Newton's method reaches from a frequency and a `state` (r,)."""
+        """The mode that Newton's method reaches from a `state` (r,)."""
         for _ in range(NEWTON):
             matrix, slope = self.at(omega)
             left = slope @ state
@@ -309,7 +309,7 @@ def _quality(omega: NDArray[np.complexfloating] | complex) -> Real:
 
 
 def _parts(states: Complex) -> Real:
-    """Real and imaginary parts (m, 2 n) of states (m, n) of unit length.
+    """Real and imaginary parts (m, 2 n) of states (m, n), normalised.
 
     The phase of each state makes its real part largest.
     """
@@ -319,7 +319,7 @@ def _parts(states: Complex) -> Real:
 
 
 def _orthonormal(vectors: Real, basis: Real) -> Real:
-    """Orthonormal directions (m, k) of `vectors` (m, n) outside an orthonormal `basis` (m, r).
+    """Orthonormal directions (m, k) of `vectors` outside a `basis`.
 
     Those smaller than :data:`DEPENDENT` are left out.
     """

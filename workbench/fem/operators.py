@@ -1,8 +1,8 @@
-"""From terms to operators: the affine symmetric system, full (sparse) or reduced (dense), behind one interface.
+"""Assembly: the affine symmetric system of the terms, full or reduced.
 
-``assemble`` turns a mesh and a tuple of terms into :class:`FullOperators`; ``FullOperators.project`` turns a basis into
-:class:`ReducedOperators`. Both have the methods of :class:`Operators`, so that solving, fitting and diagnosing do not
-depend on which of the two they are given. Parameter values are never stored here.
+``assemble`` makes :class:`FullOperators` (sparse) from a mesh and terms; ``FullOperators.project`` makes the matrices
+of :class:`ReducedOperators` (dense) from a basis. Both implement :class:`Operators`, the interface of solvers and fits.
+Parameter values are never stored here.
 """
 
 from __future__ import annotations
@@ -45,21 +45,19 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-#: Two operators in alphabetical order, and the further factor of the measure.
+#: Two operators in alphabetical order, and a factor of the measure.
 Pair = tuple[str, str, MeasureFactor | None]
 
-#: The matrix of an integral without its coefficient: variant, domain, weights of pairs of operators, further factor.
+#: The matrix of an integral without its coefficient: variant, domain, weights of operator pairs, factor of the measure.
 Form = tuple[str, str, frozenset[tuple[tuple[str, str], float]], MeasureFactor | None]
 
-#: Number of cells whose points are projected at once, so that they stay in the processor's cache.
+#: Number of cells per block of a projection, to fit the processor's cache.
 TOGETHER = 64
 
 
 class Operators(Protocol):
-    """Interface of A(w, theta) = sum_q g_q(w, theta) A_q for solvers, full or reduced.
-
-    The last unknown is always the voltage of the live electrode.
-    """
+    """Interface of A(w, theta) = sum_q g_q(w, theta) A_q, full or reduced. The last unknown is the voltage of the live
+    electrode."""
 
     @property
     def integrals(self) -> tuple[Integral, ...]:
@@ -74,24 +72,21 @@ class Operators(Protocol):
         """Number of unknowns, electrode included."""
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        """Forms left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
+        """Forms left^T A_q right (n, integrals) for columns (size, n)."""
 
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
-        """Forms x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n,
-        k).
-
-        `span` gives the few vectors whose combinations the states are, if known.
-        """
+        """Forms x^T sum_q constants_kq A_q x: (n, k). `states` are columns x (size, n), `constants` (k, integrals).
+        `span` is that of the states, if known."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullOperators(Brief):
-    """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
+    """The assembled model on a mesh: tabulated basis functions and numbering.
 
     ``places`` are keyed by the :attr:`~workbench.physics.term.Integral.domain` of an integral. ``numbering[component]``
-    (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the component does not exist or is
-    held at zero; all points of the live electrode share the last row. ``shares[component]`` (number of scalar mesh
-    dofs,) are the factors between the component and its unknown, where some are not 1: those of an electrode in parts.
+    (scalar mesh dofs,) is the row of an unknown in the system, or -1 if the component does not exist or is fixed at
+    zero; all points of the live electrode share the last row. ``shares[component]`` (scalar mesh dofs,) are the factors
+    between component and unknown, if some are not 1: those of an electrode in parts.
     """
 
     mesh: SectionMesh
@@ -105,7 +100,7 @@ class FullOperators(Brief):
     def evaluate(
         self, place: Place, operators: Iterable[str], columns: NDArray[np.inexact]
     ) -> dict[str, NDArray[np.inexact]]:
-        """Operators of the unknowns `columns` (size, n) at the quadrature points of `place`: (ne, nq, n) by name."""
+        """Operators of the unknowns `columns` (size, n) at quadrature points. They are (ne, nq, n) by name."""
         names = list(operators)
         parts = {part: None for name in names for part in OPERATORS[name]}
         local = {}
@@ -138,10 +133,8 @@ class FullOperators(Brief):
         return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
 
     def pair_forms(self, left: Complex, right: Complex) -> Iterator[tuple[str, dict[Pair, Complex]]]:
-        """The symmetric forms of pairs of operators that all integrals are sums of, cell by cell.
-
-        For columns `left` and `right` (size, n): by place, an array (ne, n) for every pair.
-        """
+        """The symmetric forms of operator pairs, cell by cell. For columns `left` and `right` (size, n) they are arrays
+        (ne, n) for every pair, by place. All integrals are sums of them."""
         for place_name, group in self.by_place.items():
             place, used = self.places[place_name], _operators_of(group)
             pairs = dict.fromkeys((*pair_of(p), integral.radial) for integral in group for p in integral.products)
@@ -160,7 +153,7 @@ class FullOperators(Brief):
             yield place_name, found
 
     def of(self, integrals: NDArray[np.int64]) -> FullOperators:
-        """A copy with the same unknowns and only the integrals of these indices (k,)."""
+        """A copy with the same unknowns and only these integrals (k,)."""
         kept = tuple(self.integrals[q] for q in integrals)
         return replace(self, integrals=kept, places={i.domain: self.places[i.domain] for i in kept})
 
@@ -183,28 +176,30 @@ class FullOperators(Brief):
 
     @cached_property
     def forms(self) -> NDArray[np.int64]:
-        """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
+        """Index (integrals,) of every integral's distinct form, which has one matrix."""
         known = {form: index for index, form in enumerate(self.distinct_forms)}
         return np.array([known[_form_of(integral)] for integral in self.integrals], dtype=int)
 
     @cached_property
     def distinct_forms(self) -> list[Form]:
-        """The distinct forms of the integrals, in the order in which they are met."""
+        """The distinct forms of the integrals, in their order."""
         return list(dict.fromkeys(map(_form_of, self.integrals)))
 
     def has_form_of(self, other: FullOperators, form: Form) -> bool:
-        """Whether a form is of one matrix here and in operators of the same unknowns: on the same coordinates."""
+        """Whether a form has one matrix here and in other operators. The unknowns are the same; the coordinates of the
+        form's variant must be equal."""
         variant, here, there = form[0], self.mesh, other.mesh
         return (here.variants.get(variant) is there.variants.get(variant)
                 or (variant in here.variants and variant in there.variants
                     and np.array_equal(here.variants[variant], there.variants[variant])))
 
     def project(self, basis: Real, further: Real | None = None) -> Real:
-        """Matrices basis^T A basis for real columns (size, n), and below them further^T A basis for `further` (size,
-        m).
+        """Matrices basis^T A basis for real columns (size, n).
+
+        Below them are further^T A basis for `further` (size, m).
 
         Returns:
-            (number of distinct :attr:`forms`, n + m, n); the upper part is symmetric.
+            (distinct :attr:`forms`, n + m, n); the upper part is symmetric.
         """
         count = basis.shape[1]
         columns = basis if further is None else np.column_stack([basis, further])
@@ -236,10 +231,8 @@ class FullOperators(Brief):
         return result
 
     def images(self, states: Complex, constants: Complex) -> Complex:
-        """Products sum_q constants_qk A_q x_k for `constants` (number of integrals, k): (size, k).
-
-        `states` is one state x (size,) for all of them, or as many as there are (size, k).
-        """
+        """Products sum_q constants_qk A_q x_k for `constants` (integrals, k): (size, k). `states` is one state x
+        (size,), or one per column (size, k)."""
         columns = states.reshape(len(states), -1)
         result = np.zeros((self.size, constants.shape[1]), dtype=complex)
         for place_name, group in self.by_place.items():
@@ -255,12 +248,12 @@ class FullOperators(Brief):
         return result
 
     def _add_images(self, place: Place, weights: Mapping[Pair, Complex], columns: Complex, result: Complex) -> None:
-        """Add to `result` (size, k) the products over a place's cells, for pairs of operators with weights (k,)."""
+        """Add a place's products to `result` (size, k), for weighted operator pairs."""
         used = dict.fromkeys(name for row, column, _ in weights for name in (row, column))
         fields = self.evaluate(place, used, columns)
         forces: dict[tuple[str, MeasureFactor | None], Complex] = {}
         for (row, column, radial), weight in weights.items():
-            # No set: its order, and with it the last bit of a sum, is another one in every process.
+            # A dict, not a set: its order, and with it the last bit of a sum, is the same in every process.
             for one, other in dict.fromkeys(((row, column), (column, row))):
                 force = fields[other] * ((0.5 if row != column else 1.0) * weight)
                 forces[one, radial] = forces[one, radial] + force if (one, radial) in forces else force
@@ -284,16 +277,16 @@ class FullOperators(Brief):
         return self._stack.split(constants)
 
     def triangle(self, constants: Complex) -> sparse.csc_array:
-        """The upper triangle (size, size) of sum_q constants_q A_q, complex, for `constants` (number of integrals,)."""
+        """The complex upper triangle (size, size) of sum_q constants_q A_q."""
         return self.sparsity.triangle(self._stack.summed(constants))
 
     def matrix(self, constants: Complex) -> sparse.csr_array:
-        """The complex symmetric matrix sum_q constants_q A_q (size, size), for `constants` (number of integrals,)."""
+        """The complex symmetric matrix sum_q constants_q A_q (size, size)."""
         return both_triangles(self.triangle(constants))
 
     @cached_property
     def factorisation(self) -> Factorisation:
-        """The factorisation of all unknowns but the electrode's voltage, which every solve holds."""
+        """The factorisation of all unknowns except the electrode's voltage."""
         triangle = self.sparsity.triangle(np.ones(self.sparsity.keys.size, dtype=np.int8), self.size - 1)
         return factorisation(triangle)
 
@@ -303,8 +296,7 @@ class FullOperators(Brief):
 
     @cached_property
     def _kinds(self) -> dict[str, dict[Kind, Real]]:
-        """By place, the weight (integrals,) of every pair of parts in each integral; a pair counts once for both
-        orders."""
+        """By place, the weight (integrals,) of every part pair in each integral. A pair counts once for both orders."""
         found: dict[str, dict[Kind, Real]] = {}
         for place_name, group in self.by_place.items():
             held: dict[Kind, Real] = {}
@@ -320,7 +312,7 @@ class FullOperators(Brief):
 
     @cached_property
     def _stack(self) -> Stack:
-        """The real matrices that every sum here is made of."""
+        """The real matrices of all sums."""
         positions, entries, mixing = [], [], []
         for place_name, held in self._kinds.items():
             by_components: dict[tuple[str, str], list[Kind]] = {}
@@ -339,7 +331,7 @@ class FullOperators(Brief):
     def _block(
         self, place: Place, components: tuple[str, str], kinds: list[Kind]
     ) -> tuple[NDArray[np.int64], Real]:
-        """Positions (m,) in the upper triangle, and the entries (kinds, m) there, of some kinds at one place."""
+        """Upper positions (m,) and entries (kinds, m) at one place."""
         rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
         rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
         kept = ((rows >= 0) & (columns >= 0)).ravel()
@@ -349,7 +341,7 @@ class FullOperators(Brief):
         positions = np.flatnonzero(number == 0)
         number[positions] = np.arange(positions.size)
         inverse = number[every]
-        # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
+        # An off-diagonal entry of a cell may be on the diagonal of the system (a shared electrode); it then counts
         # twice.
         twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
         if shared := [component for component in components if component in self.shares]:
@@ -364,7 +356,7 @@ class FullOperators(Brief):
                     weights = weights * place.factor(part[2])
             product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
             if components[0] == components[1]:
-                # Both triangles fall on the upper one.
+                # Both triangles contribute to the upper one.
                 product = 0.5 * (product + product.transpose(0, 2, 1))
             entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
         return positions, entries
@@ -383,7 +375,7 @@ class FullOperators(Brief):
 
 
 def _real_times(matrices: Real, columns: NDArray[np.inexact]) -> Any:
-    """Products of real matrices (ne, m, n) and columns (ne, n, k), without complex copies of the matrices."""
+    """Products of real matrices (ne, m, n) and columns (ne, n, k). The matrices are not copied to complex."""
     if not np.iscomplexobj(columns):
         return np.asarray(matrices @ columns)
     parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64)
@@ -396,7 +388,7 @@ def _form(integral: Integral, forms: Mapping[Pair, Complex]) -> Complex:
 
 
 def pair_of(product: Product) -> tuple[str, str]:
-    """The two operators of a product in alphabetical order, since forms are symmetric."""
+    """The two operators of a product in alphabetical order. Forms are symmetric."""
     return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 
 
@@ -410,11 +402,11 @@ def _operators_of(integrals: Iterable[Integral]) -> list[str]:
 
 
 def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
-    """Tabulate the model on a mesh and number its unknowns. Parameter values are not needed.
+    """The operators of a model on a mesh, without parameter values.
 
     Raises:
-        ModelError: a term names a region or boundary the mesh lacks, uses an unknown no term brings in, or needs an
-            axis that a straight section has not; or there is not exactly one pair of electrodes.
+        ModelError: a term names a region or boundary that the mesh lacks, uses an unknown that no term defines, or
+            needs an axis that a straight section does not have; or there is not exactly one pair of electrodes.
     """
     integrals = tuple(integral for term in terms for integral in term.integrals())
     unknowns = {pair for term in terms for pair in term.unknowns}
@@ -428,7 +420,7 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     for integral in integrals:
         if integral.domain not in places:
             found = place_of(mesh, integral)
-            if found is not None:  # a column of a region ends before the radius that the integral begins at
+            if found is not None:  # None: the column ends inside the radius at which the integral begins.
                 places[integral.domain] = found
     if any(component == "u_s" for component, _ in unknowns):
         places = {name: place.of_order(mesh.measure) for name, place in places.items()}
@@ -441,7 +433,7 @@ def _check(
     mesh: SectionMesh, terms: Sequence[Term], integrals: Sequence[Integral], unknowns: Collection[tuple[str, str]],
     conditions: Sequence[Condition],
 ) -> None:
-    """Refuse a model whose terms do not fit together or do not fit the mesh; see :func:`assemble`."""
+    """Raise if terms do not fit together or the mesh; see :func:`assemble`."""
     named = [i.place for i in integrals] + [i.opposite for i in integrals if i.opposite]
     for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
@@ -469,7 +461,7 @@ def _check(
 def _number(
     mesh: SectionMesh, unknowns: set[tuple[str, str]], conditions: tuple[Condition, ...]
 ) -> tuple[dict[str, NDArray[np.int64]], int, dict[str, Real]]:
-    """The row of every unknown, their number, and the shares of the components, as in :class:`FullOperators`."""
+    """The rows of unknowns, their number and shares, as in :class:`FullOperators`."""
     basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
     numbering: dict[str, NDArray[np.int64]] = {}
     live: dict[str, Real] = {}

@@ -1,4 +1,4 @@
-"""Regions and boundaries with the basis functions tabulated at their quadrature points."""
+"""Regions and boundaries with basis functions at their quadrature points."""
 
 from __future__ import annotations
 
@@ -21,20 +21,19 @@ from workbench.physics.term import OPPOSITE, Integral, MeasureFactor, ModelError
 
 Real = NDArray[np.float64]
 
-#: Largest relative difference of cell sizes that counts as rounding, far above the rounding of coordinates.
+#: Largest relative difference of equal cell sizes, far above the rounding of coordinates.
 SAME_SHAPE = 1e-9
 
 
 @dataclass(frozen=True)
 class Place:
-    """A region or boundary with its basis functions tabulated at the quadrature points.
+    """A region or boundary with its basis functions at quadrature points.
 
-    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold the measure of the section, 2 pi r dr dz or length
-    dx dz (on boundaries with ds), ``radius`` (ne, nq) the radii (m) of the points, or their places x. ``shapes`` maps
-    each operation on a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq)
-    is set on boundaries. ``elements`` (ne,) are the mesh cells. If the integral couples an opposite boundary, its
-    functions are among the nb ones: ``shapes`` has their values under
-    ``value_opposite`` and so on, and ``opposite_normal`` is its normal.
+    ``dofs`` (nb, ne) are scalar mesh dofs; ``weights`` (ne, nq) include the measure of the section, 2 pi r dr dz or
+    length dx dz (ds on boundaries); ``radius`` (ne, nq) are the radii (m) of the points, or their places x. ``shapes``
+    maps each operation on a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb); ``normal`` (2,
+    ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells. If the integral couples an opposite boundary,
+    its functions are among the nb ones, under ``value_opposite`` and so on; ``opposite_normal`` is its normal.
     """
 
     dofs: NDArray[np.int64]
@@ -77,10 +76,8 @@ class Place:
 
 
 def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
-    """The place of an integral, or None if it is empty.
-
-    For cells of a variant of the mesh, the limits of a restricted region move with the cells.
-    """
+    """The place of an integral, or None if it is empty. In a variant of the mesh, the limits of a restricted region
+    move with the cells."""
     if integral.variant:
         mesh = replace(mesh, shown=integral.variant)
     if not integral.on_boundary:
@@ -100,28 +97,28 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
                            _boundary_place(mesh, far, integral.opposite_solid))
 
 
-#: Points and weights of a quadrature rule, which many places share.
+#: Cached points and weights of a quadrature rule.
 _rule = cache(get_quadrature)
 
 
 def _is_level(mesh: SectionMesh, facets: NDArray[np.int64]) -> bool:
-    """Whether all of some facets lie across the axis."""
+    """Whether all facets are normal to the axis."""
     heights = mesh.mesh.p[1, mesh.mesh.facets[:, facets]]
     return bool((heights[0] == heights[1]).all())
 
 
 def _degree(mesh: SectionMesh) -> int:
-    """The degree of polynomials that the quadrature integrates exactly."""
+    """The polynomial degree for which the quadrature is exact."""
     # This many Gauss points integrate r times a product of two functions exactly: nine for order two. In cells that are
-    # not rectangles no number does; with one more the error is far below that of the fields.
+    # not rectangles no number is exact; one more point has an error far below that of the fields.
     return 2 * mesh.order + (1 if mesh.nodes is None else 3)
 
 
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     region, fraction = integral.place, integral.radius_fraction
     if fraction and not isinstance(mesh.measure, Axisymmetric):
-        raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: only a section that turns about "
-                         "an axis has one")
+        raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: only a section with an axis "
+                         "has one")
     cells = np.asarray(mesh.mesh.subdomains[region])
     if not 0.0 <= fraction < 1.0:
         raise ModelError(f"region {region!r} beyond {fraction:g} of its outer radius: expected a share below 1")
@@ -138,7 +135,7 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[parent_part(region)])]].max()
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
-    # The share of each cell's width that lies inside the radius at which the place begins.
+    # The share of each cell's width inside the radius at which the place begins.
     left_out = np.clip((fraction * edge - inner) / (outer - inner), 0.0, 1.0)
     if left_out.min() > 1.0 - SAME_SHAPE:
         return None
@@ -151,15 +148,15 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
 
 
 def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> None:
-    """Raise if a region to be restricted has cells that are not rectangles, unless shapes are parameters."""
+    """Raise if cells of a restricted region are not rectangles. Variants of the mesh are exempt."""
     if not integral.variant and not are_rectangles(mesh, cells):
         raise ModelError(f"{integral.domain!r} is a part of a region of which some cells are no rectangles: only a "
                          "layer with plane faces and upright sides can be restricted")
 
 
 def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
-    """The cells that form the skin of a region, out of the cells of the region or of a part of it."""
-    # Upside down for the lower skin.
+    """The cells of a region or its part that form the skin."""
+    # The lower skin is turned upside down.
     every = np.asarray(mesh.mesh.subdomains[parent_place(integral.place)])
     whole, heights = (np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, each]] for each in (every, cells))
     edge, rounding = whole.max() - abs(integral.skin) * np.ptp(whole), SAME_SHAPE * np.ptp(whole)
@@ -169,7 +166,7 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
-    """The place of some cells, at local points (2, nq) of weights (nq,)."""
+    """The place of cells, at local points (2, nq) of weights (nq,)."""
     dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
     return Place(dofs, mesh.measure.depth(r) * areas(slopes) * weights, r, shapes, cells)
 
@@ -177,11 +174,12 @@ def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: R
 def _tabulated(
     mesh: SectionMesh, cells: NDArray[np.int64], points: Real
 ) -> tuple[NDArray[np.int64], dict[str, Real], Real, Real]:
-    """Basis functions of some cells at local points (2, nq).
+    """Basis functions of cells at local points (2, nq).
 
     Returns:
-        dofs and shapes as in `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z
-        along the local coordinates.
+        dofs and shapes as in `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z along
+            the
+        local coordinates.
     """
     element = Lagrange(mesh.order)
     value, along, across = element.tabulated(points)
@@ -196,14 +194,15 @@ def _tabulated(
 
 
 def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
-    """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
+    """Radii (ne, nq) and slopes (2, 2, ne, nq) at local points. The slopes are those of r and z along the local
     coordinates."""
     own = mesh.nodes
     return mapped_nodes(mesh.mesh.p[:, mesh.mesh.t[:, cells]] if own is None else own[:, :, cells], points)
 
 
 def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:
-    """Radii and slopes as in :func:`mapped`, for cells given by the coordinates (2, nodes, cells) of their nodes."""
+    """Radii and slopes as in :func:`mapped`, from coordinates of nodes. `own` are the coordinates (2, nodes, cells) of
+    the cells' nodes."""
     # Four corners, or the nodes of a curved cell of some order.
     value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
     slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
@@ -211,14 +210,13 @@ def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:
 
 
 def areas(slopes: Real) -> Real:
-    """Jacobian determinant (ne, nq) of the map from local coordinates, from the slopes (2, 2, ne, nq) of
-    :func:`mapped`."""
+    """Jacobian determinant (ne, nq) from the slopes of :func:`mapped`."""
     (r_along, r_across), (z_along, z_across) = slopes
     return np.asarray(r_along * z_across - r_across * z_along)
 
 
 def are_rectangles(mesh: SectionMesh, cells: NDArray[np.int64]) -> bool:
-    """Whether some cells are rectangles with sides along r and z."""
+    """Whether cells are rectangles with sides along r and z."""
     _, slopes = mapped(mesh, cells, np.array([[0.0, 0.5, 1.0], [0.0, 0.5, 1.0]]))
     size = np.abs(slopes).max(axis=(0, 1, 3), keepdims=True)
     level = np.ptp(slopes, axis=3).max() if slopes.size else 0.0
@@ -227,7 +225,7 @@ def are_rectangles(mesh: SectionMesh, cells: NDArray[np.int64]) -> bool:
 
 
 def _together(parts: Sequence[Place]) -> Place:
-    """Several parts of one region or boundary as one place."""
+    """Several parts of a region or boundary as one place."""
     if len(parts) == 1:
         return parts[0]
     shapes = {kind: np.concatenate([part.shapes[kind] for part in parts]) for kind in parts[0].shapes}
@@ -242,7 +240,7 @@ def _together(parts: Sequence[Place]) -> Place:
 def _opposite_facets(
     mesh: SectionMesh, facets: NDArray[np.int64], integral: Integral
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The facets of a boundary and of the opposite one, both in order of their radius."""
+    """The facets of a boundary and the opposite one, by radius."""
     both = []
     for each in (facets, np.asarray(mesh.mesh.boundaries[integral.opposite])):
         radii = mesh.mesh.p[0, mesh.mesh.facets[:, each]]
@@ -261,7 +259,7 @@ def _opposite_facets(
 def _opposite_place(near: Place, far: Place) -> Place:
     """Two opposite boundaries as one place, integrated over the first."""
     if not np.array_equal(np.diff(near.radius) > 0.0, np.diff(far.radius) > 0.0):
-        raise ModelError("the points of two boundaries that face each other are in different order")
+        raise ModelError("the points of two opposite boundaries are in different order")
     shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
     shapes |= {kind + OPPOSITE: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
                for kind, s in far.shapes.items()}
@@ -269,13 +267,13 @@ def _opposite_place(near: Place, far: Place) -> Place:
                  far.normal)
 
 
-#: The sides of a cell in the order of the mesh: the local coordinate that is fixed there, its value, and whether the
-#: cells lie to the left when the other coordinate grows.
+#: The sides of a cell in mesh order: the fixed local coordinate, its value, and whether the cell lies to the left as
+#: the other coordinate grows.
 CELL_SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
 
 
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
-    """The place of some facets, with points in order of radius or height, and normals out of `solid`."""
+    """The place of facets, with normals out of `solid`. Points are sorted by radius or height."""
     owners = mesh.mesh.f2t[0, facets]
     outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
     (along,), weights = _rule(RefLine, _degree(mesh))
@@ -287,7 +285,7 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
         if not chosen.size:
             continue
         dofs, shapes, r, slopes = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
-        # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
+        # Only functions that do not vanish on the facet: the others may belong to a region without this unknown.
         kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
         tangent = slopes[:, 1 - fixed]
         length = np.hypot(*tangent)

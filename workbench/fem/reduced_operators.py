@@ -1,4 +1,4 @@
-"""The affine system on a small basis: dense symmetric matrices with the interface of the full system."""
+"""The affine system on a small basis, with dense symmetric matrices."""
 
 from __future__ import annotations
 
@@ -21,10 +21,8 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReducedOperators(Brief):
-    """The affine model on a small basis: ``matrices`` (distinct forms, r, r), dense and real.
-
-    ``forms`` (integrals,) is the index of every integral's matrix.
-    """
+    """The affine model on a small basis. ``matrices`` (distinct forms, r, r) are dense and real; ``forms`` (integrals,)
+    is the index of every integral's matrix."""
 
     integrals: tuple[Integral, ...]
     coefficients: Coefficients
@@ -47,7 +45,7 @@ class ReducedOperators(Brief):
         parts = np.concatenate([summed.real, summed.imag])
         acting = np.flatnonzero(parts.any(axis=1))
         forms = np.zeros((states.shape[1], len(parts)), dtype=complex)
-        # Most rows are the derivative by one parameter, which appears in few forms.
+        # Most rows are the derivative by one parameter, which occurs in few forms.
         matrices = self._summed(sparse.csr_array(parts[acting]))
         if span is None:
             forms[:, acting] = bilinear(matrices, states, states)

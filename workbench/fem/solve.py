@@ -1,9 +1,8 @@
-"""Solutions of the full and the reduced model at given frequencies, and the quantities that are quadratic forms of
-them.
+"""Solutions at given frequencies, and quantities that are their quadratic forms.
 
-A solution is taken at unit voltage of the live electrode. Because A is symmetric and the drive is the electrode
-voltage, the electrode charge is Q = -x^T A x, and its derivative with respect to any coefficient is one more quadratic
-form of the same x: dQ = -x^T (dA) x. No adjoint solve, no finite difference.
+A solution has unit voltage of the live electrode. Because A is symmetric and the drive is the electrode voltage, the
+electrode charge is Q = -x^T A x, and its derivative by any coefficient is a quadratic form of the same x: dQ = -x^T
+(dA) x. Neither adjoint solve nor finite difference is needed.
 """
 
 from __future__ import annotations
@@ -33,25 +32,26 @@ from workbench.results.brief import Brief
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
+#: Largest scaled residual of an accepted solve. Refined solves reach 1e-13, almost singular matrices do not.
 RESIDUAL_LIMIT = 1e-10
 
-#: Scaled residual that no refinement makes much smaller: rounding leaves 1e-15 to 9e-14 in a first solve.
+#: Scaled residual at which refinement stops: rounding gives 1e-15 to 9e-14 in a first solve.
 ROUNDING = 1e-13
 
 
-#: Relative step of a difference quotient by frequency. The functions it is used on have no resonance: with the step
-#: doubled, the quotient is still exact to seven digits.
+#: Relative step of a difference quotient by frequency. The functions have no resonance: with the step doubled, the
+#: quotient is still exact to seven digits.
 NEIGHBOURING = 1e-4
 
 
 class NotConverged(RuntimeError):
-    """A linear solve whose residual stayed above the limit, with the frequency, the residual and the iterate."""
+    """A linear solve whose residual stayed above the limit. It has the frequency (Hz), the residual and the last
+    iterate."""
 
     def __init__(self, frequency: float, residual: float, iterate: Complex, limit: float = RESIDUAL_LIMIT) -> None:
         super().__init__(
-            f"the solve at {frequency:.6g} Hz left a scaled residual of {residual:.2e}, above {limit:.0e}; "
-            "the model may be singular there (an undamped resonance, a region that is not held by anything)"
+            f"the solve at {frequency:.6g} Hz has a scaled residual of {residual:.2e}, above {limit:.0e}; "
+            "the model may be singular there (an undamped resonance, or a region without any support)"
         )
         self.frequency, self.residual, self.iterate, self.limit = frequency, residual, iterate, limit
 
@@ -64,9 +64,8 @@ class Solution(Brief):
     """States at unit electrode voltage, e^{-i w t}.
 
     ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
-    frequencies (`coefficients.Coefficients.groups`), ``charge`` (n,) C of the live electrode, -x^T A x, ``residual``
-    (n,) scaled residual of each solve, ``span`` the few vectors whose combinations the states of a reduced model are,
-    if known.
+    frequencies (`coefficients.Coefficients.groups`), ``charge`` (n,) in C, -x^T A x, ``residual`` (n,) scaled, ``span``
+    of the states of a reduced model, if known.
     """
 
     operators: Operators
@@ -88,7 +87,7 @@ class Solution(Brief):
 
     @cached_property
     def forms(self) -> Complex:
-        """Forms x^T A_q x (n, integrals), from which all quantities without the conjugate follow."""
+        """Forms x^T A_q x (n, integrals) of all quantities without a conjugate."""
         return self.operators.quadratic(self.states, self.states)
 
     @property
@@ -98,8 +97,8 @@ class Solution(Brief):
 
     @property
     def impedance(self) -> Complex:
-        """Impedance Z (n,), ohm, e^{-i w t}: a capacitor has a *positive* imaginary part. Spectra hold the conjugate.
-        """
+        """Impedance Z (n,) in ohm, e^{-i w t}. A capacitor has a *positive* imaginary part. Spectra contain the
+        conjugate."""
         return 1.0 / self.admittance
 
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
@@ -130,10 +129,10 @@ class Solution(Brief):
         return np.asarray((1j / (self.omega * self.charge**2))[:, None] * result)
 
     def frequency_gradient(self, values: Values) -> Complex:
-        """Derivative dZ/dw (n,) by the angular frequency, e^{-i w t}, at the parameters `values`.
+        """Derivative dZ/dw (n,) by the angular frequency, e^{-i w t}.
 
-        Z = i / (w Q) and dQ = -x^T dA x. Coefficients are smooth functions of frequency, and their difference quotient
-        over :data:`NEIGHBOURING` is exact to eight digits.
+        Z = i / (w Q) and dQ = -x^T dA x. Coefficients are smooth functions of frequency; their difference quotient over
+        :data:`NEIGHBOURING` is exact to eight digits.
         """
         coefficients, omega = self.operators.coefficients, self.omega
         after, before = (coefficients.groups(omega * (1.0 + sign * NEIGHBOURING), values) for sign in (1.0, -1.0))
@@ -143,7 +142,7 @@ class Solution(Brief):
         return np.asarray(-self.impedance / omega + 1j * stiffening / (omega * self.charge**2))
 
     def dissipation(self) -> Real:
-        """Time-averaged power (W) lost in each integral at 1 V amplitude: (n, integrals).
+        """Mean power (W) lost in each integral at 1 V amplitude. It is (n, integrals).
 
         It is -w/2 Im(g_q) x^H A_q x. The sum is the electrical input power w/2 Im Q (Acevedo-Espinosa et al. (RP-UEIS),
         eq. A.4 integrated over the volume).
@@ -152,16 +151,16 @@ class Solution(Brief):
         return -0.5 * self.omega[:, None] * self.coefficients.imag * forms
 
     def input_power(self) -> Real:
-        """Electrical input power (W) at 1 V amplitude from charge and voltage alone: (n,)."""
+        """Electrical input power (W) at 1 V amplitude: (n,). It is that of charge and voltage."""
         return 0.5 * self.admittance.real
 
 
 @cache
 def _threads() -> ThreadpoolController:
-    """The BLAS libraries in use. Finding them takes a hundred times as long as limiting them.
+    """The BLAS libraries in use, cached because the search is slow.
 
     Raises:
-        MemoryError: their buffers find no room in a limited address space.
+        MemoryError: a limited address space has no room for their buffers.
     """
     reserve_buffers()
     return ThreadpoolController()
@@ -169,10 +168,10 @@ def _threads() -> ThreadpoolController:
 
 @dataclass
 class _Limit:
-    """The limit of BLAS threads in force, and the number of our threads that ask for it at the moment."""
+    """The limit of BLAS threads in force, and its number of users."""
 
     lock: Lock
-    asked: int = 0
+    users: int = 0
     limiter: Any = None
 
 
@@ -181,23 +180,25 @@ _LIMIT = _Limit(Lock())
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
+    """Limit BLAS to one thread. Two threads made sparse factorisations up to 300 times slower on a busy two-core
+    machine."""
     with _LIMIT.lock:
-        if _LIMIT.asked == 0:
+        if _LIMIT.users == 0:
             _LIMIT.limiter = _threads().limit(limits=1, user_api="blas")
-        _LIMIT.asked += 1
+        _LIMIT.users += 1
     try:
         yield
     finally:
         with _LIMIT.lock:
-            _LIMIT.asked -= 1
-            if _LIMIT.asked == 0:
+            _LIMIT.users -= 1
+            if _LIMIT.users == 0:
                 _LIMIT.limiter.restore_original_limits()
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised, symmetrically scaled system at one frequency, with the upper triangle that refines a solve."""
+    """A factorised, symmetrically scaled system at one frequency. The upper ``triangle`` serves the refinement of a
+    solve."""
 
     frequency: float
     triangle: sparse.csc_array
@@ -205,7 +206,10 @@ class Factor:
     solve_scaled: Callable[[Complex], Complex]
 
     def solve(self, right: Complex, limit: float | None = None) -> tuple[Complex, float]:
-        """Solution x of matrix x = right (size - 1,) after iterative refinement, and its scaled residual.
+        """The refined solution x of matrix x = right (size - 1,).
+
+        Returns:
+            x and its scaled residual.
 
         Raises:
             NotConverged: the scaled residual stays above the `limit`, :data:`RESIDUAL_LIMIT` if None.
@@ -227,10 +231,8 @@ class Factor:
 
 
 class System:
-    """The full model with parameter values, ready to be factorised at any frequency.
-
-    Matrices of equal frequency dependence are summed once (see `coefficients.Coefficients.groups`).
-    """
+    """The full model with parameter values. Matrices of equal frequency dependence are summed once (see
+    `coefficients.Coefficients.groups`)."""
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
@@ -240,7 +242,7 @@ class System:
         self._latest: tuple[float, Complex] = (np.nan, np.zeros(0, dtype=complex))
 
     def factors(self, frequencies: Real) -> Complex:
-        """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
+        """Factors h_g(w) (groups, n) of equal frequency dependence."""
         groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
@@ -251,11 +253,11 @@ class System:
     def charge(self, frequency: float, state: Complex) -> complex:
         """The charge -x^T A x of a state (size,)."""
         triangle = self.operators.sparsity.triangle(self.entries(frequency))
-        # Large terms cancel within a row: the form of one triangle alone would keep their rounding.
+        # Large terms cancel within a row: the form of one triangle would keep their rounding.
         return -complex(state @ _symmetric_product(triangle, state))
 
     def entries(self, frequency: float) -> Complex:
-        """The entries (upper,) of A(w) in the upper triangle of the pattern; those of the last frequency are kept."""
+        """The upper entries (upper,) of A(w), cached for one frequency."""
         if self._latest[0] != frequency:
             real, imaginary = np.zeros((2, self.operators.sparsity.keys.size))
             for factor, group in zip(self.factors(np.array([frequency]))[:, 0], self.groups, strict=True):
@@ -272,7 +274,7 @@ class System:
         return self.operators.split(np.asarray(sum(factor * constants for factor, constants in moved if factor)))
 
     def factored(self, frequency: float) -> tuple[Complex, Factor]:
-        """The last column (size,) of A(w), which is the electrode's, and the factorised part without it.
+        """The electrode's column (size,) of A(w), and the factorised rest.
 
         Raises:
             NotConverged: the matrix is singular.
@@ -290,13 +292,12 @@ class System:
     def sweep(
         self, frequencies: Real, *, failed: Callable[[NotConverged], None] | None = None
     ) -> Iterator[Solution]:
-        """Solve at one frequency after the other, and yield each solution at once, so that a stop loses none.
+        """Solve at one frequency after the other, and yield each solution.
 
-        If there is a function `failed`, it is called for a frequency at which the solve does not converge, and that
-        frequency is left out.
+        If a solve does not converge, `failed` is called and the frequency is omitted.
 
         Raises:
-            NotConverged: a solve does not converge, and there is no such function.
+            NotConverged: a solve does not converge, and `failed` is None.
         """
         for frequency in np.asarray(frequencies, dtype=float):
             try:
@@ -312,7 +313,7 @@ class System:
             yield Solution(self.operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
 
     def solutions(self, frequencies: Real) -> Solution:
-        """Solve at a few frequencies, with all states kept. For long spectra see :meth:`sweep`."""
+        """Solve at a few frequencies. For long spectra see :meth:`sweep`."""
         parts = list(self.sweep(frequencies))
         frequency = np.concatenate([p.frequency for p in parts])
         return Solution(self.operators, frequency,
@@ -324,16 +325,15 @@ class System:
         self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = (),
         moves: Real | None = None,
     ) -> tuple[Factor, Complex, float]:
-        """The state at `frequency`, `count` - 1 further vectors that span the states nearby, and `tangents`.
+        """The state at `frequency`, further vectors that span nearby states, and tangents.
 
-        With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
-        close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
-        neighbourhood, whatever the coefficients' dependence on frequency. This factorisation also gives the derivative
-        of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`, or along the directions `moves`
-        (len(tangents), k) of these parameters.
+        With A_0 = A(w) factorised, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so nearby states lie close to the
+        Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0, for any frequency dependence. The factorisation
+        also gives the derivative of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`, or along
+        the directions `moves` (len(tangents), k) of these parameters. There are `count` - 1 further vectors.
 
         Returns:
-            the factorisation, (size, count + k) the state first, and the scaled residual of the state itself.
+            the factorisation, the vectors (size, count + k) with the state first, and the scaled residual of the state.
         """
         electrode, factor = self.factored(frequency)
         free = electrode.size - 1
@@ -357,7 +357,7 @@ class System:
         return factor, states, residual
 
     def _changes(self, frequency: float, state: Complex, names: tuple[str, ...], moves: Real) -> Complex:
-        """Products (dA / dtheta) x (size, k) for complex parameters along `moves` (len(names), k)."""
+        """Products (dA / dtheta) x (size, k) along parameter directions `moves`. The directions are (len(names), k)."""
         omega = np.array([2.0 * np.pi * frequency])
         coefficients = self.operators.coefficients
         slopes = np.zeros((coefficients.count, len(names)), dtype=complex)
@@ -368,14 +368,14 @@ class System:
 
 
 def factorise(triangle: sparse.csc_array, frequency: float, factorisation: Factorisation | None = None) -> Factor:
-    """Scale a symmetric matrix (n, n), given by its upper `triangle`, to unit diagonal and factorise it.
+    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it.
 
-    With a `factorisation` that knows the pattern. The scaling brings displacement, potential and pressure to one size;
-    without it energy does not close.
+    `triangle` is its upper triangle, `factorisation` that of the pattern. The scaling brings displacement, potential
+    and pressure to one size; without it the energy balance is not exact.
 
     Raises:
         NotConverged: the matrix is singular.
-        RuntimeError, MemoryError: memory was not enough.
+        RuntimeError, MemoryError: not enough memory.
     """
     size = np.abs(diagonal(triangle))
     if not (size > 0.0).all():
@@ -394,7 +394,7 @@ def factorise(triangle: sparse.csc_array, frequency: float, factorisation: Facto
 
 
 def _symmetric_product(triangle: sparse.csc_array, x: Complex) -> Complex:
-    """The product (n,) of the symmetric matrix with this upper triangle and x (n,)."""
+    """The product (n,) of the symmetric matrix and x (n,)."""
     return np.asarray(triangle @ x + triangle.T @ x - diagonal(triangle) * x)
 
 
@@ -419,7 +419,7 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
 
 
 def solve_groups(operators: ReducedOperators, frequencies: Real, groups: Groups) -> Solution:
-    """Solve the reduced model at every frequency, where `groups` is all that depends on parameter values."""
+    """Solve the reduced model; only `groups` depend on parameter values."""
     summed = operators.combinations(np.array([constants for _, constants in groups]))
     with one_thread():
         found = solve_dense(np.stack([h for h, _ in groups]), summed)

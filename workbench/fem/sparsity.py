@@ -1,4 +1,4 @@
-"""The sparsity pattern of an assembled model, and the real matrices on it whose sum is the model."""
+"""The sparsity pattern of an assembled model, and its real matrices."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from workbench.physics.term import MeasureFactor, Part
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Matrices that are more than one part in so many of a model's are not kept a second time. Doubled, a model takes less
-#: memory, and a set of values more time.
+#: Matrices larger than one in so many parts of a model's are not copied. Doubled, a model takes less memory, and a set
+#: of values more time.
 MUCH = 4
 
 #: Two parts of operators in order, and the further factor of the measure.
@@ -25,11 +25,8 @@ Kind = tuple[Part, Part, MeasureFactor | None]
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A symmetric sparsity pattern (size, size), given by its upper triangle, column by column.
-
-    ``rows`` (upper,) are those of the entries of the upper triangle; the columns begin at ``starts`` (size + 1,).
-    ``keys`` (upper,) are column * size + row, ascending.
-    """
+    """A symmetric sparsity pattern (size, size): its upper triangle by columns. ``rows`` (upper,) are the rows of its
+    entries; columns begin at ``starts`` (size + 1,). ``keys`` (upper,) are column * size + row, ascending."""
 
     keys: NDArray[np.int64]
     rows: NDArray[np.int32]
@@ -37,7 +34,7 @@ class Pattern:
 
     @classmethod
     def of(cls, rows: NDArray[np.int64], columns: NDArray[np.int64], size: int) -> Pattern:
-        """The pattern of entries (k,) of either triangle; a negative index stands for none."""
+        """The pattern of entries (k,) of either triangle; negative indices are ignored."""
         kept = (rows >= 0) & (columns >= 0) & (rows <= columns)
         once = sparse.coo_array((np.ones(int(kept.sum()), dtype=np.int8), (rows[kept], columns[kept])),
                                 shape=(size, size)).tocsc()
@@ -60,14 +57,15 @@ class Pattern:
         return np.searchsorted(self.keys, wanted)
 
     def triangle(self, upper: NDArray[np.inexact], size: int | None = None) -> sparse.csc_array:
-        """The upper triangle with these entries (upper,), or that of the first `size` unknowns; nothing is copied."""
+        """The upper triangle with these entries (upper,), without a copy. With `size` it is that of the first
+        unknowns."""
         size = self.size if size is None else size
         count = self.starts[size]
         return sparse.csc_array((upper[:count], self.rows[:count], self.starts[: size + 1]), shape=(size, size))
 
 
 def diagonal(triangle: sparse.csc_array) -> NDArray[np.inexact]:
-    """The diagonal (n,) of an upper triangle with sorted indices: each entry there is the last one of its column."""
+    """The diagonal (n,) of an upper triangle with sorted indices. Each diagonal entry is the last one of its column."""
     last = triangle.indptr[1:] - 1
     return np.where(triangle.indices[last] == np.arange(last.size), triangle.data[last], 0.0)
 
@@ -82,10 +80,10 @@ def both_triangles(triangle: sparse.csc_array) -> sparse.csr_array:
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Some entries of a symmetric pattern, wherever the matrices of some kinds have one.
+    """The entries of a symmetric pattern where some matrices are nonzero.
 
-    ``positions`` (k,) are their indices in its upper triangle, where they lie in ``rows`` (k,) and in the columns that
-    begin at ``starts`` (size + 1,). ``kinds`` (k, kinds) are the matrices, None where they would be much of the model.
+    ``positions`` (k,) are their indices in its upper triangle, ``rows`` (k,) their rows; columns begin at ``starts``
+    (size + 1,). ``kinds`` (k, kinds) are the matrices, None if they are a large part of the model.
     """
 
     positions: NDArray[np.int64]
@@ -95,11 +93,11 @@ class Entries:
 
     @classmethod
     def of(cls, pattern: Pattern, kinds: sparse.csc_array, *, kept: bool) -> Entries:
-        """The entries of `kinds` (upper, kinds), which are `kept` or not."""
-        is_held = np.zeros(pattern.keys.size, dtype=bool)
-        is_held[kinds.indices] = True
-        positions = np.flatnonzero(is_held)
-        number, shape = np.cumsum(is_held, dtype=np.int32) - 1, (positions.size, kinds.shape[1])
+        """The entries of `kinds` (upper, kinds), copied if `kept`."""
+        is_used = np.zeros(pattern.keys.size, dtype=bool)
+        is_used[kinds.indices] = True
+        positions = np.flatnonzero(is_used)
+        number, shape = np.cumsum(is_used, dtype=np.int32) - 1, (positions.size, kinds.shape[1])
         own = sparse.csc_array((kinds.data, number[kinds.indices], kinds.indptr), shape=shape).tocsr() if kept else None
         return cls(positions, pattern.rows[positions], np.searchsorted(positions, pattern.starts).astype(np.int32), own)
 
@@ -110,14 +108,14 @@ class Entries:
         return both_triangles(sparse.csc_array((number, self.rows, self.starts), shape=(self.starts.size - 1,) * 2))
 
     def whole(self, values: Real) -> sparse.csr_array:
-        """The symmetric matrix with these values (k,). By rows it is the same as by columns, and faster."""
+        """The symmetric matrix with these values (k,), by rows, which is faster."""
         found = self._mirror
         return sparse.csr_array((values[found.data - 1], found.indices, found.indptr), shape=found.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class Symmetric:
-    """A real symmetric matrix (size, size): ``values`` (k,) of some ``entries`` of a pattern."""
+    """A real symmetric matrix (size, size). ``values`` (k,) are those of some ``entries`` of a pattern."""
 
     entries: Entries
     values: Real
@@ -130,14 +128,14 @@ class Symmetric:
 
 @dataclass(frozen=True, eq=False)
 class SplitMatrix:
-    """A complex symmetric matrix (size, size) as its real and its imaginary part; None is a part that is zero."""
+    """A complex symmetric matrix (size, size) in two real parts. A zero part is None."""
 
     real: Symmetric | None
     imaginary: Symmetric | None
 
     @property
     def parts(self) -> list[tuple[complex, Symmetric]]:
-        """The parts that are not zero, each with 1 or i before it."""
+        """The nonzero parts, each with a factor 1 or i."""
         return [(turn, part) for turn, part in ((1.0, self.real), (1j, self.imaginary)) if part is not None]
 
     def times(self, columns: NDArray[np.inexact]) -> Complex:
@@ -146,7 +144,7 @@ class SplitMatrix:
                               np.zeros(columns.shape, dtype=complex)))
 
     def add_to(self, real: Real, imaginary: Real, factor: complex) -> None:
-        """Add the matrix times a factor to the parts of entries (upper,) of the upper triangle of its pattern."""
+        """Add the matrix times a factor to upper entries (upper,)."""
         for turn, part in self.parts:
             scale = turn * factor
             for into, number in ((real, scale.real), (imaginary, scale.imag)):
@@ -156,10 +154,11 @@ class SplitMatrix:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The real matrices that every matrix of a model is a sum of, one for each pair of parts and each measure.
+    """The real matrices whose weighted sums are all matrices of a model.
 
-    ``entries`` (upper, kinds) of the upper triangle of a ``pattern``; ``mixing`` (kinds, integrals) is the weight of
-    each kind in each integral. ``known`` are the entries of some kinds, which all sums of them share.
+    There is one for each pair of parts and each measure. ``entries`` (upper, kinds) are those of the upper triangle of
+    ``pattern``; ``mixing`` (kinds, integrals) is the weight of each kind in each integral. ``known`` caches the entries
+    of some kinds.
     """
 
     pattern: Pattern
@@ -185,17 +184,15 @@ class Stack:
         if key not in self.known:
             kinds = self.entries[:, acting]
             self.known[key] = Entries.of(self.pattern, kinds, kept=MUCH * kinds.nnz < self.entries.nnz)
-        held = self.known[key]
-        if held.kinds is not None:
-            return Symmetric(held, held.kinds @ weights[acting])
-        return Symmetric(held, (self.entries @ weights)[held.positions])
+        entries = self.known[key]
+        if entries.kinds is not None:
+            return Symmetric(entries, entries.kinds @ weights[acting])
+        return Symmetric(entries, (self.entries @ weights)[entries.positions])
 
 
 def real_product(matrix: sparse.sparray, columns: NDArray[np.inexact]) -> Any:
-    """The product of a real sparse matrix (m, n) and real or complex columns (n, k), or one of them (n,).
-
-    scipy would make a complex copy of the matrix first.
-    """
+    """The product of a real sparse matrix (m, n) and columns. The real or complex columns are (n, k) or (n,). scipy
+    would copy the matrix to complex first."""
     if not np.iscomplexobj(columns):
         return np.asarray(matrix @ columns)
     parts = np.ascontiguousarray(columns, dtype=complex).view(np.float64).reshape(len(columns), -1)

@@ -250,8 +250,8 @@ def hidden_findings(recordings: Sequence[FitRecording]) -> list[str]:
     if not hidden:
         return []
     return [f"The model is the plane strain of a cross-section, whose spectrum does not depend on {', '.join(hidden)}: "
-            "what is stated of it stays as it is, and a disc of the material shows it. Resonances along the length are "
-            "not in the model, and would be taken for others."]
+            "their stated values stay as they are, and a disc of the material shows them. Resonances along the length "
+            "are not in the model, and the fit would mistake them for others."]
 
 
 def refused_steps(refusals: Sequence[str]) -> list[str]:

@@ -121,7 +121,7 @@ class FitMultistart:
         self._try(self._searched, self.best.x,
                   lambda x: [*film_offsets(self.search, x), *overtone_offsets(self.search, x)], samples)
         self._try(lambda start: FitEnd(None, self.refine(self.search.inside(start.x))), self.refined.minimum.x,
-                  lambda x: [replace(each, label=f"{each.label}, on the mesh asked for")
+                  lambda x: [replace(each, label=f"{each.label}, on the requested mesh")
                              for each in film_offsets(self.search, x)])
 
     def _searched(self, start: StartPoint) -> FitEnd:

@@ -179,7 +179,7 @@ def in_band(measured: Spectrum, chip: Chip, band: tuple[float, float] | None, *,
     frequency = measured.frequency
     if np.count_nonzero((frequency >= low) & (frequency <= high)) < 2:
         raise InputError(name, "frequency", f"{frequency[0]:g} to {frequency[-1]:g} Hz", f"2 points or more in the "
-                         f"band, {low:g} to {high:g} Hz; another band may be asked for")
+                         f"band, {low:g} to {high:g} Hz; a run may name another band")
     return measured.restricted(low, high)
 
 

@@ -125,10 +125,10 @@ def refusals(result: FitResult) -> tuple[str, ...]:
         if noise.stated and not noise.ratio <= NOISY:
             too_much = f"{noise.ratio:.3g} times the noise that it states, more than {NOISY:g} times"
         elif not noise.stated and not left.rms_log_residual <= LARGE_RESIDUAL:
-            too_much = f"more than the {100.0 * LARGE_RESIDUAL:g} % that are taken where a recording states no noise"
+            too_much = f"more than the {100.0 * LARGE_RESIDUAL:g} % that are accepted if a recording states no noise"
         else:
             continue
-        reasons.append(f"{match.name}: {100.0 * left.rms_log_residual:.2g} % of Z is left (rms; MAPE of |Z| "
+        reasons.append(f"{match.name}: {100.0 * left.rms_log_residual:.2g} % of Z remains (rms; MAPE of |Z| "
                        f"{left.mape_percent:.3g} %), {too_much}: {'; '.join(_remedies(result))}, or the recording is "
                        "of another device or geometry.")
     return tuple(reasons)
@@ -138,7 +138,7 @@ def _remedies(result: FitResult) -> list[str]:
     """Remedies for a large residual: free parameters, other ceramics, a diagnosis."""
     remedies = []
     if result.held:
-        text = f"it held {held_names(result)}"
+        text = f"fixed parameters: {held_names(result)}"
         if proposed := [h for h in result.held if h.taken > 0.0]:
             names = [name_in_fit(h.parameter, result) for h in proposed]
             text += (f", of which {' and '.join(names)} would take {100.0 * sum(h.taken for h in proposed):.0f} % of "

@@ -368,7 +368,7 @@ def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
               f"{frequency[first] / 1e3:.1f} and {frequency[last[first]] / 1e3:.1f} kHz."]
     if noise.correlation > 1.0:
         result.append(f"{name}: the residual is no white noise, {noise.correlation:.1f} neighbouring points carry the "
-                      "information of one: something systematic is left, and the intervals are widened for it.")
+                      "information of one: a systematic deviation remains, and the intervals are widened for it.")
     if noise.ratio > STRUCTURED:
         result.append(f"{name}: the residual is {noise.ratio:.2g} times the recording's stated uncertainty.")
     return result
@@ -379,7 +379,8 @@ def _statements(estimates: Sequence[ParameterEstimate], undetermined: Sequence[D
     for estimate in estimates:
         if estimate.at_bound:
             beyond = estimate.parameter.beyond if "bound" in estimate.at_bound else ""
-            result.append(f"{estimate.parameter.name} is held by {estimate.at_bound}{beyond and f', {beyond}'}.")
+            result.append(f"{estimate.parameter.name} is at an active bound: {estimate.at_bound}"
+                          f"{beyond and f', {beyond}'}.")
         if not estimate.determined and not estimate.parameter.nuisance:
             result.append(f"{estimate.parameter.name} is not determined by these data: its interval is that of the "
                           f"prior narrowed to {100 * min(1.0, estimate.narrowing):.0f} %.")

@@ -1,1 +1,1 @@
-"""A chip and its materials as one problem, the mesh it is solved on, and the numbers it depends on."""
+"""A chip and its materials as one problem with mesh and parameters."""

@@ -1,7 +1,6 @@
-"""The numbers of a chip and its materials, with what their files state of them.
+"""The parameters of a chip and its materials, with their stated uncertainties.
 
-This is the one reader of tolerances and uncertainties: fits, tolerance analyses, the live view and the diagnosis take
-them from here.
+Fits, tolerance analyses, the live view and the diagnosis all read tolerances and uncertainties here.
 """
 
 from __future__ import annotations
@@ -16,15 +15,17 @@ from materials.versions import split_version
 from workbench.files.errors import InputError
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated, limits
 
-#: The amount that stands for what is assumed of a length by the role of its layer.
+#: The amount that stands for an uncertainty assumed by the role of a layer.
 ASSUMED = "assumed"
 
 
 def device_numbers(chip: Chip | None, materials: Iterable[Material]) -> dict[str, Number]:
-    """Every number of a chip and of materials by its name; radii that coincide once, under the first of their names.
+    """Every parameter of a chip and of materials, by name.
+
+    Equal radii occur once, under their first name.
 
     Raises:
-        InputError: radii that coincide have two tolerances.
+        InputError: equal radii have two tolerances.
     """
     found: dict[str, Number] = {}
     if chip is not None:
@@ -38,18 +39,18 @@ def device_numbers(chip: Chip | None, materials: Iterable[Material]) -> dict[str
 
 
 def full_names(written: str, materials: Iterable[str]) -> list[str]:
-    """The names that one `written` without its material's source, or without the version of a saved material, may stand
-    for; `materials` are the full names of those there are."""
+    """The full names for one `written` without a source or version. `materials` are the full names of the known
+    materials."""
     parsed = ParameterName.parse(written)
     return [f"{name}.{parsed.local}" for name in sorted(set(materials))
             if parsed.owner in (name.split("/")[0], (split_version(name) or ("",))[0])]
 
 
 def length_number(chip: Chip, name: str) -> Number:
-    """A dimension of a chip, under the first of the names of radii that coincide.
+    """A dimension of a chip, under the first name of equal radii.
 
     Raises:
-        InputError: radii that coincide have two tolerances.
+        InputError: equal radii have two tolerances.
     """
     first, known = canonical_names(chip), chip.dimensions()
     mine = first.get(name, name)
@@ -57,7 +58,7 @@ def length_number(chip: Chip, name: str) -> Number:
     tolerances = {each: tolerance for each in (mine, *others) if (tolerance := known[each].tolerance) is not None}
     if len(set(tolerances.values())) > 1:
         raise InputError(chip.file, f"{name}.tolerance", ", ".join(f"{k}: {v:g} m" for k, v in tolerances.items()),
-                         "one tolerance of radii that coincide, which are one length")
+                         "one tolerance for equal radii, which are one length")
     stated = next((Stated(each, "uniform", chip.file) for each in tolerances.values()), None)
     value = known[mine].value
     return Number(mine, value, *limits(mine, value), stated, ParameterName.parse(mine).unit, others,
@@ -65,14 +66,14 @@ def length_number(chip: Chip, name: str) -> Number:
 
 
 def _material_of(chip: Chip, name: str) -> str:
-    """The material of the layer that a dimension is of, of a cavity that of the first layer around it."""
+    """The material of a dimension's layer. A cavity has that of the first layer around it."""
     region = ParameterName.parse(name).owner
     around = [layer.material for layer in (*chip.layers, *chip.holes) if layer.region == region]
     return next(iter((*around, *(hole.material for hole in chip.holes))), "")
 
 
 def coefficient_number(material: Material, name: str) -> Number:
-    """A coefficient of a material, with ``.loss`` its imaginary part."""
+    """A coefficient of a material; with ``.loss``, its imaginary part."""
     parsed = ParameterName.parse(f"{material.name}.{name}")
     value, entry = parsed.part_of(material.parameters()[parsed.coefficient]), material.values.get(parsed.coefficient)
     spread = entry and (entry.loss_uncertainty if parsed.is_loss else entry.uncertainty)
@@ -81,13 +82,13 @@ def coefficient_number(material: Material, name: str) -> Number:
 
 
 def bench_number(element: str) -> Number:
-    """An element of the bench, a key of `workbench.model.numbers.BENCH_ELEMENTS`; zero where the bench is ideal."""
+    """A bench element of :data:`BENCH_ELEMENTS`; zero for an ideal bench."""
     known = BENCH_ELEMENTS[element]
     return Number(BENCH + element, 0.0, known.low, known.high, Stated(known.prior, origin="benches of laboratories"),
                   known.unit)
 
 
 def assumed_by_role(name: str, value: float, material: str = "") -> Stated:
-    """The uncertainty that role and `material` of its layer let assume of a dimension of that `value` (m or rad)."""
+    """The assumed uncertainty of a dimension, by role and `material`. `value` is in m or rad."""
     found = assumed_uncertainty(name, value, material)
     return Stated(found.deviation, origin=f"assumed: {found.assumed}", assumed=found.assumed)

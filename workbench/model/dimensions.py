@@ -1,4 +1,4 @@
-"""A problem whose lengths are parameters like its moduli (see `workbench.physics.stretched`)."""
+"""Problems with lengths as parameters (see `workbench.physics.stretched`)."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from workbench.physics.term import Term
 
 Range = tuple[float, float]
 
-#: Range of a radius to either side by default, relative.
+#: Default relative range of a radius to either side.
 RADIAL_RANGE = 0.1
 
-#: Range of a thickness to either side where a layer has a shape, relative.
+#: Relative range of a thickness to either side if a layer has a shape.
 SHAPED_RANGE = 0.2
 
 
 def thickness(layer: str) -> str:
-    """Name of the parameter that is the thickness of a layer of the stack."""
+    """Name of the thickness of a layer as a parameter."""
     return f"{layer}.thickness"
 
 
@@ -44,26 +44,23 @@ def parametrised(
     shapes: Mapping[str, Range] = MappingProxyType({}), *, thicknesses: Mapping[str, Range] = MappingProxyType({}),
     interpolation: Interpolation = TO_ROUNDING, neutral: Collection[Term] = (),
 ) -> Problem:
-    """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters, and some `radii` (m) and
-    `shapes` (m, or rad).
+    """`problem` with lengths of `chip` among its parameters.
 
-    Radii are given with the range they may move in, or by name, which stands for a tenth to either side; none passes
-    another one. Radii that coincide are one parameter, under the first of their names in the chip file
-    (`geometry.stretch.canonical_names`). Shapes are given with their range, by the names that they have, or would have,
-    among the dimensions of the chip; one that the chip does not state is 0. Spectra are those of a mesh stretched to
-    the new lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays.
-    Terms added afterwards do not follow a length: add them first. They may name parts of places
-    (`geometry.names.part_name`).
+    The parameters are ``<layer>.thickness`` (m) of every layer, some `radii` (m) and some `shapes` (m, or rad). Radii
+    have a range, or only a name for a tenth to either side; none passes another one. Equal radii are one parameter,
+    under their first name (`geometry.stretch.canonical_names`). Shapes have a range, by their (possible) names among
+    the chip's dimensions; one that the chip does not state is 0. Spectra are those of a mesh stretched to the new
+    lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays. Terms added later do not
+    follow a length: add them first. They may name parts of places (`geometry.names.part_name`).
 
-    Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
-    side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
-    is refused, unless the `interpolation` carries it along. Forms are extrapolated where less than half of a cell is
-    left, in a thin layer beside a bent one (`workbench.model.moved_parts.LEFT`). `neutral` are terms that are zero on
-    the mesh.
+    If a layer has a shape, thicknesses have the ranges `thicknesses` (m), by default a fifth to either side; beyond,
+    coefficients raise `ModelError`. A moving radius changes a parabola over it on the cells: this raises, unless the
+    `interpolation` carries it along. Forms are extrapolated if less than half of a cell remains, in a thin layer beside
+    a bent one (`workbench.model.moved_parts.LEAST_AREA_SHARE`). `neutral` are terms that are zero on the mesh.
 
     Raises:
-        InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
-            names, a range that does not hold its size, or a radius that moves within a parabola.
+        InputError: an impossible radius or shape, one with two ranges under two of its names, a range without its size,
+            or a radius that moves within a parabola.
         MeshError: the mesh is not of this chip, or a shape within its range folds it.
     """
     ranges = _ranges(chip, radii)
@@ -119,9 +116,11 @@ def parametrised_within(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *,
     interpolation: Interpolation = TO_ROUNDING, neutral: Collection[Term] = (),
 ) -> Problem:
-    """The problem :func:`parametrised` by the radii and shapes among `ranges` (m or rad) of dimensions by name, and by
-    thicknesses that move as far as these say. A chip with profiles is parametrised by the dimensions that `ranges`
-    names alone."""
+    """`problem` with parameters for dimensions by name, within their ranges.
+
+    `ranges` are in m or rad. Radii and shapes among them become parameters; thicknesses have these ranges. A chip with
+    profiles has only parameters named in `ranges`.
+    """
     if chip.is_profiled:
         sizes = {name: each for name,
                  each in ranges.items() if ParameterName.parse(name).is_dimension}
@@ -135,12 +134,12 @@ def parametrised_within(
 
 def _shaped_layers(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
                    interpolation: Interpolation) -> ShapedLayers:
-    """The section of the chip with its shapes; those of `shapes` are parameters."""
+    """The section of the chip with its shapes. Those of `shapes` are parameters."""
     stating = with_shapes(chip, list(shapes))
     for name, (low, high) in shapes.items():
         value = stating.dimensions()[name].value
         if not low <= value <= high:
-            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
+            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that contains its size, {value:g}")
     straight = replace(mesh, coordinates=None)
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
     found = ShapedLayers.of(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
@@ -160,19 +159,19 @@ def _thickness_ranges(nominal: Mapping[str, float], wanted: Mapping[str, Range])
 
 
 def _check_parabolas(shapes: Sequence[LayerShape], chip: Chip, ranges: Mapping[str, Range]) -> None:
-    """Refuse radii that move within a parabola."""
+    """Raise for radii that move within a parabola."""
     for shape in shapes:
         for name in ranges:
             if chip.dimensions()[name].value < shape.reach.within + SAME_LENGTH:
                 raise InputError(chip.file, name, f"a radius that moves, within the parabola of {shape.name}",
-                                 "one that is fixed, or carries it along")
+                                 "a fixed radius, or an interpolation that carries the parabola along")
 
 
 def _moved_parts(
     mesh: SectionMesh, pieces: Mapping[str, Sequence[Piece]], layers: ShapedLayers, used: Iterable[tuple[str, str]],
     part: Callable[[Piece], StretchedPart],
 ) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
-    """The parts of all places that are `used`, and of their opposite boundaries, with their motion by shapes."""
+    """The parts of all `used` places and opposite boundaries, with their motion."""
     found: dict[str, tuple[StretchedPart, ...]] = {}
     faced: dict[str, list[str]] = {}
     for place, facing in used:
@@ -182,7 +181,7 @@ def _moved_parts(
             mesh, own = layers.pieces(mesh, pieces[place])
             cells = [Cells(mesh, np.asarray(mesh.mesh.subdomains[piece.name])) for piece, _ in own]
         else:
-            # The opposite boundary is on the same mesh, whichever of both is moved.
+            # The opposite boundary has the same mesh, whichever of both moves.
             sides = zip(*(pieces[each] for each in dict.fromkeys([place, *others]) if each), strict=True)
             cells = [Cells.of_facets(mesh, np.concatenate([np.asarray(mesh.mesh.boundaries[each.name])
                                                            for each in both])) for both in sides]
@@ -206,7 +205,7 @@ def _moves(plain: StretchedPart, piece: Piece, shapes: Sequence[LayerShape], cel
 
 
 def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]) -> dict[str, tuple[float, float]]:
-    """The range (m) of every radius that moves, by the first of its names."""
+    """The range (m) of every moving radius, by its first name."""
     known, first = chip.dimensions(), canonical_names(chip)
     ranges: dict[str, tuple[float, float]] = {}
     for name in radii:
@@ -215,9 +214,9 @@ def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]
         low, high = (radii[name] if isinstance(radii, Mapping)
                      else ((1.0 - RADIAL_RANGE) * value, (1.0 + RADIAL_RANGE) * value))
         if not low <= value <= high:
-            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"a range that holds its length, {value:g} m")
+            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"a range around its length, {value:g} m")
         wanted = admissible_range(chip, name, low, high)
         if ranges.setdefault(first[name], wanted) != wanted:
-            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"one range for radii that coincide: "
+            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"one range for equal radii: "
                              f"{first[name]} has another")
     return ranges

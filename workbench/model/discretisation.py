@@ -1,4 +1,4 @@
-"""The discretisation: size of the elements and order of the fields, chosen by the accuracy required of Z."""
+"""Element size and field order, chosen by the required accuracy of Z."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from materials.kinds import CubicSolid, Fluid, IsotropicSolid
 from materials.registry import Material
 from workbench.files.errors import InputError, expect_number
 
-#: Thickness of the row of elements beside a film, in units of 1 / k, the decay length of its near field in the solid.
+#: Thickness of the row of elements beside a film, in decay lengths 1 / k of its near field in the solid.
 FILM_ROW = 1.75
 
-#: Characteristic impedance (Pa s/m) below which a fluid counts as a gas; water has 1.5e6, air 4e2.
+#: Characteristic impedance (Pa s/m) that separates gases from liquids; water has 1.5e6, air 4e2.
 GAS_IMPEDANCE = 1e4
 
 
@@ -27,11 +27,11 @@ class Discretisation:
 
     ``elements_per_wavelength`` of the slowest wave of a region at the top of the band. The transducer has
     ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
-    times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
-    rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
-    many; fewer suffice if it carries little of the energy. Its near field in the solid beside it decays within 1 / k,
-    and has a row of elements there (:data:`FILM_ROW`): without them Z of a chip with 24 um of gel was wrong by 3.7 %,
-    with them by 0.4 %. The others as in `geometry.mesh_size.MeshSize`.
+    times as many, that is fewer: behind solid walls a gas changes Z by 0.3 % at most, and its short waves would
+    determine every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer``
+    times as many; fewer suffice if it has little energy. Its near field in the solid decays within 1 / k, and has a row
+    of elements there (:data:`FILM_ROW`): without them Z of a chip with 24 um of gel was wrong by 3.7 %, with them by
+    0.4 %. The others are as in `geometry.mesh_size.MeshSize`.
     """
 
     order: int
@@ -55,7 +55,7 @@ class Discretisation:
         self, section: Section | FreeSection, materials: Mapping[str, Material], frequency: float, *,
         skins: Mapping[str, float] | None = None, radii: Sequence[float] = (), levels: Sequence[float] = (),
     ) -> MeshSize:
-        """The size of the elements of a section at `frequency` (Hz); `skins`, `radii` and `levels` as in
+        """The element size for a section at `frequency` (Hz). `skins`, `radii` and `levels` are as in
         `geometry.mesh_size.MeshSize`."""
         speeds, films = self.mesh_speeds(section.regions, materials), film_speeds(section, materials, frequency)
         for region, speed in films.items():
@@ -69,7 +69,7 @@ class Discretisation:
                         levels=(*film_levels(section, materials, films, frequency), *levels), radii=tuple(radii))
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
-        """The speed (m/s) whose wavelength decides the mesh size in every region; infinite for an empty one."""
+        """The wave speed (m/s) for the mesh size, by region. It is infinite if empty."""
         return {region: materials[region].slowest_wave_speed() / self._finer(region, materials[region])
                 if region in materials else math.inf for region in regions}
 
@@ -82,10 +82,11 @@ class Discretisation:
 def film_speeds(
     section: Section | FreeSection, materials: Mapping[str, Material], frequency: float
 ) -> dict[str, float]:
-    """Speed (m/s) at `frequency` (Hz) of the wave along every film of fluid on an elastic solid, by region.
+    """Speed (m/s) of the wave along films of fluid, by region.
 
-    The fluid that moves along the film presses the solids apart, and the wave is slower the thinner the film: h k^3 =
-    w^2 rho sum (1 - nu) / G over the solids beside it but ceramics, which are far stiffer.
+    The films lie on elastic solids; `frequency` is in Hz. Flow along the film presses the solids apart, and the wave is
+    slower in a thinner film: h k^3 = w^2 rho sum (1 - nu) / G over the solids beside it, without ceramics, which are
+    far stiffer.
     """
     omega, found = 2.0 * math.pi * frequency, dict[str, float]()
     for film in section.rectangles:
@@ -104,43 +105,41 @@ def film_speeds(
 def film_levels(
     section: Section | FreeSection, materials: Mapping[str, Material], speeds: Mapping[str, float], frequency: float
 ) -> tuple[float, ...]:
-    """Heights (m) in the elastic solids beside films at which the near field at `frequency` (Hz) has decayed.
-
-    `speeds` are those of :func:`film_speeds`. A solid that is too thin for a row of its own has none.
-    """
+    """Heights (m) in solids beside films where the near field has decayed. `speeds` are those of :func:`film_speeds` at
+    `frequency` (Hz). Solids too thin for a separate row have none."""
     found = set[float]()
     for film in (each for each in section.rectangles if each.region in speeds):
         if speeds[film.region] > materials[film.region].slowest_wave_speed():
-            continue  # Thicker than a film: sound in it is slower.
+            continue  # It is thicker than a film: sound in it is slower.
         depth = FILM_ROW * speeds[film.region] / (2.0 * math.pi * frequency)
         for solid in _beside(section, film):
-            held = materials.get(solid.region)
-            if isinstance(held, IsotropicSolid | CubicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
+            beside = materials.get(solid.region)
+            if isinstance(beside, IsotropicSolid | CubicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
                 above = solid.z_bottom >= film.z_top
                 found.add(solid.z_bottom + depth if above else solid.z_top - depth)
     return tuple(sorted(found))
 
 
 def _beside(section: Section | FreeSection, film: Rectangle) -> list[Rectangle]:
-    """The rectangles that lie on a film or below it."""
+    """The rectangles directly above or below a film."""
     return [r for r in section.rectangles if r.z_top == film.z_bottom or r.z_bottom == film.z_top
             if r.r_inner < film.r_outer and r.r_outer > film.r_inner]
 
 
 def _softness(solid: IsotropicSolid | CubicSolid) -> float:
-    """Compliance (1 - nu) / G of a solid, 1/Pa; of a crystal that of its average over directions."""
+    """Compliance (1 - nu) / G (1/Pa) of a solid. A crystal has its average."""
     bulk, shear = complex(solid.bulk_modulus).real, complex(solid.shear_modulus).real
     return (3.0 * bulk + 4.0 * shear) / (2.0 * shear * (3.0 * bulk + shear))
 
 
-#: Discretisations by the largest rms error of ln Z that they leave over the band of every round chip in
-#: `geometry/chips`, in every state, coarsest first: measured by `tests/benchmarks/discretisation.py`. Of the straight
-#: ones, whose resonances are sharper, 0.41, 0.15, 0.08, 0.018 and 0.016 % are left.
+#: Discretisations by their largest rms error of ln Z over the band of every round chip in `geometry/chips`, in every
+#: state, coarsest first: measured by `tests/benchmarks/discretisation.py`. Straight chips, with sharper resonances,
+#: have errors of 0.41, 0.15, 0.08, 0.018 and 0.016 %.
 ROWS: Mapping[float, Discretisation] = {
     # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
     5e-3: Discretisation(4, 1.4, cavity_corner=0.12),
     1e-3: Discretisation(4, 1.8, cavity_corner=0.04),  # 0.077 %, to 26 000
-    # 0.045 %, 3 800 to 34 300. For Z alone 30 000 would do: two elements across a lid and more along the gel are for
+    # 0.045 %, 3 800 to 34 300. For Z alone 30 000 would suffice: two elements across a lid and more along the gel serve
     # the recovered fields (`tests/benchmarks/recovered_fields.py`).
     5e-4: Discretisation(4, 1.9, through_quarter_wave=2, corner_refinement=0.16, cavity_corner=0.03, growth=5.0,
                          transducer_finer=1.54),
@@ -150,16 +149,17 @@ ROWS: Mapping[float, Discretisation] = {
                          gas_finer=0.9),
 }
 
-#: Default relative accuracy of Z that meshes are made for. Doubled, a model has a quarter fewer unknowns.
+#: Default relative accuracy of Z of a mesh. Doubled, a model has a quarter fewer unknowns.
 ACCURACY = 5e-4
 
 
 def discretisation(accuracy: float | Discretisation) -> Discretisation:
-    """The coarsest of :data:`ROWS` that reaches the accuracy, an rms error of ln Z. A `Discretisation` is returned as
-    is.
+    """The coarsest of :data:`ROWS` with this rms error of ln Z.
+
+    A `Discretisation` is returned as is.
 
     Raises:
-        InputError: no accuracy, or one finer than that of the last row.
+        InputError: not an accuracy, or one finer than that of the last row.
     """
     if isinstance(accuracy, Discretisation):
         return accuracy

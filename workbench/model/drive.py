@@ -1,8 +1,8 @@
-"""The drive of a device: the voltage that reaches its electrodes.
+"""The drive of a device: the voltage at its electrodes.
 
-The model is solved at unit electrode voltage; a drive gives the actual voltage. It differs from a generator's
-open-circuit voltage: fifty ohm in front of four leave about a thirteenth. Lickert et al. (arXiv 2210.02311) find a
-constant generator voltage unsuitable for comparing frequencies and recommend constant device voltage or constant power.
+The model has unit electrode voltage; a drive gives the actual voltage. It differs from a generator's open-circuit
+voltage: fifty ohm in series with four ohm reduce it to a thirteenth. Lickert et al. (arXiv 2210.02311) find a constant
+generator voltage unsuitable for comparing frequencies and recommend constant device voltage or constant power.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from workbench.files.tables import FileTable
 
 @runtime_checkable
 class Drive(Protocol):
-    """Interface of a drive: the voltage at a device of a given impedance."""
+    """Interface of a drive: the voltage at a device."""
 
     def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Voltage amplitude (V, zero to peak) at the electrodes of a device of `impedance` (ohm)."""
+        """Voltage amplitude (V, zero to peak) at electrodes of this `impedance` (ohm)."""
 
     def __str__(self) -> str: ...
 
@@ -49,10 +49,8 @@ class VoltageDrive:
 
 @dataclass(frozen=True)
 class GeneratorDrive:
-    """A generator of constant open-circuit voltage (V peak-to-peak) behind a source resistance (ohm).
-
-    Each of several ``amplifiers`` is such a generator, and they share the current of the device equally.
-    """
+    """A generator of constant open-circuit voltage behind a resistance (ohm). The voltage is in V peak-to-peak. Each of
+    several ``amplifiers`` is such a generator; they share the device's current equally."""
 
     open_circuit_peak_to_peak: float
     source_resistance: float = 50.0
@@ -82,10 +80,7 @@ class PowerDrive:
 
 
 def drive_up_to(drive: Drive, factor: float) -> Drive | None:
-    """The drive of `factor` times the voltage amplitude, its number rounded down to two digits.
-
-    None for a drive of another kind than those above.
-    """
+    """The drive of `factor` times the amplitude, rounded down to two digits. None for a drive of another kind."""
     match drive:
         case VoltageDrive():
             return VoltageDrive(_down(factor * drive.peak_to_peak))
@@ -101,8 +96,8 @@ def _down(value: float) -> float:
     return float(f"{math.floor(value / digit) * digit:.2g}")
 
 
-#: Least and largest drive that amplifiers for such devices give: V peak-to-peak, W, and ohm of a source. Doubled, a
-#: slip of the unit is still outside.
+#: Smallest and largest plausible drive: V peak-to-peak, W, and ohm of a source. Doubled, a slip of the unit is still
+#: outside.
 PLAUSIBLE: Mapping[str, tuple[float, float, str]] = {
     "peak-to-peak voltage": (1e-3, 2e3, "1 mVpp to 2000 Vpp"), "power": (1e-9, 500.0, "1e-9 W to 500 W"),
     "resistance": (1e-3, 1e5, "1 mohm to 100 kohm")}
@@ -112,13 +107,14 @@ _GENERATOR = re.compile(r"\s*(?P<voltage>[^@]*?)\s*@\s*(?P<resistance>[^@]*?)\s*
 
 
 def parse_drive(text: str, *, source: str = "command line", field: str = "--drive") -> Drive:
-    """A drive from ``"10 Vpp"`` (at the electrodes), ``"10 Vpp @ 50 ohm"`` (generator) or ``"0.1 W"`` (power).
+    """A drive from a text.
 
-    A voltage of a sine may be stated as ``Vrms`` too. ``"20 dBm"`` is a generator that gives this power to a load of
-    its own source resistance, 50 ohm unless stated (``"20 dBm @ 75 ohm"``).
+    Examples: ``"10 Vpp"`` or ``"3.5 Vrms"`` (sine, at the electrodes), ``"10 Vpp @ 50 ohm"`` (generator), ``"0.1 W"``
+    (power), and ``"20 dBm"`` or ``"20 dBm @ 75 ohm"``: a generator with this power into a load equal to its source
+    resistance, by default 50 ohm.
 
     Raises:
-        InputError: none of these, or a value that is not positive or that no amplifier gives.
+        InputError: none of these, or a value that is not positive or not plausible.
     """
     def positive(part: str, dimension: str) -> float:
         value = parse_quantity(part, dimension, source=source, field=field)
@@ -126,7 +122,7 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
             raise InputError(source, field, text, "a drive above zero")
         low, high, shown = PLAUSIBLE[dimension]
         if not low <= value <= high:
-            raise InputError(source, field, text, f"a {dimension} that an amplifier for such a device has, {shown}")
+            raise InputError(source, field, text, f"a plausible {dimension} of an amplifier for such a device, {shown}")
         return value
 
     level = _LEVEL.match(text)
@@ -148,20 +144,20 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
 
 
 def wired(drive: Drive | None, chip: Chip) -> Drive:
-    """The `drive` of a chip, 10 Vpp if None, as the chip states its wiring.
+    """The `drive` of a chip with its wiring, by default 10 Vpp.
 
     Raises:
         InputError: a generator or a power for a straight chip without a length.
     """
     if isinstance(drive, GeneratorDrive | PowerDrive):
-        check_stated_length(chip.measure, chip.file, f"the voltage that {drive} gives at its electrodes")
+        check_stated_length(chip.measure, chip.file, f"the voltage of {drive} at its electrodes")
     if isinstance(drive, GeneratorDrive) and chip.electrodes.wiring == TWO_AMPLIFIERS:
         return replace(drive, amplifiers=2)
     return VoltageDrive() if drive is None else drive
 
 
 def check_drive(drive: object, *, source: str) -> None:
-    """See that a caller passed a drive, or None.
+    """Check that a caller passed a drive, or None.
 
     Raises:
         InputError: anything else, such as the text of one.
@@ -172,24 +168,24 @@ def check_drive(drive: object, *, source: str) -> None:
 
 
 def check_scaled(voltage: float, factor: float, *, source: str, field: str) -> None:
-    """See that `factor` times a `voltage` (V peak-to-peak) is no more than amplifiers give.
+    """Check that `factor` times a `voltage` (V peak-to-peak) is plausible.
 
     Raises:
-        InputError: it is more.
+        InputError: it is not.
     """
     _, high, _ = PLAUSIBLE["peak-to-peak voltage"]
     if factor * voltage > high:
-        raise InputError(source, field, factor, f"at most {high / voltage:.3g}, which makes {high:g} Vpp of "
+        raise InputError(source, field, factor, f"at most {high / voltage:.3g}, which gives {high:g} Vpp from "
                          f"{voltage:.3g} Vpp at the electrodes, the most that an amplifier for such a device has")
 
 
 def read_drive(table: FileTable) -> Drive:
-    """The drive under the key ``drive`` of a table: a text as of :func:`parse_drive`, "10 Vpp" unless stated.
+    """The drive under the key ``drive``, by default "10 Vpp".
 
-    A program may give a drive itself.
+    It is a text for :func:`parse_drive`, or a drive given by a program.
 
     Raises:
-        InputError: as of :func:`parse_drive`.
+        InputError: as in :func:`parse_drive`.
     """
     given = table.content.get("drive")
     if isinstance(given, Drive):

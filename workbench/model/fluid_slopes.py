@@ -1,4 +1,4 @@
-"""The density and the sound speed of a fluid about its temperature, as parabolas through its law."""
+"""Parabolas for density and sound speed of a fluid about its temperature."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from collections.abc import Callable
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
 
-#: Distance (K) to either side at which the parabola meets a fluid's law.
+#: Distance (K) to either side at which the parabola equals a fluid's law.
 STEP = 5.0
 
 
 def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
-    """The parameters of `fluid_temperature.FluidTemperature` but the offset, from a `law` of the temperature (K).
-
-    None where it has no law so far to both sides.
-    """
+    """Slopes and bends of `fluid_temperature.FluidTemperature`, from a `law` in K. None if the law does not extend so
+    far to both sides."""
     if fluid.temperature is None:
         return None
     try:

@@ -1,8 +1,8 @@
-"""Coefficients of materials that the spectrum of a section does not depend on, by its measure.
+"""Coefficients of materials without effect on the spectrum of a section.
 
-A straight section has no hoop strain. A coefficient that only stands before that strain is nowhere in its spectrum: of
-a piezoelectric plate poled across its thickness c12, since plane strain feels c11, c13, c33, c44 and the piezoelectric
-and dielectric constants alone (Auld 1973, Acoustic Fields and Waves in Solids, the stiffness of class 6mm).
+A straight section has no hoop strain. A coefficient that only multiplies that strain has no effect: c12 of a
+piezoelectric plate poled across its thickness, since plane strain depends only on c11, c13, c33, c44 and the
+piezoelectric and dielectric constants (Auld 1973, Acoustic Fields and Waves in Solids, the stiffness of class 6mm).
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from workbench.physics.term import Product, parts_by_stretch
 
 
 def hidden_coefficients(problem: Problem) -> tuple[str, ...]:
-    """Names of the values of a problem that stand before the hoop strain alone, in a section that has none; empty for a
-    section that turns about its axis."""
+    """Names of values that only multiply a missing hoop strain. Empty for an axisymmetric section."""
     if isinstance(problem.mesh.measure, Axisymmetric):
         return ()
     seen, hidden = set[str](), dict[str, None]()
@@ -29,6 +28,6 @@ def hidden_coefficients(problem: Problem) -> tuple[str, ...]:
 
 
 def _is_of_hoop_strain(product: Product) -> bool:
-    """Whether one side of a product has divisions by r alone."""
+    """Whether one side of a product has only divisions by r."""
     return any(all(divided for _, _, divided in parts_by_stretch(side, radially=True))
                for side in (product.row, product.column))

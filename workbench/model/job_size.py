@@ -1,11 +1,11 @@
-"""The size of a job before a mesh is made: unknowns, memory and time, and whether this machine has room for it.
+"""The size of a job before meshing: unknowns, memory and time.
 
-The unknowns follow from the lengths of the section, the wavelengths at the top of the band and the order of the fields,
-with no mesh made. Memory and time follow from them by the laws of nested dissection in two dimensions: a factor holds
-of the order of N log N entries, and a factorisation takes of the order of N^1.5 operations. For models that fit into a
-computer, the parts linear in N outweigh both: the stored couplings of every unknown, (order + 1)^2 of a kind, and the
-states of a reduced model, some more with every full solve. The constants are measured by
-`tests/benchmarks/job_size.py`, which prints them beside the peak of real runs.
+The unknowns follow from the lengths of the section, the wavelengths at the top of the band and the order of the fields.
+Memory and time follow from them by the laws of nested dissection in two dimensions: a factor has of the order of N log
+N entries, and a factorisation takes of the order of N^1.5 operations. For models that fit into a computer, the parts
+linear in N dominate: the stored couplings of every unknown, (order + 1)^2 of a kind, and the states of a reduced model,
+more with every full solve. `tests/benchmarks/job_size.py` measures the constants and prints them beside the peak of
+real runs.
 """
 
 from __future__ import annotations
@@ -29,58 +29,58 @@ from workbench.files.quantities import parse_quantity
 from workbench.jobs.memory import Room, free_memory, shown_memory
 from workbench.model.discretisation import ROWS, Discretisation
 
-#: Bytes that one unknown takes for each of the (order + 1)^2 couplings of a kind. Doubled, the estimated memory of a
-#: job of order 4 is half as much again.
+#: Bytes per unknown and each of its (order + 1)^2 couplings of a kind. Doubled, the estimated memory of a job of order
+#: 4 is half as much again.
 COUPLING = 620.0
 
-#: Bytes of one unknown for each full solve of a reduced model: the kept part of `reduction.DEPTH` complex states, and
-#: the images of the basis made of them. Doubled, the estimated memory of a job of 30 solves is half as much again.
+#: Bytes per unknown and full solve of a reduced model: the kept part of `reduction.DEPTH` complex states, and the
+#: images of their basis. Doubled, the estimated memory of a job of 30 solves is half as much again.
 SNAPSHOT = 700.0
 
-#: Bytes of the factor for each unknown and doubling of the unknowns (N log2 N).
+#: Bytes of the factor per unknown and doubling of the unknowns (N log2 N).
 FACTOR = 110.0
 
-#: Bytes that libraries and small arrays take, whatever the size of the job.
+#: Bytes of libraries and small arrays, for any size of the job.
 FIXED = 60e6
 
-#: Bytes of one frequency of a reduced spectrum: its state, right-hand side and residual on the reduced basis.
+#: Bytes per frequency of a reduced spectrum: its state, right-hand side and residual on the reduced basis.
 POINT = 5e3
 
-#: Least number of full solves of a reduced model, number for every resonance in the band, and largest number.
+#: Least number of full solves of a reduced model, number per resonance in the band, and largest number.
 LEAST_SOLVES, SOLVES_OF_RESONANCE, MOST_SOLVES = 8.3, 0.043, 40.0
 
-#: Seconds per unknown and full solve of the linear part, and of the part that grows with the power 1.5 of the unknowns
-#: (one core of some 3 GHz). Doubled, the estimated time of every job is twice as long.
+#: Seconds per unknown and full solve, of the linear part and of the part with the power 1.5 (one core of about 3 GHz).
+#: Doubled, the estimated time of every job is twice as long.
 LINEAR, DISSECTION = 1.6e-5, 4e-8
 
-#: Number of full solves above which projecting the model on their states takes longer than the linear part. Doubled,
-#: the estimated time of wide bands is a third.
+#: Number of full solves above which the projection on their states takes longer than the linear part. Doubled, the
+#: estimated time of wide bands is a third.
 PROJECTED = 17.0
 
-#: Share of the free memory that a job may take; the rest is for other programs.
+#: Share of the free memory for a job.
 MEMORY_SHARE = 0.9
 
-#: Number of cells of a section of any shape, relative to the area of a region over that of its largest cell: thin
-#: layers and curved sides have smaller cells.
+#: Ratio of the number of cells of a section of any shape to that of cells of the largest size: thin layers and curved
+#: sides have smaller cells.
 CURVED_CELLS = 2.0
 
-#: Number of cells of such a section above which its sides are not divided to count them; and cells of a face filled by
-#: gmsh, relative to those of a square with as many sides around.
+#: Number of cells above which the sides of such a section are not divided to count them; ratio of the cells of a face
+#: filled by gmsh to those of a square with as many sides around.
 MOST_DIVIDED, FILLED = 1e6, 0.7
 
-#: Environment variable with the memory that a process may take, such as "16 GB", in place of its free memory.
+#: Environment variable for the memory of a process, such as "16 GB"; without it, the free memory applies.
 MEMORY_VARIABLE = "WORKBENCH_MEMORY"
 
-#: Number of halvings in the search of a band that fits; each halves the error of its end.
+#: Number of halvings in the search for a band that fits; each halves the error of its end.
 HALVINGS = 30
 
 
 @dataclass(frozen=True)
 class JobSize:
-    """Cost of a model of one state: ``unknowns``, full ``solves`` of its reduced model, peak ``memory`` in bytes,
-    ``seconds`` on one core.
+    """Cost of a model of one state.
 
-    These are estimates: within a third for unknowns, a half for memory, a factor of two for time.
+    ``unknowns``; full ``solves`` of its reduced model; peak ``memory`` in bytes; ``seconds`` on one core. The estimates
+    are within a third for unknowns, a half for memory, a factor of two for time.
     """
 
     unknowns: float
@@ -89,7 +89,7 @@ class JobSize:
     seconds: float
 
     def __str__(self) -> str:
-        return (f"{_rounded(self.unknowns)} unknowns, which take about {shown_memory(self.memory)} of memory and "
+        return (f"{_rounded(self.unknowns)} unknowns, with about {shown_memory(self.memory)} of memory and "
                 f"{shown_time(self.seconds)}")
 
 
@@ -97,7 +97,7 @@ def job_size(
     section: Section | FreeSection, materials: Mapping[str, Material], made: Discretisation, band: tuple[float, float],
     *, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (), levels: Sequence[float] = (),
 ) -> JobSize:
-    """The size of the model of a `section` filled with `materials`, meshed for a `band` (Hz)."""
+    """The size of the model of a filled `section` and `band` (Hz)."""
     size = made.mesh_size(section, materials, band[1], skins=skins, radii=radii, levels=levels)
     cells = _cells(section, size)
     unknowns = sum(_components(materials[region]) * (made.order**2 * inside + made.order * beside)
@@ -106,8 +106,8 @@ def job_size(
 
 
 def of_unknowns(unknowns: float, order: int, modes: float) -> JobSize:
-    """Memory and time of a model with this number of unknowns of fields of an `order`, and `modes` resonances in its
-    band."""
+    """Memory and time of a model from its number of unknowns. `order` is that of its fields; `modes` is the number of
+    resonances in its band."""
     solves = min(MOST_SOLVES, LEAST_SOLVES + SOLVES_OF_RESONANCE * modes)
     each = COUPLING * (order + 1) ** 2 + SNAPSHOT * solves + FACTOR * math.log2(max(unknowns, 2.0))
     seconds = solves * (LINEAR * (1.0 + (solves / PROJECTED) ** 2) * unknowns + DISSECTION * unknowns**1.5)
@@ -117,8 +117,8 @@ def of_unknowns(unknowns: float, order: int, modes: float) -> JobSize:
 def resonances(
     section: Section | FreeSection, materials: Mapping[str, Material], band: tuple[float, float]
 ) -> float:
-    """Approximate number of resonances in a band (Hz): for every region the area, in squares of its slowest wavelength,
-    times pi (Weyl's law in two dimensions)."""
+    """Approximate number of resonances in a band (Hz). It is the sum over the regions of pi times the area in squares
+    of the slowest wavelength (Weyl's law in two dimensions)."""
     return sum(math.pi * section.area(region) * (band[1] ** 2 - band[0] ** 2) / material.slowest_wave_speed() ** 2
                for region, material in materials.items())
 
@@ -138,7 +138,7 @@ def check_size(
     found, room = sized(made, band), memory_to_use()
     if found.memory <= room.size:
         return found
-    fitting = _what_fits(sized, made, band, room.size)
+    fitting = _fitting_jobs(sized, made, band, room.size)
     raise InputError(source, "size of the model", f"{band[0] / 1e6:.4g} to {band[1] / 1e6:.4g} MHz: {found}",
                      f"at most {shown_memory(room.size)}, {room.limit}: {fitting}", _lost_point(band))
 
@@ -161,7 +161,7 @@ def memory_to_use() -> Room:
     It is the value of :data:`MEMORY_VARIABLE`, or :data:`MEMORY_SHARE` of the free memory.
 
     Raises:
-        InputError: the environment states no amount of memory.
+        InputError: the variable is not an amount of memory.
     """
     stated = os.environ.get(MEMORY_VARIABLE)
     if stated is None:
@@ -170,7 +170,7 @@ def memory_to_use() -> Room:
     size = parse_quantity(stated, "memory", source="environment", field=MEMORY_VARIABLE)
     if not size > 0.0:
         raise InputError("environment", MEMORY_VARIABLE, stated, 'an amount of memory above zero, such as "16 GB"')
-    return Room(size, f"the memory that {MEMORY_VARIABLE} states")
+    return Room(size, f"the memory in {MEMORY_VARIABLE}")
 
 
 def shown_time(seconds: float) -> str:
@@ -182,7 +182,7 @@ def shown_time(seconds: float) -> str:
 
 
 def _rounded(number: float) -> str:
-    """A number of things with three digits, in words from a million on."""
+    """A number with three digits, in words from a million on."""
     if number >= 1e9:
         return f"{number / 1e9:.3g} billion"
     if number >= 1e6:
@@ -191,15 +191,15 @@ def _rounded(number: float) -> str:
 
 
 def _components(material: Material) -> int:
-    """Number of unknown fields in a material: pressure, or two displacements, with a potential if it is piezoelectric.
-    """
+    """Number of unknown fields in a material. A fluid has a pressure, a solid two displacements, a piezoelectric solid
+    a potential too."""
     if isinstance(material, Fluid):
         return 1
     return 3 if isinstance(material, Piezoelectric) else 2
 
 
 def _cells(section: Section | FreeSection, size: MeshSize) -> dict[str, tuple[float, float]]:
-    """Cells of every region, and half the number along its outline: the remaining nodes lie along the outline."""
+    """Cells of every region, and half the number along its outline. The remaining nodes lie along the outline."""
     if isinstance(section, FreeSection):
         return _cells_of_faces(section, size)
     along_r, along_z = divided(section, size)
@@ -217,8 +217,8 @@ def _cells(section: Section | FreeSection, size: MeshSize) -> dict[str, tuple[fl
 
 
 def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[float, float]]:
-    """Cells as in :func:`_cells`, for a section of any shape: from the divisions of its sides, unless there are too
-    many."""
+    """Cells as in :func:`_cells`, for a section of any shape. They follow from the divisions of its sides, unless there
+    are too many."""
     found = {}
     for region in section.regions:
         inside = CURVED_CELLS * section.area(region) / size.largest_element(region) ** 2
@@ -232,7 +232,7 @@ def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[flo
         if face in layout.sides:
             across, up = (sum(along[edge] for edge, _ in side) for side in layout.sides[face][:2])
             inside, beside = across * up, across + up
-        else:  # gmsh fills it with cells that its sides pass on.
+        else:  # gmsh fills it with cells of the sides' sizes.
             around = sum(along[edge] for loop in layout.loops[face] for edge, _ in loop)
             inside, beside = FILLED * around**2 / 16.0, 0.5 * around
         before = counted.get(region, (0.0, 0.0))
@@ -240,7 +240,7 @@ def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[flo
     return counted
 
 
-def _what_fits(
+def _fitting_jobs(
     sized: Callable[[Discretisation, tuple[float, float]], JobSize], made: Discretisation, band: tuple[float, float],
     room: float,
 ) -> str:
@@ -261,7 +261,7 @@ def _what_fits(
 
 
 def _lost_point(band: tuple[float, float]) -> tuple[str, ...]:
-    """The band that was meant if the decimal point of one end was lost, or its prefix."""
+    """The probable band after a lost decimal point or prefix."""
     low, high = band
     for lost in (10.0, 100.0, 1000.0):
         if low < high / lost <= 3.0 * low:

@@ -1,5 +1,7 @@
-"""A mesh whose points are moved by sizes of a chip, and the interpolation of its forms in these sizes (see
-`workbench.physics.shaped`)."""
+"""A mesh moved by sizes of a chip, and interpolated forms.
+
+See `workbench.physics.shaped`.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,13 @@ Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Range = tuple[float, float]
 
-#: Most powers of one size. More are asked for where a layer is moved by about its own thickness.
+#: Largest degree in one size. Layers that move by about their own thickness would need more.
 POWERS = 16
 
-#: No length between two others is taken to shrink to less than this share.
+#: Smallest share to which a length between two others may shrink.
 LEAST = 0.1
 
-#: Shares of a range at which the interpolation is checked, from -1 to 1: none is near a node.
+#: Shares of a range, from -1 to 1, of the checks of the interpolation: none is near a node.
 CHECKED = (-0.87, -0.36, 0.29, 0.71)
 
 #: Displacements below this share of the largest one are rounding.
@@ -40,13 +42,13 @@ STILL = 1e-9
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Accuracy with which forms follow shapes.
+    """Accuracy of forms as functions of shapes.
 
-    ``error`` is the largest relative one of the factors of forms, anywhere in a part. A size relative to the lengths
-    about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move further,
-    and extrapolated beyond. ``neutral`` is the error for terms that are zero on the mesh, on which a shape has an
-    effect of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
-    which is off by the product of both moves; it is refused else.
+    ``error`` is the largest relative error of the factors of forms, anywhere in a part. A size relative to the lengths
+    about it is covered for changes of each of these by a factor of at most ``followed``, and extrapolated beyond.
+    ``neutral`` is the error for terms that are zero on the mesh, on which a shape has an effect of second order. If
+    ``carried``, the cells carry a parabola over a moving radius along, with an error of the product of both moves;
+    otherwise this raises.
     """
 
     error: float = 1e-8
@@ -55,22 +57,23 @@ class Interpolation:
     neutral: float = 0.0
 
     def of(self, terms: Sequence[Term], neutral: Collection[Term]) -> Iterator[tuple[list[Term], Interpolation]]:
-        """Terms with the interpolation of their forms, those that are zero on the mesh apart."""
+        """Terms with the interpolation of their forms; neutral terms are separate."""
         loose = set(neutral)
         yield [term for term in terms if term not in loose], self
         yield [term for term in terms if term in loose], replace(self, error=max(self.error, self.neutral))
 
 
-#: As far below the errors of meshes and solves as what stretches exactly.
+#: An error as far below those of meshes and solves as that of exact stretching.
 TO_ROUNDING = Interpolation()
 
 
 @dataclass(frozen=True)
 class MovedSize:
-    """A size of the chip (m or rad) that moves points of a mesh, by its ``name`` among the chip's dimensions.
+    """A size of the chip that moves points of a mesh.
 
-    ``nominal`` is its size on the mesh of the problem, and ``rest`` that on the mesh whose points are moved. Forms are
-    polynomials in it on its ``scale``. It stays where it is if it is no ``parameter``.
+    ``name`` is that among the chip's dimensions. ``nominal`` is its size on the mesh of the problem, ``rest`` that on
+    the mesh whose points are moved. Forms are polynomials in it on its ``scale``. It is fixed if it is not a
+    ``parameter``.
     """
 
     name: str
@@ -103,10 +106,10 @@ class MovedSize:
 
 @dataclass(eq=False)
 class MovedMesh:
-    """The mesh of a chip moved by its sizes, as often as is asked for.
+    """The mesh of a chip moved by its sizes, cached.
 
-    ``coordinates`` gives those (2, nodes, cells) of the mesh for sizes (m or rad) by name, all others at rest: None
-    where there is no such chip. ``variants`` holds the coordinates that parts need, by the name they are called.
+    ``coordinates`` gives those (2, nodes, cells) of the mesh for sizes (m or rad) by name, with all others at rest:
+    None for an impossible chip. ``variants`` has the coordinates that parts need, by name.
     """
 
     chip: Chip
@@ -116,10 +119,10 @@ class MovedMesh:
     _known: dict[tuple[tuple[str, float], ...], Real | None] = field(default_factory=dict)
 
     def at(self, values: Mapping[MovedSize, float]) -> Real | None:
-        """Coordinates (2, nodes, cells) for `values` of some sizes on their scales, all others at rest.
+        """Coordinates (2, nodes, cells) for scaled `values`, others at rest.
 
         Raises:
-            InputError, MeshError: as of ``coordinates``.
+            InputError, MeshError: as in ``coordinates``.
         """
         sizes = {size.name: size.at(value) for size, value in values.items() if size.at(value) != size.rest}
         key = tuple(sorted(sizes.items()))
@@ -128,13 +131,14 @@ class MovedMesh:
         return self._known[key]
 
     def existing(self, values: Mapping[MovedSize, float]) -> Real:
-        """The coordinates as from :meth:`at`, for `values` of which there is known to be a chip."""
+        """The coordinates of :meth:`at` for a possible chip."""
         found = self.at(values)
         assert found is not None
         return found
 
     def moving(self, cells: Cells, sizes: Sequence[MovedSize]) -> NDArray[np.bool_]:
-        """Which of some sizes move which cells, or sides of cells, other than as a whole along z: (sizes, cells)."""
+        """Mask (sizes, cells) of the sizes that deform or shift cells. A uniform shift along z does not count. Cells
+        may be sides of cells."""
         found = np.zeros((len(sizes), cells.indices.size), dtype=bool)
         for number, size in enumerate(sizes):
             for end in size.bounds:
@@ -148,10 +152,10 @@ class MovedMesh:
         self, cells: Cells, sizes: Sequence[MovedSize], amplitudes: Sequence[Amplitude], bounds: Sequence[Range],
         limits: Sequence[Range], side: MovableLength | None = None,
     ) -> Moves:
-        """The motion of some cells by `sizes`, whose `amplitudes` are interpolated within `bounds`.
+        """The motion of cells by `sizes`, interpolated within `bounds`.
 
         Raises:
-            InputError: the range of a size is too wide for what it moves.
+            InputError: the range of a size is too wide for the cells.
         """
         metric = Metric(self, sizes, cells)
         grid = interpolation_grid(metric, tuple(bounds), [size.start for size in sizes], tuple(limits), self.chip)
@@ -159,7 +163,7 @@ class MovedMesh:
             self._named(dict(zip(sizes, node, strict=True))) for node in grid.nodes), side)
 
     def _named(self, values: Mapping[MovedSize, float]) -> str:
-        """The name of the coordinates for these values, which are kept under it."""
+        """The name of the coordinates for these values, stored as a variant."""
         name = ", ".join(f"{size.name} {value!r}" for size, value in values.items())
         self.variants[name] = self.existing(values)
         return name
@@ -167,10 +171,8 @@ class MovedMesh:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of a mesh; where ``facets``, one side of each (the fixed local coordinate, 0 or 1, and where).
-
-    ``radius`` (m) is the one that the first of these sides begins at: of sides that stand, that of all.
-    """
+    """Cells of a mesh, or one side of each cell. ``facets`` are the fixed local coordinate, 0 or 1, and its value.
+    ``radius`` (m) is that of the first side's begin; vertical sides all have it."""
 
     mesh: SectionMesh
     indices: Integers
@@ -185,7 +187,7 @@ class Cells:
                    float(mesh.mesh.p[0, mesh.mesh.facets[0, facets[0]]]))
 
     def nodes(self, coordinates: Real) -> Real:
-        """Coordinates (2, k, cells) of the nodes that matter."""
+        """Coordinates (2, k, cells) of the relevant nodes."""
         own = coordinates[:, :, self.indices]
         if not self.facets:
             return own
@@ -202,7 +204,7 @@ class Cells:
         return mapped_nodes(coordinates[:, :, self.indices], points)
 
     def forms(self, coordinates: Real) -> list[Real]:
-        """The factors of every form over them, at a few points: arrays (cells, points, parts)."""
+        """The factors of every form over them: arrays (cells, points, parts)."""
         at = 0.5 * (1.0 + np.array([-0.9, 0.0, 0.9]))
         if not self.facets:
             r, ((r_along, r_across), (z_along, z_across)) = self._slopes(
@@ -228,14 +230,15 @@ class Cells:
 Size = TypeVar("Size", bound=MovedSize)
 
 
-def taken_apart(
+def split_by_sizes(
     place: str, indices: Integers, moving: NDArray[np.bool_], sizes: Sequence[Size]
 ) -> list[tuple[str, Integers, tuple[Size, ...]]]:
-    """The parts of a place that are moved by equal subsets of `sizes`, `moving` (sizes, n) each of its cells or facets
-    (n,).
+    """The parts of a place with equal subsets of moving `sizes`.
+
+    `moving` (sizes, n) is the mask of its cells or facets (n,).
 
     Returns:
-        name, cells or facets, and sizes of every part; the place itself where there is one.
+        name, cells or facets, and sizes of every part; a single part has the place's name.
     """
     patterns = np.unique(moving, axis=1)
     found = []
@@ -247,7 +250,7 @@ def taken_apart(
 
 
 def joined_meshes(meshes: Sequence[SectionMesh]) -> SectionMesh:
-    """One mesh for several that are equal but for the parts they name and the variants they have: with all of these."""
+    """One mesh with the parts and variants of several. The meshes are otherwise equal."""
     first = meshes[0]
     regions = {name: cells for mesh in meshes for name, cells in mesh.mesh.subdomains.items()}
     variants = {name: coordinates for mesh in meshes for name, coordinates in mesh.variants.items()}
@@ -257,7 +260,7 @@ def joined_meshes(meshes: Sequence[SectionMesh]) -> SectionMesh:
 
 
 class Metric:
-    """The factors of the forms over some cells, by the values of the sizes that move them, on their scales."""
+    """The factors of the forms over cells, by the scaled sizes."""
 
     def __init__(self, mesh: MovedMesh, sizes: Sequence[MovedSize], cells: Cells) -> None:
         self.mesh, self.sizes, self.cells = mesh, sizes, cells
@@ -269,7 +272,7 @@ class Metric:
         return self._known[point]
 
     def error(self, grid: InterpolationGrid, points: Iterator[tuple[float, ...]]) -> float:
-        """The largest error of the interpolation on a grid at some points, relative to each cell's own size."""
+        """The largest relative error of the interpolation at points. Each cell has its own size."""
         at_nodes = [self(node) for node in grid.nodes]
         worst = 0.0
         for point in points:
@@ -284,7 +287,7 @@ class Metric:
 def interpolation_grid(
     metric: Metric, bounds: tuple[Range, ...], start: Sequence[float], limits: tuple[Range, ...], chip: Chip
 ) -> InterpolationGrid:
-    """The smallest grid that interpolates as well as wanted."""
+    """The smallest grid with the required accuracy."""
     free = [high > low for low, high in bounds]
 
     def made(degrees: Sequence[int]) -> InterpolationGrid:

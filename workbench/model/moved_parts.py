@@ -1,5 +1,7 @@
-"""Shapes of a chip's layers as parameters: the parts of its straight section that they move, beside thicknesses and
-radii that stretch it exactly (see `workbench.physics.shaped`)."""
+"""Shapes of layers as parameters: the moved parts of the section.
+
+Thicknesses and radii stretch the section exactly in addition (see `workbench.physics.shaped`).
+"""
 
 from __future__ import annotations
 
@@ -15,29 +17,28 @@ from geometry.mesh import SectionMesh
 from geometry.shapes import ShapeReach, possible, reach
 from geometry.stretch import Piece
 from workbench.files.errors import InputError
-from workbench.model.moved_mesh import LEAST, Cells, Interpolation, MovedMesh, MovedSize, taken_apart
+from workbench.model.moved_mesh import LEAST, Cells, Interpolation, MovedMesh, MovedSize, split_by_sizes
 from workbench.model.shaped_mesh import coordinates_of, shaped
 from workbench.physics.shaped import Amplitude, MovableLength, Moves, Ratio, ShapeScale
 
 Real = NDArray[np.float64]
 Range = tuple[float, float]
 
-#: Where lengths change as well, forms are interpolated as far as so much is left of the area of every cell, and
-#: extrapolated beyond: a bow of half the bond that it compresses, as thin as that can get. A quarter takes twice as
-#: many nodes.
-LEFT = 0.5
+#: If lengths change as well, forms are interpolated down to this share of the area of every cell, and extrapolated
+#: beyond: a bow of half the bond that it compresses at its thinnest. A quarter takes twice as many nodes.
+LEAST_AREA_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class LayerShape(MovedSize):
-    """A shape of a layer: the ``layer`` that has it, and how points follow it."""
+    """A shape of a ``layer``, and the way points follow it."""
 
     layer: str
     reach: ShapeReach
 
 
 def shapes_of(chip: Chip, ranges: Mapping[str, Range]) -> tuple[LayerShape, ...]:
-    """The shapes of a chip, but for those that stay at 0; those with `ranges` by name are parameters."""
+    """The shapes of a chip, except those fixed at 0. Those with `ranges` by name are parameters."""
     found = []
     for name, (region, shape) in possible(chip).items():
         size, followed = getattr(chip.layer(region), shape), reach(chip.layer(region), shape)
@@ -50,11 +51,8 @@ def shapes_of(chip: Chip, ranges: Mapping[str, Range]) -> tuple[LayerShape, ...]
 
 @dataclass(frozen=True, eq=False)
 class ShapedLayers:
-    """The straight section of a chip moved by the shapes of its layers.
-
-    ``lengths`` are the ranges (m) of the thicknesses and radii that are parameters, by name; ``nominal`` the thickness
-    (m) of every layer.
-    """
+    """The straight section of a chip moved by its shapes. ``lengths`` are the ranges (m) of the thicknesses and radii
+    that are parameters, by name; ``nominal`` the thickness (m) of every layer."""
 
     mesh: MovedMesh
     shapes: tuple[LayerShape, ...]
@@ -85,32 +83,34 @@ class ShapedLayers:
         return cls(MovedMesh(chip, coordinates, interpolation), shapes, lengths, nominal)
 
     def following(self, interpolation: Interpolation) -> ShapedLayers:
-        """A copy with the accuracy of that `interpolation`, and these variants."""
+        """A copy with the accuracy of that `interpolation`."""
         return replace(self, mesh=replace(self.mesh, interpolation=interpolation))
 
     def pieces(self, mesh: SectionMesh, pieces: Sequence[Piece]) -> tuple[
             SectionMesh, list[tuple[Piece, tuple[LayerShape, ...]]]]:
-        """Pieces of a region taken apart further by the shapes that move their cells; the mesh names all of them."""
+        """Pieces of a region split by the shapes that move them. The mesh names all of them."""
         regions = dict(mesh.mesh.subdomains)
         found: list[tuple[Piece, tuple[LayerShape, ...]]] = []
         for piece in pieces:
             indices = np.asarray(regions[piece.name])
             moving = self.mesh.moving(Cells(mesh, indices), self.shapes)
-            for name, own, shapes in taken_apart(piece.name, indices, moving, self.shapes):
+            for name, own, shapes in split_by_sizes(piece.name, indices, moving, self.shapes):
                 regions[name] = own
                 found.append((replace(piece, name=name), shapes))
         return replace(mesh, mesh=mesh.mesh.with_subdomains(regions)), found
 
     def moving(self, cells: Cells) -> tuple[LayerShape, ...]:
-        """The shapes that move any of some cells, or of sides of cells."""
+        """The shapes that move any of some cells or sides."""
         return tuple(self.shapes[k] for k in np.flatnonzero(self.mesh.moving(cells, self.shapes).any(axis=1)))
 
     def moves(self, piece: Piece, shapes: Sequence[LayerShape], cells: Cells, column: Ratio | None,
               side: MovableLength | None) -> Moves:
-        """The motion of a piece of a place by `shapes`, ``column`` being the ratio along r that it is stretched by.
+        """The motion of a piece of a place by `shapes`.
+
+        ``column`` is its stretch ratio along r.
 
         Raises:
-            InputError: the range of a size is too wide for the thickness of what it moves.
+            InputError: the range of a size is too wide for the thickness of the moved layers.
         """
         amplitudes = [self._amplitude(shape, piece, cells, column, side) for shape in shapes]
         outer, followed = ([self._range(shape, amplitude, most) for shape, amplitude in zip(
@@ -133,8 +133,8 @@ class ShapedLayers:
         return Amplitude(shape.length, shape.scale, grown, stretched)
 
     def _range(self, shape: LayerShape, amplitude: Amplitude, most: float) -> Range:
-        """The range of an amplitude while its size and the lengths that it follows move within their ranges, and their
-        ratios from one over `most` to that."""
+        """The range of an amplitude over ranges of size and lengths. Ratios of lengths are limited to between one over
+        `most` and `most`."""
         ends = list(shape.bounds)
         for ratio, power in ((amplitude.grown, 1), (amplitude.stretched, -1)):
             if ratio is not None:
@@ -147,7 +147,7 @@ class ShapedLayers:
         return min(ends), max(ends)
 
     def _ends(self, length: MovableLength) -> Range:
-        """The least and the greatest value (m) of a length, while its parameter moves."""
+        """The least and the greatest value (m) of a length."""
         if length.parameter not in self.lengths:
             return length.nominal, length.nominal
         low, high = sorted(map(length.of, self.lengths[length.parameter]))
@@ -155,8 +155,8 @@ class ShapedLayers:
 
     def _unfolded(self, shapes: Sequence[LayerShape], cells: Cells, inner: Sequence[Range],
                   outer: Sequence[Range]) -> list[Range]:
-        """The widest ranges between two that leave something of every cell."""
-        least = LEFT * cells.areas(self.mesh.existing({}))
+        """The widest ranges between two at which every cell keeps enough area."""
+        least = LEAST_AREA_SHARE * cells.areas(self.mesh.existing({}))
         for share in (1.0, 0.8, 0.6, 0.4, 0.2, 0.0):
             ranges = [tuple(a + share * (b - a) for a, b in zip(*both, strict=True))
                       for both in zip(inner, outer, strict=True)]

@@ -1,10 +1,9 @@
-"""Sizes of a section of any shape (`geometry.profile`) as parameters of the model.
+"""Sizes of a section of any shape (`geometry.profile`) as parameters.
 
-All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. The share of
-a cell in a form does not depend on its height, so only sizes that deform it or move it along r count for it; forms are
-interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants. Lengths that stay
-above nothing count by their logarithms, in which thicknesses of a fifth to five times of what is stated are no more
-than a handful of nodes.
+All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. The contribution of a
+cell to a form does not depend on its height, so only sizes that deform it or move it along r count; forms are
+interpolated in these (`workbench.physics.shaped`), with as many matrices as the accuracy requires. Positive lengths
+count by their logarithms, in which thicknesses of a fifth to five times the stated one need only a handful of nodes.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from geometry.mesh import MeshError, SectionMesh
 from geometry.names import LEVEL, PART, parent_place
 from geometry.stretch import moving_together
 from workbench.files.errors import InputError, choose
-from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation, MovedMesh, MovedSize, taken_apart
+from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation, MovedMesh, MovedSize, split_by_sizes
 from workbench.model.problem import Problem
 from workbench.physics.shaped import Amplitude, Moves, ShapeScale
 from workbench.physics.stretched import Stretched, StretchedPart
@@ -38,13 +37,13 @@ def parametrised_free(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING,
     neutral: Collection[Term] = (),
 ) -> Problem:
-    """`problem` of a chip with profiles, with some of its dimensions among the parameters, by name with the range (m or
-    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays. `neutral`
-    are terms that are zero on the mesh.
+    """`problem` of a chip with profiles, with dimensions among its parameters.
+
+    `ranges` (m or rad) are those of the dimensions by name. Spectra are those of the mesh moved to the new sizes; the
+    mesh itself stays. `neutral` are terms that are zero on the mesh.
 
     Raises:
-        InputError: a dimension that the chip has not, a range that does not hold its size, or in which layers do not
-            fit each other.
+        InputError: an unknown dimension, a range without its size, or one in which layers do not fit each other.
         MeshError: the mesh is not of this chip, or folds within a range.
     """
     known = chip.dimensions()
@@ -52,7 +51,7 @@ def parametrised_free(
     for name, (low, high) in ranges.items():
         value = known[choose(name, known, source=chip.file, field="dimension")].value
         if not low <= value <= high:
-            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
+            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that contains its size, {value:g}")
         if low < high:
             scale = ShapeScale.LOGARITHM if low > 0.0 else ShapeScale.PROPORTIONAL
             sizes.append(MovedSize(name, value, (low, high), scale, value))
@@ -75,11 +74,13 @@ def parametrised_free(
 
 
 def _coordinates(mesh: SectionMesh, chip: Chip, sizes: Mapping[str, float]) -> Real:
-    """Coordinates (2, nodes, cells) of the mesh of a chip for other values of some sizes (m or rad) by name.
+    """Coordinates (2, nodes, cells) of a chip's mesh for other sizes.
+
+    `sizes` are in m or rad, by name.
 
     Raises:
         InputError: layers do not fit each other any more.
-        MeshError: a cell is folded, or the section falls into other faces.
+        MeshError: a cell is folded, or the section has other faces.
     """
     found = mesh.coordinates
     if sizes:
@@ -91,15 +92,15 @@ def _coordinates(mesh: SectionMesh, chip: Chip, sizes: Mapping[str, float]) -> R
             found = moved_free(mesh, section).coordinates
         except MeshError as error:
             stated = ", ".join(f"{name} = {value:.6g}" for name, value in sizes.items())
-            raise MeshError(f"{error} ({stated}, in m or rad; a narrower range about what is stated can be moved in)"
+            raise MeshError(f"{error} ({stated}, in m or rad; use a narrower range about the stated size)"
                             ) from error
     assert found is not None
     return found
 
 
 def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMesh:
-    """The mesh that also names those parts of outer boundaries that are `used`: facets nearer to lying than to standing
-    at :data:`geometry.names.LEVEL`, and the others in the layer."""
+    """The mesh with names for the `used` parts of outer boundaries. Facets more level than steep belong to
+    :data:`geometry.names.LEVEL`, the others to the layer."""
     boundaries = dict(mesh.mesh.boundaries)
     for place in {place for pair in used for place in pair if PART in place}:
         facets = np.asarray(boundaries[parent_place(place)])
@@ -111,8 +112,7 @@ def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMe
 def _parts(
     mesh: SectionMesh, moved: MovedMesh, sizes: Sequence[MovedSize], used: Sequence[tuple[str, str]]
 ) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
-    """The parts of all places that are `used`, and of what faces them, with the sizes that move them; the mesh names
-    them."""
+    """The parts of all `used` places and opposite boundaries, with their sizes. The mesh names them."""
     regions, boundaries = dict(mesh.mesh.subdomains), dict(mesh.mesh.boundaries)
     facing = {place: other for place, other in used if other}
     at_once = {*facing, *facing.values()}
@@ -125,7 +125,7 @@ def _parts(
         if place in at_once:
             touched[:] = touched.any(axis=1, keepdims=True)
         found = []
-        for name, own, acting in taken_apart(place, indices, touched, sizes):
+        for name, own, acting in split_by_sizes(place, indices, touched, sizes):
             places[name] = own
             cells = Cells(mesh, own) if place in regions else Cells.of_facets(mesh, own)
             found.append(StretchedPart(name, moves=_moves(moved, acting, cells) if acting else None))

@@ -1,14 +1,14 @@
-"""The real numbers of a device: their names, values, units and ranges, and what is stated of them.
+"""The real parameters of a device: names, values, units, ranges, uncertainties.
 
-Fits, tolerance analyses, the live view and the diagnosis each look at a :class:`Number` in a way of their own;
-`workbench.model.device_numbers` reads those of a chip and its materials. Names say what they are:
+Fits, tolerance analyses, the live view and the diagnosis use :class:`Number`; `workbench.model.device_numbers` reads
+those of a chip and its materials. The names are::
 
     pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
-    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
+    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a lossy stiffness
     transducer.thickness                 a dimension of the chip, metres
     sidewall.draft                       a shape of a layer (`geometry.shapes`), metres or radians
     bench.series_resistance              an element between the electrodes and the instrument
-    bench.gain[filled]                   what that state alone adds to the number of that name
+    bench.gain[filled]                   the addition of one state to the parameter of that name
     pzt4/disc_7@2.c33                    of the second saved version of a material (`materials.versions`)
 """
 
@@ -31,32 +31,32 @@ from workbench.files.quantities import si_unit
 LOSS = ".loss"
 BENCH = "bench."
 
-#: About the one state that a number acts in, behind its name. No name holds the first sign; that of a state may.
+#: Brackets of the state of a parameter, behind its name. Only names of states may contain the first.
 STATE, STATE_END = "[", "]"
 
-#: Ends of the names of dimensions of a chip (`geometry.chip.Chip.dimensions`).
+#: Suffixes of the names of dimensions of a chip (`geometry.chip.Chip.dimensions`).
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height", "half_width",
            "inner_half_width", "cavity_half_width")
 
 
-#: Ends of names of a layer that are no dimensions of it; ``gauge`` is the factor of density, stiffness and
-#: piezoelectric constants together that a free disc does not show.
+#: Suffixes of names of a layer that are not dimensions. ``gauge`` is the common factor of density, stiffness and
+#: piezoelectric constants, which a free disc does not determine.
 NO_DIMENSION = ("density", "material", "gauge")
 
-#: Dimension of every coefficient of a material, a key of `workbench.files.quantities.UNITS`: as entries state it (the
-#: first form of a kind is the one that a solver has), and one that follows from others.
+#: Dimension of every coefficient of a material, a key of `workbench.files.quantities.UNITS`: those of the first form of
+#: each kind, and one derived coefficient.
 COEFFICIENTS: Mapping[str, str] = {
     **{name: dimension for kind in KINDS.values() for stated in (kind.required, kind.optional, kind.forms[0].dimensions)
        for name, dimension in stated.items()}, "diffusivity_of_sound": "diffusivity"}
 
-#: A material's source behind its name.
+#: The source of a material, behind its name.
 _SOURCE = re.compile(r"(\w)/[\w@-]+")
 
 
 @dataclass(frozen=True)
 class Element:
-    """A bench element: what it is in words, its dimension, its standard uncertainty before the measurement, its bounds
-    (SI)."""
+    """A bench element. ``text`` describes it, ``quantity`` is its dimension, ``prior`` its standard uncertainty before
+    the measurement; ``low`` and ``high`` are its bounds (SI)."""
 
     text: str
     quantity: str
@@ -70,10 +70,10 @@ class Element:
         return si_unit(self.quantity)
 
 
-#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
-#: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
-#: Bounds are those of contacts, leads and probes; data sheets of generators state 1 to 50 in a million. A compensation
-#: that takes away too much leaves less than zero: a bad contact, 10 cm of wire, 20 cm of cable.
+#: The bench in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
+#: generator's frequency (1 + clock) f; all are zero (the gain as its logarithm) for an ideal bench. Bounds are those of
+#: contacts, leads and probes; data sheets of generators state 1 to 50 ppm. Overcompensation makes them negative: a bad
+#: contact, 10 cm of wire, 20 cm of cable.
 BENCH_ELEMENTS: Mapping[str, Element] = {
     "series_resistance": Element("resistance of leads and contacts", "resistance", 0.3, -0.3, 5.0),
     "series_inductance": Element("inductance of the leads", "inductance", 2e-7, -1e-7, 2e-6),
@@ -86,7 +86,7 @@ BENCH_ELEMENTS: Mapping[str, Element] = {
 
 
 class ParameterKind(Enum):
-    """The kind of number of a name; ``TERM`` belongs to no material of the registry, dimension or bench."""
+    """The kind of a parameter; ``TERM`` is none of the others."""
 
     MATERIAL = "material"
     DIMENSION = "dimension"
@@ -96,11 +96,10 @@ class ParameterKind(Enum):
 
 @dataclass(frozen=True)
 class ParameterName:
-    """A name taken apart.
+    """The parts of a parameter's name.
 
-    ``owner`` is a material, a region or "bench", empty where the name stands alone; ``coefficient`` what of it;
-    ``is_loss`` whether the number is the imaginary part of the coefficient. ``state`` is the state that it is of alone,
-    empty for a number that all have.
+    ``owner`` is a material, a region or "bench", empty for a single word; ``coefficient`` is the quantity; ``is_loss``
+    marks the imaginary part. ``state`` is the only state of the parameter, empty if all states have it.
     """
 
     owner: str
@@ -112,21 +111,19 @@ class ParameterName:
     @classmethod
     @cache
     def parse(cls, text: str) -> ParameterName:
-        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``[state]``.
-
-        A name is taken apart once in a process.
-        """
+        """The parts of ``owner.coefficient``, ``.loss`` and ``[state]``, cached. ``.loss`` and ``[state]`` are
+        optional; a bench element has no ``.loss``."""
         name, _, state = text.partition(STATE)
         state = state.removesuffix(STATE_END)
         if name.startswith(BENCH):
             return cls(BENCH.removesuffix("."), name.removeprefix(BENCH), False, ParameterKind.BENCH, state)
         key, is_loss = name.removesuffix(LOSS), name.endswith(LOSS)
         if "/" in name:
-            # No material of the registry has a dot in its name; regions of terms do.
+            # Names of materials in the registry have no dot; regions of terms may.
             owner, _, coefficient = key.partition(".")
             return cls(owner, coefficient, is_loss, ParameterKind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
-        # Any size of a layer is a dimension, whatever its profile calls it; numbers of terms have names of their own.
+        # Any other size of a layer is a dimension of its profile; parameters of terms have other names.
         of_layer = role_of(owner) in ROLES and coefficient not in NO_DIMENSION
         is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or of_layer) and not is_loss
         return cls(owner, coefficient, is_loss, ParameterKind.DIMENSION if is_dimension else ParameterKind.TERM, state)
@@ -136,16 +133,16 @@ class ParameterName:
 
     @property
     def shared(self) -> str:
-        """The name of the number that all states have: without ``[state]``."""
+        """The name without ``[state]``."""
         return self.key + (LOSS if self.is_loss else "")
 
     def of_state(self, state: str) -> ParameterName:
-        """The name of what one `state` adds to the number."""
+        """The name of the addition of one `state` to the parameter."""
         return replace(self, state=state)
 
     @property
     def key(self) -> str:
-        """Name of the complex value that the number is a part of: the name without ``.loss`` and ``[state]``."""
+        """Name of the complex value: without ``.loss`` and ``[state]``."""
         return f"{self.owner}.{self.coefficient}" if self.owner else self.coefficient
 
     @property
@@ -170,7 +167,7 @@ class ParameterName:
 
     @property
     def is_radius(self) -> bool:
-        """Whether it is a distance from the axis, or from the middle of a straight chip."""
+        """Whether it is a distance from the axis or the middle."""
         return self.is_dimension and self.coefficient.endswith(ACROSS)
 
     @property
@@ -179,13 +176,13 @@ class ParameterName:
 
     @property
     def is_shape(self) -> bool:
-        """Whether it is the size of a shape, or a parameter of a profile (`geometry.profile`)."""
+        """Whether it is a shape or a profile's parameter (`geometry.profile`)."""
         return self.is_dimension and self.coefficient not in LENGTHS
 
     @property
     def quantity(self) -> str:
-        """The dimension of the number, a key of `workbench.files.quantities.UNITS`; empty for a number that a term
-        brings in, whose name does not tell."""
+        """The dimension, a key of `workbench.files.quantities.UNITS`. Empty for a parameter of a term, whose name does
+        not determine it."""
         if self.is_dimension:
             return SHAPES.get(self.coefficient, "length")
         if self.is_bench:
@@ -194,26 +191,29 @@ class ParameterName:
 
     @property
     def unit(self) -> str:
-        """The SI unit of the number; empty where its name alone does not tell."""
+        """The SI unit; empty if the name does not determine it."""
         return si_unit(self.quantity)
 
     @property
     def in_words(self) -> str:
-        """The name in plain words: "substrate thickness", "pla shear modulus loss in the state filled"."""
+        """The name in plain words.
+
+        Examples: "substrate thickness", "pla shear modulus loss in the state filled".
+        """
         words = plain_words(f"{self.owner} {self.local}".strip()).replace(".", " ")
         return f"{words} in the state {self.state}" if self.state else words
 
     def within(self, owner: str) -> str:
-        """The name as it is told of one `owner`: without it, or in full where it belongs to another."""
+        """The name without its owner if that is `owner`, otherwise in full."""
         return self.local if self.owner == owner else str(self)
 
     def part_of(self, value: complex) -> float:
-        """The real or the imaginary part of a complex `value`, whichever the number is."""
+        """The real or the imaginary part of a complex `value`."""
         return value.imag if self.is_loss else value.real
 
 
-#: Standard deviations at which a normal law is cut, and from which the limits of a tolerance are read as one. Doubled,
-#: range models would have to cover twice the width, for one sample in four hundred of each input.
+#: Number of standard deviations at which a normal law is cut, and that a tolerance of a normal law means. Doubled,
+#: range models must cover twice the width, for one sample in four hundred of each parameter.
 CUT = 3.0
 
 Law = Literal["uniform", "normal"]
@@ -221,11 +221,11 @@ Law = Literal["uniform", "normal"]
 
 @dataclass(frozen=True)
 class Stated:
-    """The uncertainty of a number as it is stated (SI), and its origin.
+    """The stated uncertainty of a parameter (SI), and its origin.
 
     ``amount`` is the limit to either side of a uniform law (a tolerance: GUM, JCGM 100:2008, 4.3.7), or the standard
-    uncertainty of a normal one (what a registry or a fit states); 0 states the number as exact. ``origin`` is the file,
-    the table or the entry that states it. ``assumed`` is the assumption in words, if nobody states it.
+    uncertainty of a normal one (from a registry or a fit); 0 means exact. ``origin`` is its file, table or entry.
+    ``assumed`` is the assumption in words, if it is not stated.
     """
 
     amount: float
@@ -235,7 +235,7 @@ class Stated:
 
     @classmethod
     def within(cls, half_width: float, law: Law, *, origin: str) -> Stated:
-        """A tolerance: limits of a uniform law, or :data:`CUT` standard deviations of a normal one."""
+        """A tolerance: limits of a uniform law, or :data:`CUT` standard deviations."""
         return cls(half_width if law == "uniform" else half_width / CUT, law, origin)
 
     @property
@@ -251,11 +251,11 @@ class Stated:
 
 @dataclass(frozen=True)
 class Number:
-    """One real number of a device.
+    """One real parameter of a device.
 
     ``value`` lies in its admissible range, ``low`` to ``high``; all in the SI ``unit``. ``stated`` is its uncertainty,
-    None if nobody states it. ``tied`` are the other names of the same number: radii that coincide.
-    ``material`` is that of the layer that a length is of.
+    None if not stated. ``tied`` are other names of the same parameter: equal radii. ``material`` is that of a length's
+    layer.
     """
 
     name: str
@@ -294,12 +294,12 @@ class Number:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The name of the number that it is or adds to, and those of the lengths tied to it."""
+        """The name without state, and those of tied lengths."""
         return (self.parsed.shared, *self.tied)
 
     @property
     def quantity(self) -> str:
-        """Its dimension as files state it: dimensionless where its name does not tell."""
+        """Its dimension in files; dimensionless if the name does not determine it."""
         return self.parsed.quantity or "dimensionless"
 
     @property
@@ -309,27 +309,27 @@ class Number:
 
     @property
     def deviation(self) -> float:
-        """Its standard uncertainty, 0 where nothing is stated."""
+        """Its standard uncertainty, 0 if not stated."""
         return self.stated.deviation if self.stated else 0.0
 
     @property
     def half_width(self) -> float:
-        """Half the width of its law, 0 where nothing is stated."""
+        """Half the width of its law, 0 if not stated."""
         return self.stated.half_width if self.stated else 0.0
 
     @property
     def origin(self) -> str:
-        """The file, table or entry that states its uncertainty; empty if none does."""
+        """The file, table or entry of its uncertainty; empty without one."""
         return self.stated.origin if self.stated else ""
 
     @property
     def assumed(self) -> str:
-        """The assumption about a number that nobody states, in words; empty if its uncertainty is stated."""
+        """The assumption about its uncertainty, in words; empty if stated."""
         return self.stated.assumed if self.stated else ""
 
     @property
     def tolerance(self) -> float | None:
-        """The stated amount of its uncertainty; None if it is assumed, or nobody states it."""
+        """The stated amount of its uncertainty; None if assumed or missing."""
         return self.stated.amount if self.stated and not self.stated.assumed else None
 
     @property
@@ -339,8 +339,8 @@ class Number:
 
 
 def limits(name: str, value: float) -> tuple[float, float]:
-    """Lowest and highest number (SI) that a coefficient may have in matter that exists: a modulus is above zero, a loss
-    takes energy up. Coefficients that couple two motions may have either sign."""
+    """Lowest and highest physical value (SI) of a coefficient. A modulus is positive, a loss dissipates energy.
+    Coefficients that couple two motions may have either sign."""
     parsed = ParameterName.parse(name)
     if parsed.is_dimension:
         return -math.inf if parsed.is_shape else 0.0, math.inf
@@ -353,7 +353,7 @@ def limits(name: str, value: float) -> tuple[float, float]:
 
 
 def plain_words(text: str) -> str:
-    """A `text` with names in plain words: without the sources of materials, and without joined words."""
+    """A `text` with names in plain words, without sources of materials."""
     return _SOURCE.sub(r"\1", text).replace("_", " ")
 
 
@@ -363,13 +363,13 @@ def word_list(words: Sequence[str]) -> str:
 
 
 def real_part(values: Mapping[str, complex], name: str) -> float:
-    """The number called `name` among complex `values`: a real part, or with ``.loss`` an imaginary one."""
+    """A real or, with ``.loss``, imaginary part of `values`, by name."""
     parsed = ParameterName.parse(name)
     return parsed.part_of(complex(values[parsed.key]))
 
 
 def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[str, complex]:
-    """Complex `values` with real `numbers`, by parameter name, in the place of the parts they are."""
+    """Complex `values` with some real or imaginary parts replaced. `numbers` are these parts by parameter name."""
     result = dict(values)
     for name, number in numbers.items():
         parsed = ParameterName.parse(name)

@@ -1,10 +1,10 @@
-"""A particle suspended in a fluid, and its response to a sound wave: contrast, drag, weight.
+"""A particle in a fluid: contrast factor, drag and weight.
 
 A particle is a compressible sphere much smaller than the wavelength, alone and away from walls: a bead, a droplet, a
 cell. The formulas use its density and compressibility. They are those of Settnes & Bruus, Phys. Rev. E 85, 016327
 (2012), and without viscosity of Gor'kov (1962), which for a sphere of fluid are those of Yosioka & Kawasima (1955);
-time factor e^{-i w t}. The fluid around is viscous. The surface of a droplet counts as immobile, like one with
-surfactant: circulation inside a clean droplet is left out of the dipole and of the drag (which it lowers by a third at
+time factor e^{-i w t}. The surrounding fluid is viscous. The surface of a droplet is immobile, like one with
+surfactant: circulation inside a clean droplet is neglected in the dipole and in the drag (which it lowers by a third at
 most).
 """
 
@@ -19,7 +19,7 @@ GRAVITY = 9.80665
 
 
 class FluidProperties(Protocol):
-    """Interface of a fluid for particles: density kg/m^3, sound speed m/s, shear viscosity Pa s."""
+    """Interface of a fluid: density kg/m^3, sound speed m/s, viscosity Pa s."""
 
     @property
     def density(self) -> float: ...
@@ -35,7 +35,7 @@ STIFF = 0.3
 
 
 class ParticleMaterial(Protocol):
-    """Interface of the solid or fluid a particle is made of: name, density kg/m^3, compressibility 1/Pa."""
+    """Interface of a particle's material: name, density kg/m^3, compressibility 1/Pa."""
 
     @property
     def name(self) -> str: ...
@@ -47,7 +47,9 @@ class ParticleMaterial(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Particle:
-    """A sphere: name, radius m, density kg/m^3, compressibility 1/Pa (one over the *bulk* modulus).
+    """A sphere: name, radius m, density kg/m^3, compressibility 1/Pa.
+
+    The compressibility is one over the *bulk* modulus.
 
     Raises:
         ValueError: a radius or density that is not positive, or a negative compressibility.
@@ -73,22 +75,20 @@ class Particle:
 
 @dataclass(frozen=True)
 class Scattering:
-    """Response of a small sphere to the wave: monopole coefficient f1 (pressure) and dipole coefficient f2 (velocity).
-
-    Both are dimensionless. Viscosity makes f2 complex; with e^{-i w t} a passive particle has Im f2 >= 0.
-    """
+    """Response of a small sphere: monopole coefficient f1, dipole coefficient f2. f1 belongs to the pressure, f2 to the
+    velocity. Both are dimensionless. Viscosity makes f2 complex; with e^{-i w t} a passive particle has Im f2 >= 0."""
 
     monopole: float
     dipole: complex
 
     @property
     def contrast_factor(self) -> float:
-        """Contrast factor Phi = f1/3 + Re f2/2: positive for particles that gather at pressure nodes."""
+        """Contrast factor f1/3 + Re f2/2: positive for particles at pressure nodes."""
         return self.monopole / 3.0 + complex(self.dipole).real / 2.0
 
 
 def particle_from(material: ParticleMaterial, radius: float) -> Particle:
-    """A sphere of `radius` (m) made of `material` (an isotropic solid or a fluid of the registry)."""
+    """A sphere of `radius` (m) of a `material` of the registry."""
     return Particle(
         name=material.name, radius=radius, density=material.density, compressibility=material.compressibility
     )
@@ -111,20 +111,18 @@ def viscosity(fluid: FluidProperties) -> float:
 
 
 def boundary_layer_thickness(fluid: FluidProperties, frequency: float) -> float:
-    """Thickness (m) of the viscous boundary layer: delta = sqrt(2 eta / (rho w))."""
+    """Thickness (m) of the viscous boundary layer, sqrt(2 eta / (rho w))."""
     return math.sqrt(2.0 * viscosity(fluid) / (fluid.density * 2.0 * math.pi * frequency))
 
 
 def monopole(particle: Particle, fluid: FluidProperties) -> float:
-    """Monopole coefficient f1 = 1 - kappa_p / kappa_f (Settnes & Bruus 2012)."""
+    """Monopole coefficient 1 - kappa_p / kappa_f (Settnes & Bruus 2012)."""
     return 1.0 - particle.compressibility / compressibility(fluid)
 
 
 def viscous_dipole(particle: Particle, fluid: FluidProperties, frequency: float) -> complex:
-    """Dipole coefficient f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g) (Settnes & Bruus 2012).
-
-    Here g = -(3/2) [1 + i (1 + d)] d, d = delta / a, and r is the ratio of densities.
-    """
+    """Dipole coefficient f2 (Settnes & Bruus 2012). f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g) with g = -(3/2) [1 + i (1 +
+    d)] d, d = delta / a, and r the ratio of densities."""
     ratio = particle.density / fluid.density
     layer = boundary_layer_thickness(fluid, frequency) / particle.radius
     drag = -1.5 * (1.0 + 1j * (1.0 + layer)) * layer
@@ -132,15 +130,13 @@ def viscous_dipole(particle: Particle, fluid: FluidProperties, frequency: float)
 
 
 def viscous_scattering(particle: Particle, fluid: FluidProperties, frequency: float) -> Scattering:
-    """Coefficients of a sphere in a viscous fluid, for any ratio of radius to boundary layer."""
+    """Coefficients of a sphere in a viscous fluid, for any boundary layer."""
     return Scattering(monopole(particle, fluid), viscous_dipole(particle, fluid, frequency))
 
 
 def breathing_frequency(particle: Particle, fluid: FluidProperties) -> float:
-    """Frequency (Hz) at which a sphere of fluid pulsates in the fluid around: sqrt(3 / (rho_f kappa_p)) / (2 pi a).
-
-    It is Minnaert's frequency for a gas bubble; infinite for an incompressible particle.
-    """
+    """Frequency (Hz) at which a sphere of fluid pulsates in another fluid. It is sqrt(3 / (rho_f kappa_p)) / (2 pi a),
+    Minnaert's frequency for a gas bubble; infinite for an incompressible particle."""
     if particle.compressibility == 0.0:
         return math.inf
     return math.sqrt(3.0 / (fluid.density * particle.compressibility)) / (2.0 * math.pi * particle.radius)
@@ -152,5 +148,5 @@ def drag_coefficient(particle: Particle, fluid: FluidProperties) -> float:
 
 
 def net_weight(particle: Particle, fluid: FluidProperties) -> float:
-    """Weight minus buoyancy in N: positive for a particle that sinks, along -z."""
+    """Weight minus buoyancy (N), positive along -z."""
     return particle.volume * (particle.density - fluid.density) * GRAVITY

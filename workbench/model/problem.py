@@ -1,4 +1,4 @@
-"""From a chip in one of its states to a mesh, a tuple of terms and values: here geometry and materials meet."""
+"""From a chip in a state to mesh, terms and values."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ from workbench.results.brief import Brief
 
 
 class LeftOutWarning(UserWarning):
-    """A part of a solid does not turn about the axis and is not in the model: a port, a chamfer on one side."""
+    """A part of a solid is not axisymmetric and left out."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Brief):
-    """All input of a predicted spectrum: mesh, terms, and the value of every parameter by name.
+    """All input of a predicted spectrum: mesh, terms, parameter values by name.
 
-    ``materials`` holds the material of each region (a vacuum is absent); ``values`` the complex parameters
-    ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made
-    for, with that ``discretisation`` (None: a mesh of the caller's own).
+    ``materials`` has the material of each region (none for a vacuum); ``values`` the complex parameters
+    ``<material>.<property>`` in SI, e^{-i w t}; ``band`` (Hz) is that of the mesh, with its ``discretisation`` (None
+    for a mesh of the caller).
     """
 
     mesh: SectionMesh
@@ -74,14 +74,14 @@ class Problem(Brief):
         return replace(self, values={**self.values, **values})
 
     def following(self, like: Problem) -> Problem:
-        """The problem on the mesh and with the terms of one `like` it, which has lengths among its values."""
+        """The problem with the mesh and terms of `like`. That one has lengths as parameters."""
         return replace(self, mesh=like.mesh, terms=like.terms, values={**like.values, **self.values})
 
     def with_terms(self, terms: tuple[Term, ...], values: Mapping[str, complex]) -> Problem:
-        """A copy with more terms, and the values of the parameters they bring in.
+        """A copy with more terms and values of their parameters.
 
         Raises:
-            ValueError: a term the problem has already, or a value it has already (:meth:`with_values` changes one).
+            ValueError: a term or a value that the problem already has (:meth:`with_values` changes values).
             KeyError: a parameter of the terms without a value, or a value that none of them needs.
         """
         for term in terms:
@@ -96,14 +96,14 @@ class Problem(Brief):
             raise KeyError(f"no value of {', '.join(lacking)}, which the terms {', '.join(map(repr, terms))} need")
         unused = sorted(set(values) - needed)
         if unused:
-            raise KeyError(f"no term of those added has the parameters {', '.join(unused)}; "
+            raise KeyError(f"none of the added terms has the parameters {', '.join(unused)}; "
                            f"theirs: {', '.join(sorted(needed))}")
         return replace(self, terms=(*self.terms, *terms), values={**self.values, **values})
 
 
 def with_boundary_layers(problem: Problem) -> Problem:
-    """A copy of `problem` with boundary layers of the fluids in its cavities on every solid wall: a viscous one if the
-    viscosity is known, and a thermal one if the thermal constants are known too."""
+    """A copy of `problem` with boundary layers in its cavities. Layers are viscous if the viscosity is known, and
+    thermal too if the thermal constants are."""
     terms: list[Term] = []
     for contact in problem.terms:
         if not isinstance(contact, fluid.SolidFluidContact) or role_of(contact.fluid) != CAVITY:
@@ -114,13 +114,13 @@ def with_boundary_layers(problem: Problem) -> Problem:
     return problem.with_terms(tuple(terms), {})
 
 
-def boundary_layers(boundary: str, solid: str, region: str, held: Fluid) -> tuple[Term, ...]:
-    """The boundary layers of the fluid in a region on one solid wall, as far as its constants are known."""
-    where = (boundary, solid, region, held.name)
-    if held.shear_viscosity is None:
+def boundary_layers(boundary: str, solid: str, region: str, material: Fluid) -> tuple[Term, ...]:
+    """The boundary layers of a fluid on one solid wall. They follow from its known constants."""
+    where = (boundary, solid, region, material.name)
+    if material.shear_viscosity is None:
         return ()
     viscous = boundary_layer.ViscousBoundaryLayer(*where)
-    if None in (held.heat_capacity_ratio, held.thermal_conductivity, held.heat_capacity):
+    if None in (material.heat_capacity_ratio, material.thermal_conductivity, material.heat_capacity):
         return (viscous,)
     return viscous, boundary_layer.ThermalBoundaryLayer(*where)
 
@@ -143,10 +143,10 @@ def terms_of(region: str, material: Material, *, poled_down: bool = False) -> tu
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilledChip(Brief):
-    """A chip in one of its states: ``materials`` holds the material of each region (a vacuum is absent).
+    """A chip in one of its states, with its materials.
 
-    ``particle`` is the particle that the state names, if any; ``findings`` the assumptions made about the materials;
-    ``inviscid`` whether the model leaves out the boundary layers in the cavity.
+    ``materials`` has the material of each region (none for a vacuum). ``particle`` is that of the state, if any;
+    ``findings`` are assumptions about the materials; ``inviscid`` removes the boundary layers in the cavity.
     """
 
     chip: Chip
@@ -163,16 +163,17 @@ class FilledChip(Brief):
 
     @property
     def is_wet(self) -> bool:
-        """Whether the cavity holds a liquid."""
+        """Whether the cavity contains a liquid."""
         fluid = self.materials.get(CAVITY)
         return isinstance(fluid, Fluid) and not fluid.is_gas
 
     def check_validity(self, band: tuple[float, float]) -> tuple[str, ...]:
-        """Sentences on limits of the formulas that the state comes near to in a `band` (Hz): see
-        `workbench.model.validity.check_validity`.
+        """Findings on limits of the formulas in a `band` (Hz).
+
+        See `workbench.model.validity.check_validity`.
 
         Raises:
-            InputError: it is beyond them in all of the band.
+            InputError: the state is beyond them in all of the band.
         """
         liquid = self.materials.get(CAVITY)
         return () if not isinstance(liquid, Fluid) else check_validity(
@@ -185,21 +186,21 @@ class FilledChip(Brief):
 
 
 def registry_of(chip: Chip, registry: Registry | None = None) -> Registry:
-    """The `registry`, by default that of the package, with the folders of materials that a chip was read with."""
+    """The `registry`, by default the package's, with the chip's folders."""
     found = Registry() if registry is None else registry
     return found.with_folders(chip.material_folders)
 
 
 def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
-    """The chip in a state, by default the last one of its file, with materials, by default those of the package and of
-    the folders that it was read with.
+    """The chip in a state with its materials.
 
-    A density written in the chip file replaces the material's own. The state's temperature is that of the material in
-    the cavity. A lossless ceramic has an assumed loss if the registry has ``assumed_losses``.
+    The default state is the last one of its file; the default registry is the package's with the chip's folders. A
+    density in the chip file replaces the material's own. The state's temperature is that of the material in the cavity.
+    A lossless ceramic has an assumed loss if the registry has ``assumed_losses``.
 
     Raises:
-        InputError: unknown state or material, a transducer that is not piezoelectric, one material given two densities,
-            a solid layer without a shear modulus, a particle that is no sphere of a small compressible solid or
+        InputError: unknown state or material, a transducer that is not piezoelectric, one material with two densities,
+            a solid layer without a shear modulus, a particle that is not a sphere of a small compressible solid or
             fluid, or a state beyond the limits of the formulas in its band (`workbench.model.validity`).
     """
     chosen, registry = chip.state(state), registry_of(chip, registry)
@@ -222,39 +223,39 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
         for other, known in found.items():
             if known.name == material.name and known != material:
                 raise InputError(chip.file, f"density of {region}", material.density,
-                                 f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
+                                 f"the {known.density:g} kg/m^3 of the same material {known.name!r} in {other}")
         found[region] = material
     particle = _particle(chip, chosen, found.get(CAVITY), registry, findings)
-    for region, held in found.items():
-        if role_of(region) == CAVITY and isinstance(held, Fluid):
-            findings += [_without_layers(region, held, registry), absorption_known(region, held, chip.band)]
+    for region, material in found.items():
+        if role_of(region) == CAVITY and isinstance(material, Fluid):
+            findings += [_without_layers(region, material, registry), absorption_known(region, material, chip.band)]
     device = FilledChip(chip, chosen, found, particle, inviscid=registry.inviscid)
     findings += device.check_validity(chip.band)
     _check_passive_layers(device)
     return replace(device, findings=tuple(dict.fromkeys(filter(None, findings))))
 
 
-def _without_layers(region: str, held: Fluid, registry: Registry) -> str:
-    """The finding that a fluid in a cavity has no boundary layers, if it has none."""
+def _without_layers(region: str, fluid: Fluid, registry: Registry) -> str:
+    """The finding that a fluid has no boundary layers, or ""."""
     if registry.inviscid:
-        return f"the boundary layers of {held.name} in the {region} are left out, as was asked for"
-    if held.shear_viscosity is None:
-        return f"the boundary layers of {held.name} in the {region} are left out: its shear_viscosity is not stated"
+        return f"the boundary layers of {fluid.name} in the {region} are left out, as requested"
+    if fluid.shear_viscosity is None:
+        return f"the boundary layers of {fluid.name} in the {region} are left out: its shear_viscosity is not stated"
     return ""
 
 
-def absorption_known(region: str, held: Fluid, band: tuple[float, float]) -> str:
-    """The finding that a fluid in a cavity absorbs more than the model, or not at all; the quality factor of its loss
-    is that in the middle of the `band` (Hz)."""
-    diffusivity, frequency = held.diffusivity_of_sound, 0.5 * sum(band)
+def absorption_known(region: str, fluid: Fluid, band: tuple[float, float]) -> str:
+    """The finding that a fluid absorbs more than modelled, or "". The quality factor of its loss is that in the middle
+    of the `band` (Hz)."""
+    diffusivity, frequency = fluid.diffusivity_of_sound, 0.5 * sum(band)
     if diffusivity is None:
-        return (f"{held.name} in the {region} does not absorb sound in its bulk: neither its viscosities nor its "
+        return (f"{fluid.name} in the {region} does not absorb sound in its bulk: neither its viscosities nor its "
                 "absorption are stated")
-    if not held.absorbs_more:
+    if not fluid.absorbs_more:
         return ""
-    quality = held.sound_speed**2 / (2.0 * math.pi * frequency * diffusivity)
-    heat = " and conduction of heat" if held.heat_capacity_ratio is not None else ""
-    return (f"the absorption of sound in {held.name} in the {region} is a lower bound: its bulk_viscosity is not "
+    quality = fluid.sound_speed**2 / (2.0 * math.pi * frequency * diffusivity)
+    heat = " and heat conduction" if fluid.heat_capacity_ratio is not None else ""
+    return (f"the absorption of sound in {fluid.name} in the {region} is a lower bound: its bulk_viscosity is not "
             f"stated. Its shear viscosity{heat} alone give {diffusivity:.2g} m^2/s, a quality factor of "
             f"{float(f'{quality:.2g}'):.0f} at {frequency / 1e6:.3g} MHz")
 
@@ -272,8 +273,8 @@ def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
         raise InputError(chip.file, f"material of {region}", name, "no single crystal in a round chip, whose section "
                          "turns about an axis: an isotropic average, such as silicon/hill_average")
     if isinstance(material, IsotropicSolid) and not complex(material.shear_modulus).real > 0.0:
-        raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus, or for what has none "
-                         'an entry of kind = "fluid"')
+        raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus; a material without "
+                         'one is an entry of kind = "fluid"')
 
 
 def _kind(material: Material) -> str:
@@ -290,7 +291,7 @@ def _kind(material: Material) -> str:
 
 
 def _check_passive_layers(device: FilledChip) -> None:
-    """Raise if a passive piezoelectric layer lies on the live electrode, which would drive it."""
+    """Raise if a passive piezoelectric layer touches the live electrode."""
     passive = [region for region, material in device.materials.items()
                if role_of(region) != TRANSDUCER and isinstance(material, Piezoelectric)]
     if not passive:
@@ -308,18 +309,18 @@ def _check_passive_layers(device: FilledChip) -> None:
 def _particle(
     chip: Chip, state: State, fluid: Material | None, registry: Registry, findings: list[str]
 ) -> Particle | None:
-    """The particle that a state names, if any, checked against the fluid that carries it.
+    """The particle of a state, if any, checked against its fluid.
 
     Raises:
-        InputError: a material that no such particle is made of, a cavity without fluid, a fluid without viscosity, or a
-            particle that resonates in the band.
+        InputError: an unsuitable material, a cavity without fluid, a fluid without viscosity, or a particle that
+            resonates in the band.
     """
     if state.particle is None or state.particle_radius is None:
         return None
     where = f"states.{state.name}.particle"
     if not isinstance(fluid, Fluid):
-        raise InputError(chip.file, where, state.particle, "no particle without a fluid to carry it; the cavity holds "
-                         f"{'nothing' if fluid is None else _kind(fluid)}")
+        raise InputError(chip.file, where, state.particle, "no particle without a fluid to carry it; the cavity "
+                         f"contains {'nothing' if fluid is None else _kind(fluid)}")
     try:
         material = registry.load(state.particle, notes=findings)
         if material.temperature is not None and state.temperature is not None:
@@ -329,24 +330,24 @@ def _particle(
             raise InputError(chip.file, where, state.particle, error.expected, error.nearest) from error
         raise
     if not isinstance(material, IsotropicSolid | Fluid):
-        raise InputError(chip.file, where, state.particle, "an isotropic solid (a bead), or a fluid or anything else "
-                         f"given by density and compressibility (a droplet, a cell); this is {_kind(material)}")
+        raise InputError(chip.file, where, state.particle, "an isotropic solid (a bead), a fluid (a droplet), or an "
+                         f"entry with density and compressibility (a cell); this is {_kind(material)}")
     if fluid.shear_viscosity is None:
         raise InputError(chip.file, where, state.particle, f"no particle, or a shear_viscosity in the entry of "
-                         f"{fluid.name}: drag and the moving of a particle rest on it")
+                         f"{fluid.name}: drag and motion of a particle depend on it")
     made = particle_from(material, state.particle_radius)
     resonance, highest = breathing_frequency(made, fluid), chip.band[1]
     if isinstance(material, Fluid) and highest > STIFF * resonance:
-        raise InputError(chip.file, where, state.particle, "a droplet or cell that breathes far above the band: one of "
-                         f"{2e6 * made.radius:.3g} um resonates at {resonance / 1e6:.3g} MHz, as a bubble does, and "
-                         f"the band reaches {highest / 1e6:.3g} MHz. Gor'kov's formula holds below {STIFF:g} of it")
+        raise InputError(chip.file, where, state.particle, "a droplet or cell whose resonance is far above the band: "
+                         f"one of {2e6 * made.radius:.3g} um resonates at {resonance / 1e6:.3g} MHz, like a bubble, "
+                         f"and the band reaches {highest / 1e6:.3g} MHz. Gor'kov's formula holds below {STIFF:g} of it")
     return made
 
 
 def _load(
     chip: Chip, state: State, region: str, name: str, registry: Registry, findings: list[str]
 ) -> Material:
-    """The material; a mistake in its name or temperature is reported for the chip file."""
+    """The material; errors of its name or temperature name the chip file."""
     temperature = state.temperature if role_of(region) == CAVITY else None
     try:
         return registry.load(name, temperature=temperature, notes=findings)
@@ -362,14 +363,12 @@ def _load(
 def base_model(
     mesh: SectionMesh, materials: Mapping[str, Material], poled_down: Collection[str] = (), share: float = 1.0
 ) -> tuple[Term, ...]:
-    """The terms of the base model: solids, fluids, their contacts, pressure-release rims, electrodes.
+    """The terms of the base model: solids, fluids, contacts, free edges, electrodes.
 
-    A fluid whose viscosities are known absorbs sound in its bulk accordingly, one without the bulk viscosity by that of
-    shear; one without any is lossless. A piezoelectric layer that is no transducer is short-circuited
-    (`electrodes.ShortCircuit`). Regions `poled_down` are poled against z. A live electrode has the `share` of the
-    drive's voltage against ground.
-
-    Regions absent from `materials` hold nothing; the walls around them are traction-free.
+    The bulk absorption of a fluid follows from its known viscosities; a fluid without any is lossless. A piezoelectric
+    layer that is not a transducer is short-circuited (`electrodes.ShortCircuit`). Regions `poled_down` are poled
+    against z. A live electrode has the `share` of the drive's voltage against ground. Regions absent from `materials`
+    are empty; their walls are traction-free.
     """
     terms: list[Term] = []
     for region, material in materials.items():
@@ -404,16 +403,15 @@ def build(
     radii: Sequence[float] = (),
     levels: Sequence[float] = (),
 ) -> Problem:
-    """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
+    """The problem of a `device`, meshed for `band` (Hz). The default is the chip's band.
 
-    Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. The mesh is made for that
-    relative `accuracy` of Z, or with a discretisation of the caller's own; `skins`, `radii` and
-    `levels` as in `geometry.mesh_size.MeshSize`.
+    Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. `accuracy` is the relative
+    accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in `geometry.mesh_size.MeshSize`.
 
     Raises:
-        InputError: see `workbench.model.discretisation.discretisation`; or a model this machine has no memory for
+        InputError: see `workbench.model.discretisation.discretisation`; or the model is too large for the memory
             (`workbench.model.job_size`).
-        MeshError: the mesh could not be made as the section asks.
+        MeshError: the mesh cannot be made.
     """
     fineness = discretisation(accuracy)
     low, high = device.chip.band if band is None else band
@@ -435,7 +433,7 @@ def problem(
     mesh: SectionMesh, materials: Mapping[str, Material], band: tuple[float, float], *, name: str = "",
     poled_down: Collection[str] = (), share: float = 1.0,
 ) -> Problem:
-    """The base model on a given mesh, as :func:`base_model` makes it."""
+    """The base model on a given mesh, from :func:`base_model`."""
     values = {name: value for material in materials.values() for name, value in material_values(material).items()}
     return Problem(mesh, base_model(mesh, materials, poled_down, share), values, band, dict(materials), name)
 

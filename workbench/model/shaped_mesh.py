@@ -1,4 +1,4 @@
-"""Meshes of chips whose layers are no discs with plane faces and upright sides."""
+"""Meshes of chips whose layers have sloping, bulging or curved sides."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from geometry.shapes import moved
 from workbench.fem.elements import Lagrange
 from workbench.fem.places import areas, mapped
 
-#: Nodes of one place are as close as rounding leaves them, relative to the section.
+#: Rounding tolerance of coincident nodes, relative to the section.
 TORN = 1e-12
 
 
 def meshed(section: Section | FreeSection, size: MeshSize) -> SectionMesh:
-    """The mesh of a section, whichever kind it is: rectangles go to a tensor mesh.
+    """The mesh of a section: tensor mesh or free mesh.
 
     Raises:
-        InputError: no speed is given for a region of the section.
-        MeshError: the mesh could not be made as the section asks.
+        InputError: a region of the section has no speed.
+        MeshError: the mesh cannot be made.
     """
     return mesh_section(section, size) if isinstance(section, Section) else mesh_free(section, size)
 
 
 def coordinates_of(mesh: SectionMesh, chip: Chip) -> NDArray[np.float64] | None:
-    """Coordinates (2, nodes, cells) in metres of a mesh of a chip's straight section as the layers of the chip are
-    shaped, folded cells or not; None where no layer has a shape.
+    """Coordinates (2, nodes, cells) in metres with the layers' shapes. They are those of a chip's straight mesh.
+
+    Cells may be folded. None if no layer has a shape.
 
     Raises:
-        MeshError: a side is moved as another one is not.
+        MeshError: neighbouring cells disagree on a shared side.
     """
     element = Lagrange(mesh.order)
     coordinates = moved(mesh, chip, np.array(element.doflocs).T)
@@ -47,10 +48,10 @@ def coordinates_of(mesh: SectionMesh, chip: Chip) -> NDArray[np.float64] | None:
 
 
 def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
-    """The mesh of a chip's straight section as the layers of the chip are shaped.
+    """The mesh of a chip's straight section with the layers' shapes.
 
     Raises:
-        MeshError: a cell is folded: a shape reaches beyond what is beside it.
+        MeshError: a cell is folded: a shape is larger than its neighbour.
     """
     coordinates = coordinates_of(mesh, chip)
     if coordinates is None:
@@ -62,17 +63,17 @@ def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
         r, z = 1e3 * coordinates[:, node, cell]
         shapes = ", ".join(f"{layer.region}.{shape}" for layer in chip.layers for shape in layer.shapes)
         raise MeshError(f"the shapes of chip {chip.name!r} ({shapes}) fold its section at {chip.measure.symbol} = "
-                        f"{r:.4g} mm, z = {z:.4g} mm: a side reaches beyond what is beside it")
+                        f"{r:.4g} mm, z = {z:.4g} mm: a side crosses its neighbour")
     return result
 
 
 def node_areas(mesh: SectionMesh, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Factor of an area in local coordinates at the nodes of some cells: (cells, nodes)."""
+    """Factor (cells, nodes) of an area in local coordinates at cells' nodes."""
     return areas(mapped(mesh, cells, np.array(Lagrange(mesh.order).doflocs).T)[1])
 
 
 def _check_whole(mesh: SectionMesh, element: Lagrange, coordinates: NDArray[np.float64]) -> None:
-    """Refuse coordinates (2, nodes, cells) that tear cells apart: a side that is moved as another one is not."""
+    """Raise if neighbouring cells disagree on a side. The coordinates are (2, nodes, cells)."""
     dofs = Dofs(mesh.mesh, element).element_dofs
     shared = np.empty((2, int(dofs.max()) + 1))
     shared[:, dofs] = coordinates

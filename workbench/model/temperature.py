@@ -1,4 +1,4 @@
-"""The numbers of a problem whose materials are warmer than stated, by the laws of temperature of their entries."""
+"""Values of a problem with warmer materials, by their laws of temperature."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from workbench.files.errors import InputError
 from workbench.model.problem import Problem, material_values
 from workbench.results.brief import Brief
 
-#: Largest rise (K) that is looked for: no liquid of a chip is driven that far above a room.
+#: Largest rise (K) of the search: liquids in chips stay closer to room temperature.
 FARTHEST = 120.0
 
-#: Distance (K) of the temperatures that a law is read at; a cubic goes through them. Water is off by 1e-6 between.
+#: Distance (K) of the temperatures at which a law is read; cubics interpolate. Water has an error of 1e-6 between them.
 SPACING = 3.0
 
 #: Tolerance (K) of the end of a law.
@@ -27,9 +27,10 @@ OF_END = 0.05
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MaterialLaw(Brief):
-    """A material's numbers relative to its stated ones, by its rise (K) above the temperature that it is stated at.
+    """A material's parameters relative to their stated values, by its rise (K).
 
-    ``lowest`` and ``highest`` are the ends of its law in K of rise; ``ratios`` of the parameters ``names``.
+    The rise is that above the stated temperature. ``lowest`` and ``highest`` are the ends of its law in K of rise;
+    ``ratios`` are those of the parameters ``names``.
     """
 
     material: Material
@@ -44,7 +45,7 @@ class MaterialLaw(Brief):
         return dict(zip(self.names, map(complex, self.ratios(rise)), strict=True))
 
     def at(self, rise: float) -> Material:
-        """The material that much warmer; a density that the chip file gives it scales with its entry's."""
+        """The material at that rise. A density from the chip file scales too."""
         found, stated = (_at(self.material, self.registry, each) for each in (rise, 0.0))
         assert found is not None
         assert stated is not None
@@ -52,7 +53,7 @@ class MaterialLaw(Brief):
 
 
 def law_of(material: Material, registry: Registry, *, lowest: float = 0.0) -> MaterialLaw | None:
-    """The law of a material from a rise of `lowest` (K) up, as far as it goes; None if its entry has none there."""
+    """The law of a material above a rise of `lowest`, or None. The rise is in K."""
     if material.temperature is None:
         return None
     low = 0.0 if lowest >= 0.0 else -_end(material, registry, -lowest, -1.0)
@@ -68,7 +69,7 @@ def law_of(material: Material, registry: Registry, *, lowest: float = 0.0) -> Ma
 
 
 def _at(material: Material, registry: Registry, rise: float) -> Material | None:
-    """The entry of a material that much warmer than it is stated; None if it has no law so far."""
+    """A material at that rise, or None outside its law."""
     assert material.temperature is not None
     try:
         return registry.load(material.name, temperature=material.temperature + rise)
@@ -77,7 +78,7 @@ def _at(material: Material, registry: Registry, rise: float) -> Material | None:
 
 
 def _end(material: Material, registry: Registry, farthest: float, sign: float) -> float:
-    """The distance (K) that a law reaches in the direction of a `sign`."""
+    """The extent (K) of a law in the direction of a `sign`."""
     if _at(material, registry, sign * farthest) is not None:
         return farthest
     if _at(material, registry, 0.0) is None:
@@ -90,7 +91,7 @@ def _end(material: Material, registry: Registry, farthest: float, sign: float) -
 
 
 def warmer_values(problem: Problem, laws: Collection[MaterialLaw], rises: Mapping[str, float]) -> dict[str, complex]:
-    """The values of a problem whose materials are warmer by `rises` (K) of their names."""
+    """The values of a problem with materials warmer by `rises` (K)."""
     values = dict(problem.values)
     for law in laws:
         values |= {name: problem.values[name] * ratio for name, ratio in law.values(rises[law.material.name]).items()
@@ -99,7 +100,7 @@ def warmer_values(problem: Problem, laws: Collection[MaterialLaw], rises: Mappin
 
 
 def warmer_problem(problem: Problem, laws: Collection[MaterialLaw], rises: Mapping[str, float]) -> Problem:
-    """A problem whose materials are warmer by `rises` (K) of their names, values and materials alike."""
+    """A problem with materials warmer by `rises` (K), values included."""
     found = {law.material.name: law.at(rises[law.material.name]) for law in laws}
     return replace(problem, values=warmer_values(problem, laws, rises), materials={
         region: found.get(material.name, material) for region, material in problem.materials.items()})

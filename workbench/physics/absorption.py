@@ -1,4 +1,7 @@
-"""Absorption of sound in the bulk of a fluid, by viscosity and heat conduction, or by suspended matter."""
+"""Bulk absorption of sound in a fluid.
+
+Its causes are viscosity and heat conduction, or suspended matter.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,14 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class BulkAbsorption(Term):
-    """Classical absorption: the compressibility becomes (1 + i w delta / c^2) / (rho c^2), e^{-i w t}.
+    """Classical absorption of sound in a fluid.
+
+    The compressibility becomes (1 + i w delta / c^2) / (rho c^2), e^{-i w t}:
 
         - i w delta / (rho c^4) p q
 
-    so that the wavenumber is w / c + i w^2 delta / (2 c^3) to first order (Pierce, Acoustics, 1989, section 10-2).
-    In water it is a loss factor of 1e-5 at 1 MHz. In a gas-filled cavity it keeps the resonances finite. Parameters:
+    so that the wavenumber is w / c + i w^2 delta / (2 c^3) to first order (Pierce, Acoustics, 1989, section 10-2). In
+    water it is a loss factor of 1e-5 at 1 MHz. In a gas-filled cavity it makes the resonances finite. Parameters:
     ``<material>.density``, ``.sound_speed`` and ``.diffusivity_of_sound`` (m^2/s; see :data:`ADMISSIBLE`).
     """
 

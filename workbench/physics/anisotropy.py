@@ -1,8 +1,8 @@
-"""Printed polymers that are stiffer or softer along the build direction, z, than across it.
+"""Printed polymers with another stiffness along the build direction z.
 
-The axial excess moves f0 alike in the empty and the filled chip, 4 % by +2 kHz in a chip of 25 mm. The shear excess
-moves radial modes, and Z_min and Q of the empty chip. Both act in all states with the polymer, and alike in every print
-of one kind; neither acts in a free disc.
+The axial excess moves f0 equally in the empty and the filled chip: 4 % is +2 kHz in a chip of 25 mm. The shear excess
+moves radial modes, and Z_min and Q of the empty chip. Both act in all states with the polymer, equally in every print
+of one kind, and not in a free disc.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
-_PRINT = ("five times the 4 % that 2 % of speed between along and across the layers make, the largest found in prints "
-          "of PLA, ABS and a resin (Anisotropic behavior of ultrasonic waves in 3D printed materials); layers can bond "
-          "worse than in those")
+_PRINT = ("five times the 4 % due to 2 % of speed difference between along and across the layers, the largest in "
+          "prints of PLA, ABS and a resin (Anisotropic behavior of ultrasonic waves in 3D printed materials); layers "
+          "can bond worse than in those")
 
 #: Relative excesses of a printed polymer.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -26,15 +26,17 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class TransverseIsotropy(Term):
-    """Relative excesses x_33, x_44 and x_13 of c33, c44 and c13 of an isotropic solid.
+    """Relative excesses of c33, c44 and c13 of an isotropic solid.
+
+    The quadratic form is
 
         x_33 (K + 4 G / 3) eps_zz eps_zz + x_44 G (2 eps_rz)^2 + 2 x_13 (K - 2 G / 3) (eps_rr + eps_tt) eps_zz
 
-    as a quadratic form, next to `solid.IsotropicSolid` on the same region: transverse isotropy about z (Auld, Acoustic
-    Fields and Waves in Solids, 1973, section 3D), with c11 and c12 unchanged. Speeds along z: longitudinal sqrt(c33 (1
-    + x_33) / rho), shear sqrt(G (1 + x_44) / rho). Losses keep their share of each constant. The stiffness is positive
-    definite if c33 (1 + x_33) (K + G / 3) > c13^2 (1 + x_13)^2. Parameters ``<material>.axial_excess``,
-    ``.shear_excess`` and ``.lateral_excess`` (see :data:`ADMISSIBLE`), ``.bulk_modulus`` and ``.shear_modulus``.
+    in addition to `solid.IsotropicSolid` on the same region: transverse isotropy about z (Auld, Acoustic Fields and
+    Waves in Solids, 1973, section 3D), with c11 and c12 unchanged. Speeds along z: longitudinal sqrt(c33 (1 + x_33) /
+    rho), shear sqrt(G (1 + x_44) / rho). The loss factor of each constant stays. The stiffness is positive definite if
+    c33 (1 + x_33) (K + G / 3) > c13^2 (1 + x_13)^2. Parameters ``<material>.axial_excess``, ``.shear_excess`` and
+    ``.lateral_excess`` (see :data:`ADMISSIBLE`), ``.bulk_modulus`` and ``.shear_modulus``.
     """
 
     region: str

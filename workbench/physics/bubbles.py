@@ -1,4 +1,7 @@
-"""Gas bubbles in a liquid, which add to its compressibility: far below their resonance, or through it."""
+"""Gas bubbles in a liquid, which add to its compressibility.
+
+One term holds far below the bubbles' resonance, the other at all frequencies.
+"""
 
 from __future__ import annotations
 
@@ -30,19 +33,21 @@ AIR_IN_WATER: Mapping[str, float] = {
     "surface_tension": 0.07197,  # N/m, IAPWS R1-76(2014)
 }
 
-#: Value of |y| below which the closed forms of :func:`_heat` lose digits to cancellation and their series are used. At
-#: twice the value the truncated series is in error by 4000 times as much.
+#: Value of |y| below which :func:`_heat` uses series, since the closed forms lose digits to cancellation. Doubled, the
+#: error of the truncated series is 4000 times as large.
 SERIES_BELOW = 0.3
 
 
 @dataclass(frozen=True)
 class WoodBubbles(Term):
-    """Bubbles far below their resonance: a mixture of two compressibilities, kappa = phi / K_g + (1 - phi) / (rho c^2).
+    """Bubbles far below their resonance: a mixture of two compressibilities.
+
+    kappa = phi / K_g + (1 - phi) / (rho c^2):
 
         - phi (1 / (gamma p_0) - 1 / (rho c^2)) p q
 
-    next to `fluid.Fluid` on the same region (Wood 1930, A Textbook of Sound; adiabatic gas). The density stays the
-    liquid's, with a relative error of phi. Parameters ``<bubbles>.void_fraction`` (see :data:`ADMISSIBLE`),
+    in addition to `fluid.Fluid` on the same region (Wood 1930, A Textbook of Sound; adiabatic gas). The density stays
+    that of the liquid, with a relative error of phi. Parameters ``<bubbles>.void_fraction`` (see :data:`ADMISSIBLE`),
     ``.ambient_pressure`` (Pa), ``.heat_capacity_ratio``; ``<material>.density`` and ``.sound_speed``.
     """
 
@@ -67,11 +72,13 @@ class WoodBubbles(Term):
 
 @dataclass(frozen=True)
 class ResonantBubbles(Term):
-    """Bubbles of one size, through their resonance (Commander and Prosperetti 1989, J. Acoust. Soc. Am. 85, 732).
+    """Bubbles of one size, at all frequencies.
+
+    Commander and Prosperetti 1989, J. Acoust. Soc. Am. 85, 732:
 
         - (3 phi / S(w)) p q
 
-    next to `fluid.Fluid` on the same region; see :class:`BubbleCompressibility`. At the resonance itself the theory
+    in addition to `fluid.Fluid` on the same region; see :class:`BubbleCompressibility`. At the resonance the theory
     holds only for far smaller void fractions than the limit of :data:`ADMISSIBLE`. Parameters
     ``<bubbles>.void_fraction``, ``.radius`` (m; see :data:`ADMISSIBLE`), ``.ambient_pressure`` (Pa),
     ``.heat_capacity_ratio``, ``.thermal_diffusivity`` (m^2/s) of the gas, ``.surface_tension`` (N/m); of the liquid
@@ -94,9 +101,9 @@ class ResonantBubbles(Term):
 
 @dataclass(frozen=True)
 class BubbleCompressibility:
-    """The coefficient -3 phi / S, with S the pressure in the liquid per relative decrease of a bubble's radius.
+    """The coefficient -3 phi / S of bubbles.
 
-    With the time factor e^{-i w t},
+    S is the pressure in the liquid per relative decrease of a bubble's radius. With the time factor e^{-i w t},
 
         S = p Phi - 2 sigma / a - rho w^2 a^2 - 4 i w eta - i rho w^3 a^3 / c        p = p_0 + 2 sigma / a
         Phi = 3 gamma / (1 + 3 (gamma - 1) (y coth y - 1) / y^2)                     y = (1 - i) a sqrt(w / (2 D))
@@ -139,7 +146,7 @@ class BubbleCompressibility:
 
 
 def _stiffness(w: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, dict[str, Complex]]:
-    """S (n,) of :class:`BubbleCompressibility` and its derivatives by all symbols but the void fraction."""
+    """S (n,) of :class:`BubbleCompressibility` and its derivatives, except by phi."""
     a, rho, c, gamma, sigma = v["a"], v["rho"], v["c"], v["gamma"], v["sigma"]
     pressure = v["p0"] + 2.0 * sigma / a
     heat, heat_slope = _heat((1.0 - 1.0j) * a * np.sqrt(w / (2.0 * v["D"])))
@@ -163,7 +170,7 @@ def _stiffness(w: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Comple
 
 
 def _heat(y: Complex) -> tuple[Complex, Complex]:
-    """The function L = (y coth y - 1) / y^2 and y dL/dy."""
+    """L = (y coth y - 1) / y^2 and y dL/dy."""
     # Coefficients of the series of L, from the Bernoulli numbers.
     series = np.array([1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555, -1382 / 638512875])
     order = np.arange(series.size)

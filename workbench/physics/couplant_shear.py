@@ -1,8 +1,8 @@
 """A couplant that transmits shear: viscous, a gel, or both.
 
-It raises Z_min and lowers Q in the filled chip and leaves f0; in the empty chip it moves all three either way. Radial
-modes move too. It acts in all states with the couplant, and in no free disc. In a chip of 25 mm with 20 um of gel, 1 Pa
-s is +0.3 ohm and -10 in Q filled, and -1 kHz empty.
+In the filled chip it raises Z_min, lowers Q and does not change f0; in the empty chip it moves all three in either
+direction. Radial modes move too. It acts in all states with the couplant, and not in a free disc. In a chip of 25 mm
+with 20 um of gel, 1 Pa s is +0.3 ohm and -10 in Q filled, and -1 kHz empty.
 """
 
 from __future__ import annotations
@@ -41,24 +41,26 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class CouplantShear(Term):
-    """Shear in a layer of thickness d between two opposite walls, with all profiles across the layer resolved.
+    """Shear in a layer of thickness d between two opposite walls.
+
+    All profiles across the layer are resolved:
 
         S (s_1 . t_1 + s_2 . t_2) - X (s_1 . t_2 + s_2 . t_1)        s = u_t - grad_t p / (rho w^2), t likewise of v, q
         S = G k cot(k d),  X = G k / sin(k d),  k^2 = rho w^2 / G,  G = G' - i w eta          over the walls 1 and 2
         + 2 G (v_t . grad_t u_n + u_t . grad_t v_n)       on both walls, n out of the layer
         - 4/3 i w eta / (rho c^2)^2 p q                   in the layer
 
-    next to `fluid.Fluid` and `fluid.SolidFluidContact` on both walls, e^{-i w t}. grad_t p / (rho w^2) is the
-    displacement of the inviscid fluid. The difference s between it and the displacement of the walls is shear, G s'' +
-    rho w^2 s = 0 between s_1 and s_2. Its tractions on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1), and the
-    flux it carries along the layer follows by symmetry. Walls that tilt shear the layer too: the displacement of the
-    inviscid fluid has no curl, so its traction is -2 G grad_t u_n, by symmetry a couple on the walls. Without this term
-    a layer that rotates as a whole would resist. Squeezing adds 4/3 G to the modulus of the layer; the part of G' is
-    already in the stated speed of sound.
+    in addition to `fluid.Fluid` and `fluid.SolidFluidContact` on both walls, e^{-i w t}. grad_t p / (rho w^2) is the
+    displacement of the inviscid fluid. Its difference s from the displacement of the walls is shear, G s'' + rho w^2 s
+    = 0 between s_1 and s_2. The tractions of s on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1); its flux along
+    the layer follows by symmetry. Walls that tilt shear the layer too: the displacement of the inviscid fluid has no
+    curl, so its traction is -2 G grad_t u_n, by symmetry a couple on the walls. Without this term a layer that rotates
+    as a whole would resist. Squeezing adds 4/3 G to the modulus of the layer; the part of G' is already in the stated
+    speed of sound.
 
     A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either wall; one much thinner is a
     spring of G / d between them, in G d (|u_2 - u_1| / d + grad_t u_z)^2. The term holds if the layer is thin against
-    the wavelength of sound; at the rim, over a width of d, the layer is treated as inviscid.
+    the wavelength of sound; at its edge, over a width of d, the layer is treated as inviscid.
 
     The parameter is the root of the viscosity because the effect of a thick layer is proportional to it: the derivative
     by ``<material>.gel_viscosity_root`` (Pa^0.5 s^0.5), eta its square, is finite at zero. The derivative by
@@ -156,7 +158,8 @@ def _of_pressure(
 def _stiffness(
     omega: Real, v: Mapping[str, complex], *, across: bool
 ) -> tuple[Complex, Mapping[str, Complex]]:
-    """X or S, in terms of g = sqrt(G): w sqrt(rho) g over the sine or tangent of x = w sqrt(rho) d / g."""
+    """X or S and its derivatives. It is w sqrt(rho) g over the sine or tangent of x. g = sqrt(G) and x = w sqrt(rho) d
+    / g."""
     root, rho, d = v["root"], v["rho"], v["d"]
     g = np.sqrt(v["G"] - 1j * omega * root**2)  # Im g <= 0, so waves decay
     impedance = omega * np.sqrt(rho)

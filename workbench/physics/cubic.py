@@ -1,4 +1,4 @@
-"""Single crystals of cubic symmetry in a straight section: silicon cut as a (100) wafer."""
+"""Single crystals of cubic symmetry in a straight section: (100) silicon wafers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 @dataclass(frozen=True)
 class CubicCrystal(Term):
-    """Cubic crystal in a region of a straight section, with a cube axis along z.
+    """Cubic crystal in a straight section, with a cube axis along z.
 
         c eps_xx(v) eps_xx(u) + c11 eps_zz(v) eps_zz(u) + c12 (eps_xx(v) eps_zz(u) + eps_zz(v) eps_xx(u))
         + c44 (2 eps_xz(v)) (2 eps_xz(u)) - rho w^2 u.v

@@ -1,8 +1,8 @@
-"""A rim of the transducer that has lost its poling: heated by a solder joint, or not covered when it was poled.
+"""A depoled annulus of the transducer.
 
-It lowers the coupling: Z_min rises, and f0 and the antiresonance move closer, radial modes first. It acts in all states
-alike, the free disc included. Half a millimetre of a chip of 25 mm is +2.7 ohm and -1 kHz filled, +0.2 ohm and +1 kHz
-empty.
+A solder joint may have heated it, or it was not covered during poling. It lowers the coupling: Z_min rises, and f0 and
+the antiresonance move closer, radial modes first. It acts equally in all states, the free disc included. Half a
+millimetre of a chip of 25 mm is +2.7 ohm and -1 kHz filled, +0.2 ohm and +1 kHz empty.
 """
 
 from __future__ import annotations
@@ -11,38 +11,38 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.rim import SHARE, OfRim, Rim
+from workbench.physics.annulus import SHARE, Annulus, AnnulusTerm
 from workbench.physics.term import Admissible, Integral, Product
 
-#: Admissible excess of the permittivity of a rim without poling.
+#: Admissible excess of the permittivity of a depoled annulus.
 EXCESS = Admissible(
-    -0.2, 0.2, "1", "twice the 10 % that the mean over all directions of the clamped permittivities of PZT-4, 730 and "
-    "635, is above that along the poling: Jaffe, Cook and Jaffe 1971, Piezoelectric Ceramics, table 7.1")
+    -0.2, 0.2, "1", "twice the 10 % by which the mean over all directions of the clamped permittivities of PZT-4, 730 "
+    "and 635, exceeds that along the poling: Jaffe, Cook and Jaffe 1971, Piezoelectric Ceramics, table 7.1")
 
 
 @dataclass(frozen=True)
-class DepoledRim(OfRim):
-    """Zero piezoelectric constants and permittivity (1 + x) eps33 outside the edge of a rim.
+class DepoledAnnulus(AnnulusTerm):
+    """A depoled annulus: zero piezoelectric constants, permittivity (1 + x) eps33.
 
     In a ring in which the share f of the area is not poled,
 
         - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - f x eps33 d_z(psi) d_z(phi)
 
-    next to `piezoelectric.Piezoelectric` on the same region. Rings are integrated over exactly, even if they begin
-    within an element. The stiffness, which poling changes by a few percent, stays. Parameters ``<rim>.width`` (see
-    `rim.Rim`) and ``.permittivity_excess`` x (see :data:`EXCESS`), ``<material>.e31``, ``.e33``, ``.e15`` and
+    in addition to `piezoelectric.Piezoelectric` on the same region. Rings are integrated exactly, even if they begin
+    within an element. The stiffness, which poling changes by a few percent, stays. Parameters ``<annulus>.width`` (see
+    `annulus.Annulus`) and ``.permittivity_excess`` x (see :data:`EXCESS`), ``<material>.e31``, ``.e33``, ``.e15`` and
     ``.eps33``.
     """
 
     region: str
     material: str
-    rim: Rim
+    annulus: Annulus
 
     def fixed(self) -> Mapping[str, float]:
-        return {f"{self.rim.name}.permittivity_excess": 0.0}
+        return {f"{self.annulus.name}.permittivity_excess": 0.0}
 
     def integrals(self) -> tuple[Integral, ...]:
-        excess = ("x", f"{self.rim.name}.permittivity_excess")
+        excess = ("x", f"{self.annulus.name}.permittivity_excess")
         found = []
         for constant, law, symbols, product in (
             ("e31", _lost, (), Product("strain_plane", "grad_phi_z", 2.0)),
@@ -52,7 +52,7 @@ class DepoledRim(OfRim):
         ):
             whole = (("constant", f"{self.material}.{constant}"), *symbols)
             found += [Integral(coefficient, self.region, (product,), radius_fraction=edge)
-                      for edge, coefficient in self.rim.coefficients(law, whole)]
+                      for edge, coefficient in self.annulus.coefficients(law, whole)]
         return tuple(found)
 
 

@@ -1,4 +1,4 @@
-"""The mass and the membrane stiffness of the metal on the two faces of the transducer."""
+"""Mass and membrane stiffness of the metal on both transducer faces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial
 SILVER_DENSITY = 10490.0
 
 #: Poisson's ratio of silver (Kaye & Laby, Tables of Physical and Chemical Constants, section 2.2.2; gold 0.42, nickel
-#: 0.31). Its small influence is absorbed by the stiffness.
+#: 0.31). The free stiffness compensates its small influence.
 POISSON = 0.37
 
 #: E / ((1 - nu^2) rho) of solid silver, m^2/s^2: 82.7 GPa (ibid.).
@@ -26,7 +26,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
     ),
     "specific_stiffness": Admissible(
         0.0, 2.5e7, "m^2/s^2",
-        "from a film of grains that do not hold together to nickel (200 GPa, Kaye & Laby, section 2.2.2); solid silver "
+        "from a film of grains without cohesion to nickel (200 GPa, Kaye & Laby, section 2.2.2); solid silver "
         "9.1e6",
     ),
 }
@@ -34,16 +34,16 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class ElectrodeMass(Term):
-    """Inertia of thin electrodes that follow the faces they lie on, and their stiffness as membranes.
+    """Inertia and membrane stiffness of thin electrodes on the transducer faces.
 
         - m w^2 u.v + m s (e_rr(u) e_rr(v) + e_tt(u) e_tt(v) + nu (e_rr(u) e_tt(v) + e_tt(u) e_rr(v)))
 
     on both electrodes. m is density times thickness of the metal; s = E / ((1 - nu^2) density) is the square of the
-    speed of extensional waves in a film of it. A free plate of surface density M loses the share 2 m / M of the
-    frequency of its half-wave thickness resonance (Sauerbrey 1959, Z. Phys. 155, 206; both faces), for any s. A radial
-    resonance, of extensional speed c, loses about (m / M) (1 - s / c^2): solid silver gives back most of it. The film
-    is rigid across its thickness. A compliant film, such as 5 um of porous silver of 11 GPa, would add 5 % to the
-    compliance of 20 um of gel on it, as bubbles in the gel do.
+    speed of extensional waves in it. A free plate of surface density M loses the share 2 m / M of the frequency of its
+    half-wave thickness resonance (Sauerbrey 1959, Z. Phys. 155, 206; both faces), for any s. A radial resonance, of
+    extensional speed c, loses about (m / M) (1 - s / c^2): the stiffness of solid silver compensates most of it. The
+    film is rigid across its thickness. A compliant film, such as 5 um of porous silver of 11 GPa, would add 5 % to the
+    compliance of 20 um of gel on it, like bubbles in the gel.
 
     Parameters ``electrodes.surface_density`` (m, kg/m^2) and ``electrodes.specific_stiffness`` (s, m^2/s^2), equal on
     both; see :data:`ADMISSIBLE`.
@@ -54,7 +54,7 @@ class ElectrodeMass(Term):
     transducer: str
 
     def free(self) -> tuple[FreeParameter, ...]:
-        # A value between that of grains of silver that hold together and that of loose ones.
+        # A value between those of cohesive and of loose grains of silver.
         return free_of("electrodes", ADMISSIBLE,
                        {"surface_density": 0.0, "specific_stiffness": 0.4 * SILVER_STIFFNESS})
 

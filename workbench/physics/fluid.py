@@ -1,4 +1,4 @@
-"""Fluids as pressure fields: the Helmholtz equation, the contact with solids, and pressure-release rims."""
+"""Fluids as pressure fields: Helmholtz equation, contact with solids, free edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 @dataclass(frozen=True)
 class AcousticFluid(Term):
-    """Compressible fluid at rest in a region: the Helmholtz equation divided by rho w^2.
+    """Compressible fluid at rest in a region. The Helmholtz equation divided by rho w^2 is
 
         (1 / (rho w^2)) grad(p) . grad(q) - (1 / (rho c^2)) p q
 
@@ -36,7 +36,7 @@ class AcousticFluid(Term):
 
 @dataclass(frozen=True)
 class SolidFluidContact(Term):
-    """Continuity of normal displacement and traction between a solid and a fluid region.
+    """Continuity of normal displacement and traction between solid and fluid.
 
         p (v . n_s) + q (u . n_s)        n_s out of the solid
 
@@ -54,7 +54,7 @@ class SolidFluidContact(Term):
 
 @dataclass(frozen=True)
 class PressureRelease(Term):
-    """Zero pressure on a free rim of a fluid layer (Acevedo-Espinosa et al. (RP-UEIS), eq. 24)."""
+    """Zero pressure on a free edge of a fluid layer. Acevedo-Espinosa et al. (RP-UEIS), eq. 24."""
 
     boundary: str
 

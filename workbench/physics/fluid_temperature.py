@@ -1,4 +1,7 @@
-"""A fluid warmer or colder than stated: the speeds of sound in all states move, each along its own slope."""
+"""A fluid warmer or colder than stated.
+
+The sound speeds of all states move, each with its own slope.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class FluidTemperature(Term):
-    """Change of `fluid.Fluid` on the same region at a temperature T above the stated one.
+    """Change of `fluid.Fluid` at a temperature T above the stated one. It acts on the same region.
 
         (1/rho' - 1/rho) / w^2 grad(p) . grad(q) - (1/(rho' c'^2) - 1/(rho c^2)) p q
         rho' = rho (1 + a T + b T^2)        c' = c (1 + s T + k T^2)

@@ -1,8 +1,9 @@
-"""Losses of a polymer that grow with frequency, and the increase of stiffness that causality demands with them.
+"""Losses of a polymer that grow with frequency.
 
-They raise Z_min and lower Q where the polymer strains, more in the filled chip, and move overtones against each other.
-They act in all states with the polymer, and in no free disc. `solid.IsotropicSolid` has moduli that are constant over
-the band, with a loss that no causal material has exactly. The terms here obey the Kramers-Kronig relations.
+Causality requires an increase of stiffness with them. They raise Z_min and lower Q in proportion to the strain of the
+polymer, more in the filled chip, and move overtones against each other. They act in all states with the polymer, and
+not in a free disc. `solid.IsotropicSolid` has moduli that are constant over the band, with a loss that no causal
+material has exactly. The terms here obey the Kramers-Kronig relations.
 """
 
 from __future__ import annotations
@@ -39,23 +40,25 @@ _FORMS: Mapping[str, tuple[Product, ...]] = {
     ),
 }
 
-#: Exponent below which the closed form loses digits to cancellation and its series is used. With twice the value, the
-#: error of the series grows eightfold.
+#: Exponent below which a series is used, since the closed form loses digits to cancellation. Doubled, the error of the
+#: series is eight times as large.
 SERIES_BELOW = 1e-3
 
 
 @dataclass(frozen=True)
 class FractionalLoss(Term):
-    """A spring-pot of exponent a beside each spring; L is its loss modulus at the frequency f_0, e^{-i w t}.
+    """A spring-pot of exponent a parallel to each spring.
+
+    L is its loss modulus at the frequency f_0, e^{-i w t}:
 
         L_b F(w) tr(eps(v)) tr(eps(u)) + 2 L_s F(w) dev(eps(v)) : dev(eps(u))
         F = ((-i w / w_0)^a - cos(pi a / 2)) / sin(pi a / 2)        F(w_0) = -i,    w_0 = 2 pi f_0
 
-    next to `solid.IsotropicSolid` on the same region (Bagley and Torvik 1986, J. Rheol. 30, 133). The subtracted
+    in addition to `solid.IsotropicSolid` on the same region (Bagley and Torvik 1986, J. Rheol. 30, 133). The subtracted
     constant keeps the real part of the base model at f_0 and does not affect causality. a = 1 is a dashpot; a = 0, F =
-    (2 / pi) ln(w / w_0) - i, is a loss independent of frequency, with the stiffness that it demands. Parameters
+    (2 / pi) ln(w / w_0) - i, is a loss independent of frequency, with the stiffness of a causal material. Parameters
     ``<material>.shear_fractional_loss``, ``.bulk_fractional_loss`` (Pa), ``.loss_exponent`` (see :data:`ADMISSIBLE`)
-    and ``.loss_frequency`` (Hz), which is a choice and not a property.
+    and ``.loss_frequency`` (Hz), a reference frequency, not a property.
     """
 
     region: str

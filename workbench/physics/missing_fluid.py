@@ -1,8 +1,9 @@
-"""Fluid that does not reach the rim of its region: a ring of gas in its place.
+"""An annulus of gas instead of fluid in a region.
 
-In a couplant it moves f0 and Z_min either way, as the loaded area shrinks. It acts in all states with the couplant,
-differs after each mounting, and acts in no free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz and -0.1 ohm
-empty. In a cavity that is not full, with the gas beside its ports all around, the liquid ends at a free surface.
+In a couplant it moves f0 and Z_min in either direction, as the loaded area shrinks. It acts in all states with the
+couplant, differs after each mounting, and does not act in a free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz
+and -0.1 ohm empty. In a cavity that is not full, with gas beside its ports all around, the liquid ends at a free
+surface.
 """
 
 from __future__ import annotations
@@ -10,18 +11,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.rim import SHARE, OfRim, Rim, hindered
+from workbench.physics.annulus import SHARE, Annulus, AnnulusTerm, hindered
 from workbench.physics.term import Integral, Product
 
-#: Share s of the layer's stiffness and mass with which a ring is held about half as well as by the whole layer. On
-#: rings of 0.1 to 0.3 mm it finds the edge to 0.005 of the radius. With s = 1 (patches that are wide beside the layer)
-#: the edge comes out 0.003 to 0.015 too far inwards.
+#: Share s of the layer's stiffness and mass that supports a ring about half as well as the whole layer. In rings of 0.1
+#: to 0.3 mm it locates the edge within 0.005 of the radius; s = 1 (patches that are wide against the layer) puts the
+#: edge 0.003 to 0.015 too far inwards.
 HALFWAY = 0.3
 
 
 @dataclass(frozen=True)
-class MissingFluid(OfRim):
-    """Gas in the place of the fluid outside the edge of a rim.
+class MissingFluid(AnnulusTerm):
+    """Gas in place of the fluid in an annulus.
 
     In a ring in which the share f of the area is gas,
 
@@ -29,26 +30,27 @@ class MissingFluid(OfRim):
         rho_f = h rho + (1 - h) rho_g,  K_f = h K + (1 - h) K_g,  K = rho c^2,
         h = s c / (1 - (1 - s) c),  c = 1 - f,  s = HALFWAY,
 
-    next to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact if the mesh has a line of nodes at the
-    edge; between two edges the law is an interpolation. s = 1 is the law of patches that are wide beside the layer's
-    thickness: the walls move each patch alike, so stiffnesses and masses of unit area add, and p is the mean stress. A
-    fluid missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see `rim.Rim`),
-    ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    in addition to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact if the mesh has a line of nodes
+    at the edge; between two edges the law is an interpolation. s = 1 is the law of patches that are wide against the
+    layer's thickness: the walls move each patch equally, so stiffnesses and masses per area add, and p is the mean
+    stress. Parameters ``<annulus>.width`` (see `annulus.Annulus`), ``<material>.density`` and ``.sound_speed``,
+    ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str
     material: str
     gas: str
-    rim: Rim
+    annulus: Annulus
 
     def integrals(self) -> tuple[Integral, ...]:
         densities = (("rho", f"{self.material}.density"), ("rho_g", f"{self.gas}.density"))
         speeds = (("c", f"{self.material}.sound_speed"), ("c_g", f"{self.gas}.sound_speed"))
         return (
             *(Integral(lightness, self.region, (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z")),
-                       radius_fraction=edge) for edge, lightness in self.rim.coefficients(_lightness, densities, -2)),
+                       radius_fraction=edge)
+              for edge, lightness in self.annulus.coefficients(_lightness, densities, -2)),
             *(Integral(squeezed, self.region, (Product("p", "p"),), radius_fraction=edge)
-              for edge, squeezed in self.rim.coefficients(_squeezed, (*densities, *speeds))),
+              for edge, squeezed in self.annulus.coefficients(_squeezed, (*densities, *speeds))),
         )
 
 
@@ -67,7 +69,8 @@ def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]
 
 
 def _mixed(f: complex, whole: complex, gas: complex) -> tuple[complex, complex, complex, complex]:
-    """The difference 1 / (h whole + (1 - h) gas) - 1 / whole and its derivatives by f, `whole` and `gas`."""
+    """A difference of inverse moduli and its derivatives. It is 1 / (h whole + (1 - h) gas) - 1 / whole. Its
+    derivatives are by f, `whole` and `gas`."""
     lacks, slope = hindered(f, HALFWAY)
     mixed = (1.0 - lacks) * whole + lacks * gas
     return (1.0 / mixed - 1.0 / whole, slope * (whole - gas) / mixed**2,

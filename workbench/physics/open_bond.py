@@ -1,9 +1,9 @@
-"""A bond that holds over a part of its radius only: glue that did not reach the rim, or a joint that has come off.
+"""A bond over part of its radius. Glue is missing at the edge, or a joint has delaminated.
 
-A ring of the superstrate is free and bends on its own: f0 and Z_min rise, more in the filled chip for Z_min, and
-resonances of the ring appear. It acts in all states with the bond, and in no free disc. In a chip of 25 mm with 0.1 mm
-of epoxy, a millimetre open at the rim is +1.7 kHz and +0.1 ohm empty, +0.5 kHz and +1.2 ohm filled; around the cavity
-it is +2.4 kHz and +1.3 ohm empty, +3.6 kHz and +3.5 ohm filled.
+An annulus of the superstrate is free and bends separately: f0 and Z_min rise, Z_min more in the filled chip, and
+resonances of the annulus appear. It acts in all states with the bond, and not in a free disc. In a chip of 25 mm with
+0.1 mm of epoxy, an open millimetre at the outer edge is +1.7 kHz and +0.1 ohm empty, +0.5 kHz and +1.2 ohm filled;
+around the cavity it is +2.4 kHz and +1.3 ohm empty, +3.6 kHz and +3.5 ohm filled.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workbench.physics.rim import SHARE, OfRim, Rim, hindered
+from workbench.physics.annulus import SHARE, Annulus, AnnulusTerm, hindered
 from workbench.physics.term import Integral, isotropic_solid, times
 
-#: Share of stiffness and mass that remains in the open part of the layer, so that its unknowns keep an equation. Air,
-#: gamma p_0 = 1.4e5 Pa, would leave 2e-5 of epoxy's 6 GPa. Ten times this share changes nothing.
-LEFT = 1e-7
+#: Share of stiffness and mass that remains in the open part of the layer, so that its unknowns have an equation. Air,
+#: gamma p_0 = 1.4e5 Pa, has 2e-5 of epoxy's 6 GPa. Ten times this share changes nothing.
+STIFFNESS_FLOOR = 1e-7
 
-#: Share of the layer's stiffness with which a ring is held about half as well as by the whole layer. Rings of 0.1 to
-#: 0.5 mm that are open over half of their area are best described with shares of 0.05 to 0.3.
+#: Share of the layer's stiffness that supports a ring about half as well as the whole layer. For half-open rings of 0.1
+#: to 0.5 mm, shares of 0.05 to 0.3 fit best.
 HALFWAY = 0.15
 
 #: Thickness of the joint of two solids that touch without a layer, as a share of one solid's thickness, at its face.
@@ -27,30 +27,31 @@ SKIN = 0.02
 
 
 @dataclass(frozen=True)
-class OpenBond(OfRim):
-    """A layer that transmits nothing up to the edge of a rim.
+class OpenBond(AnnulusTerm):
+    """A layer that transmits nothing in an annulus.
 
     In a ring in which the share f of the area is open,
 
         - g [K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v],
-        1 - g = l + (1 - l) s c / (1 - (1 - s) c),    c = 1 - f,    l = LEFT, s = HALFWAY,
+        1 - g = l + (1 - l) s c / (1 - (1 - s) c),    c = 1 - f,    l = STIFFNESS_FLOOR, s = HALFWAY,
 
-    next to `solid.IsotropicSolid` on the same region: K, G and rho are multiplied by 1 - g. f = 1 is a gap. Rings are
-    integrated over exactly, even if they begin within an element. A positive `skin` makes the layer that share of the
-    region at its upper face, a negative one at its lower face (`geometry.mesh_size.MeshSize.skins`): the joint of two
-    solids without a layer between. The open part holds gas, and neither closes nor rubs while it vibrates. Parameters
-    ``<rim>.width`` (see `rim.Rim`), ``<material>.bulk_modulus``, ``.shear_modulus``, ``.density``.
+    in addition to `solid.IsotropicSolid` on the same region: K, G and rho are multiplied by 1 - g. f = 1 is a gap.
+    Rings are integrated exactly, even if they begin within an element. A positive `skin` makes the layer that share of
+    the region at its upper face, a negative one at its lower face (`geometry.mesh_size.MeshSize.skins`): the joint of
+    two solids without a layer between. The open part contains gas, and neither closes nor rubs during vibration.
+    Parameters ``<annulus>.width`` (see `annulus.Annulus`), ``<material>.bulk_modulus``, ``.shear_modulus``,
+    ``.density``.
     """
 
     region: str
     material: str
-    rim: Rim
+    annulus: Annulus
     skin: float = 0.0
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(
             replace(integral, coefficient=times(integral.coefficient, opened), radius_fraction=edge, skin=self.skin)
-            for edge, opened in self.rim.coefficients(_opened, ())
+            for edge, opened in self.annulus.coefficients(_opened, ())
             for integral in isotropic_solid(self.region, self.material)
         )
 
@@ -58,4 +59,4 @@ class OpenBond(OfRim):
 def _opened(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """The law -g and its derivative."""
     lacks, slope = hindered(v[SHARE], HALFWAY)
-    return -(1.0 - LEFT) * lacks, {SHARE: -(1.0 - LEFT) * slope}
+    return -(1.0 - STIFFNESS_FLOOR) * lacks, {SHARE: -(1.0 - STIFFNESS_FLOOR) * slope}

@@ -1,4 +1,4 @@
-"""Fields that vary around the axis by an order, or along a straight section.
+"""Fields that vary around the axis, or along a straight section.
 
 Around an axis, u_r, u_z, phi and p have the factor cos(m t), the displacement u_s along the circumference sin(m t). In
 a straight section y takes the place of r t: cos(k y), sin(k y). Integrals over that direction leave sections again,
@@ -69,7 +69,7 @@ class OfOrder(Term):
         return tuple(found for integral in self.term.integrals() for found in self._of(integral))
 
     def _of(self, integral: Integral) -> Iterator[Integral]:
-        """The integrals, by power of the order, of one of the base model."""
+        """The integrals of a base integral, by power of the order."""
         if integral.variant:
             raise ModelError(f"{self.term!r} has lengths as parameters; orders of fields need a section as it is")
         products: dict[int, list[Product]] = {}
@@ -126,5 +126,5 @@ class AxisOfOrder(Term):
 
 
 def terms_of_order(terms: tuple[Term, ...], *, is_first: bool) -> tuple[Term, ...]:
-    """The terms of a base model for fields of the first order, or a higher one."""
+    """The terms of a model for the first order, or a higher one."""
     return (AxisOfOrder(is_first), *map(OfOrder, terms))

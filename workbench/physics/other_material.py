@@ -1,4 +1,4 @@
-"""Another material than stated in a region: walls of PETG for PLA, glycerol in the water."""
+"""Another material than stated in a region. Examples are PETG for PLA, or glycerol in water."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ ADMISSIBLE = Admissible(0.0, 1.0, "1", "from the stated material to the other on
 
 @dataclass(frozen=True)
 class OtherMaterial(Term):
-    """Constants c (c' / c)^s in the place of c in some base ``terms`` of one region: s = 1 is the other material.
+    """Constants of a region between those of two materials.
 
-    Each coefficient g of these terms, a product of powers n of constants, gets
+    A constant c of the base ``terms`` is replaced by c (c' / c)^s; s = 1 is the other material. Each coefficient g of
+    these terms, a product of powers n of constants, gets
 
         g (prod (c' / c)^(n s) - 1)
 
-    so that constants lie between the two materials as those of mixtures do (Lichtenecker 1926, Phys. Z. 27, 115); for
-    complex ones that of a phase between the two phases, which is passive if both are. The ratios are fixed, and c may
-    move: the other material is known to the same relative uncertainty as the stated one. Parameters ``<name>.share`` s,
-    and ``<name>.<constant>_ratio`` for every constant of the terms.
+    so that constants lie between the two materials like those of mixtures (Lichtenecker 1926, Phys. Z. 27, 115);
+    complex ones have a phase between the two phases, which is passive if both are. The ratios are fixed, and c may
+    move: the other material has the same relative uncertainty as the stated one. Parameters ``<name>.share`` s, and
+    ``<name>.<constant>_ratio`` for every constant of the terms.
     """
 
     terms: tuple[Term, ...]
@@ -44,7 +45,7 @@ class OtherMaterial(Term):
         return (FreeParameter(self.share, 0.0, ADMISSIBLE),)
 
     def constants(self) -> tuple[str, ...]:
-        """The names of the constants that the terms depend on, without the material's."""
+        """Names, without the material's, of the constants in the terms."""
         return tuple(dict.fromkeys(name.rpartition(".")[2] for term in self.terms for integral in term.integrals()
                                    for name in integral.coefficient.parameters))
 
@@ -56,7 +57,7 @@ class OtherMaterial(Term):
         found = []
         for integral in (each for term in self.terms for each in term.integrals()):
             if not isinstance(integral.coefficient, Monomial):
-                raise ModelError(f"{self.name!r}: a coefficient in {integral.domain!r} is no product of constants")
+                raise ModelError(f"{self.name!r}: a coefficient in {integral.domain!r} is not a product of constants")
             powers = {name.rpartition(".")[2]: power for name, power in integral.coefficient.factors}
             symbols = (("s", self.share), *((constant, self.ratio(constant)) for constant in powers))
             exchanged = Formula(Exchanged(tuple(powers.items())), symbols)
@@ -66,7 +67,7 @@ class OtherMaterial(Term):
 
 @dataclass(frozen=True)
 class Exchanged:
-    """The law prod r^(n s) - 1 of the ratios r of constants that stand to the ``powers`` n."""
+    """The law prod r^(n s) - 1 of ratios r. Their ``powers`` are n."""
 
     powers: tuple[tuple[str, float], ...]
 

@@ -1,9 +1,9 @@
-"""Ports of a cavity as short necks: plugs of liquid in openings of its side wall, driven by its pressure.
+"""Ports of a cavity as short necks in its side wall.
 
-They release the cavity's pressure and take energy, in the filled state alone. A neck is stiff by its inertia, so the
-effect grows with the open share of the wall and with shorter necks. Where the chip's own mode stands across the cavity
-they hardly show: in a chip of 25 mm, 5 % of the wall open in necks of 0.5 mm is -0.1 % of Z_min, 20 % in necks of 0.2
-mm is -1 %.
+Plugs of liquid in the necks are driven by the cavity's pressure. They lower the pressure and dissipate energy, only in
+the filled state. The impedance of a neck is its inertia, so the effect grows with the open share of the wall and with
+shorter necks. It is small if the chip's mode stands across the cavity: in a chip of 25 mm, 5 % of the wall open in
+necks of 0.5 mm is -0.1 % of Z_min, 20 % in necks of 0.2 mm is -1 %.
 """
 
 from __future__ import annotations
@@ -33,17 +33,19 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class PortNecks(Term):
-    """Openings on a share s of a wall, whose liquid, of mass rho l per area, moves as one, e^{-i w t}.
+    """Openings on a share s of a wall, with moving liquid.
+
+    The liquid has the mass rho l per area and moves as one, e^{-i w t}:
 
         - s / (K - w^2 rho l - i w R) p q        over the wall
 
-    next to `fluid.Fluid`: the displacement into the wall per pressure (Kinsler et al., Fundamentals of Acoustics, 2000,
-    section 10.8, the neck of a Helmholtz resonator). l is the length with both end corrections. R is the resistance of
-    friction and of the line behind the neck. K is the stiffness of the volume behind: rho c^2 A / V for a volume V
-    behind an area A. The term holds for necks that are short and narrow against the wavelength. Rotational symmetry
-    spreads them around the axis. The effect of the solid wall itself remains. `name` tells walls apart: parameters
-    ``<name>.share`` s, ``.length`` l (m), ``.resistance`` R (Pa s/m; see :data:`ADMISSIBLE`), ``.stiffness`` K (Pa/m)
-    and ``<material>.density``.
+    in addition to `fluid.Fluid`: the displacement into the wall per pressure (Kinsler et al., Fundamentals of
+    Acoustics, 2000, section 10.8, the neck of a Helmholtz resonator). l is the length with both end corrections. R is
+    the resistance of friction and of the line behind the neck. K is the stiffness of the volume behind: rho c^2 A / V
+    for a volume V behind an area A. The term holds for necks that are short and narrow against the wavelength.
+    Rotational symmetry spreads them around the axis. The solid wall itself stays. `name` distinguishes walls:
+    parameters ``<name>.share`` s, ``.length`` l (m), ``.resistance`` R (Pa s/m; see :data:`ADMISSIBLE`), ``.stiffness``
+    K (Pa/m) and ``<material>.density``.
     """
 
     boundary: str
@@ -54,7 +56,7 @@ class PortNecks(Term):
 
     @property
     def needs_axis(self) -> bool:
-        """True: the openings are spread around the axis; a straight channel has its ports at its ends."""
+        """Always true: the openings are spread around the axis. A straight channel has its ports at its ends."""
         return True
 
     def free(self) -> tuple[FreeParameter, ...]:
@@ -72,7 +74,7 @@ class PortNecks(Term):
 
 
 def _yielding(omega: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
-    """The coefficient -s / (K - w^2 rho l - i w R) and its derivatives."""
+    """The coefficient of a neck and its derivatives. It is -s / (K - w^2 rho l - i w R)."""
     moving = np.asarray(v["K"] - omega**2 * v["rho"] * v["l"] - 1j * omega * v["R"], dtype=np.complex128)
     by_moving = v["s"] / moving**2
     inertia = -by_moving * omega**2

@@ -1,18 +1,18 @@
-"""Sizes of shapes (`geometry.shapes`) as parameters of the model: no remeshing, no new matrices when they change.
+"""Sizes of shapes (`geometry.shapes`) as parameters of the model, without remeshing.
 
 A shape moves points x0 of the section to x0 + a d(x0), with a its size. The contribution of a part of the section is a
 smooth function of the sizes of the shapes that move it, and is interpolated in them: matrices at the nodes of an
-:class:`InterpolationGrid`, coefficients its Lagrange polynomials.
+:class:`InterpolationGrid`, with its Lagrange polynomials as coefficients.
 
 Thicknesses and radii stay exact. In a part that is stretched by s along r and by l along z, the points move to
 
     r = s (r0 + (a / s) d) + const,      z = l (z0 + (b / l) e) + const,
 
-which is the stretched image of the part moved by the sizes a / s and b / l: its forms are those of
-`workbench.physics.stretched` at these sizes, the :class:`Amplitude` of each shape. A vertical side is stretched by l in
-both directions (all its shapes by a / l), a horizontal one by s: then every length along it scales alike and the
-normals stay. For the radius R = l (r - r0) + R0 there are two matrices, of the measures r ds and ds, with r0 and R0 the
-radius of the straight side on the mesh and now.
+the stretched image of the part moved by the sizes a / s and b / l: its forms are those of `workbench.physics.stretched`
+at these sizes, the :class:`Amplitude` of each shape. A vertical side is stretched by l in both directions (all its
+shapes by a / l), a horizontal one by s: then every length along it scales equally and the normals stay. For the radius
+R = l (r - r0) + R0 there are two matrices, of the measures r ds and ds, with r0 and R0 the radius of the straight side
+on the mesh and now.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from workbench.physics.term import ModelError, Values, WithoutFrequency
 
 Real = NDArray[np.float64]
 
-#: Share of its range by which a variable may leave it. At that distance, the error of the interpolation is a hundred to
-#: a thousand times as large as within the range.
+#: Share of its range by which a variable may exceed it. At that distance, the error of the interpolation is a hundred
+#: to a thousand times as large as within the range.
 BEYOND = 0.25
 
-#: Largest difference from one that counts as rounding in a sum of shares.
+#: Rounding tolerance of a sum of shares.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class MovableLength:
-    """A length of the chip, or a place: its value on the mesh (m) and the parameter that moves it, "" if none does.
+    """A length or place of the chip, and its parameter.
 
-    It moves ``by`` 1 or -1 times as the parameter does, whose own value on the mesh is ``begin`` (m): that of the
-    length itself, if none is given.
+    ``nominal`` (m) is its value on the mesh; ``parameter`` is "" if none moves it. It moves ``by`` 1 or -1 times the
+    parameter, whose value on the mesh is ``begin`` (m), by default the nominal length.
     """
 
     nominal: float
@@ -63,7 +63,7 @@ class MovableLength:
 
 @dataclass(frozen=True)
 class Ratio:
-    """The distance between two lengths of the chip, relative to its value on the mesh."""
+    """The distance between two lengths, relative to its value on the mesh."""
 
     outer: MovableLength
     inner: MovableLength = MovableLength(0.0)
@@ -79,13 +79,13 @@ class Ratio:
 
 
 class ShapeScale(Enum):
-    """A scale on which the size of a shape enters the forms as a polynomial, or nearly so."""
+    """A scale on which forms are almost polynomials of a shape's size."""
 
     #: Points move in proportion to the size itself.
     PROPORTIONAL = "size"
     #: Points move in proportion to the tangent of an angle.
     TANGENT = "tan size"
-    #: The contribution of cells between two faces goes with their distance and with its inverse: both are smooth
+    #: The contribution of cells between two faces depends on their distance and its inverse: both are smooth
     #: functions of the logarithm, over any range.
     LOGARITHM = "ln size"
 
@@ -110,8 +110,8 @@ class ShapeScale(Enum):
 
 @dataclass(frozen=True)
 class Amplitude:
-    """The size of a shape in the coordinates of a part of the section: ``size`` (m or rad) on its ``scale``, times the
-    ratio ``grown`` and over the ratio ``stretched``."""
+    """The size of a shape in the coordinates of a part. It is ``size`` (m or rad) on its ``scale``, times the ratio
+    ``grown`` and over the ratio ``stretched``."""
 
     size: MovableLength
     scale: ShapeScale = ShapeScale.PROPORTIONAL
@@ -140,14 +140,14 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class InterpolationGrid:
-    """Nodes of a polynomial interpolation in several variables within ``bounds``, the first of which is ``start``.
+    """Nodes of a polynomial interpolation in several variables within ``bounds``.
 
-    The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
-    at the start. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
-    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). Nodes at which a variable is not at its start have
-    weight exactly zero while it is. ``limits`` are the admissible values of each variable. They are wider than the
-    bounds if only lengths at the ends of their own ranges lead there; polynomials are then constant from a little
-    (:data:`BEYOND`) outside the bounds.
+    The first node is ``start``. The polynomials are the products of powers b of the variables with sum(b / degrees) <=
+    1; variables of degree 0 stay at the start. Nodes are those of a Leja sequence in each variable, which make the
+    interpolation unique on any such set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). While a variable
+    is at its start, all nodes elsewhere have weight exactly zero. ``limits`` are the admissible values of each
+    variable. They are wider than the bounds if only combinations of extreme lengths reach them; polynomials are then
+    constant from a little (:data:`BEYOND`) outside the bounds.
     """
 
     bounds: tuple[tuple[float, float], ...]
@@ -157,7 +157,7 @@ class InterpolationGrid:
 
     @cached_property
     def sequences(self) -> tuple[tuple[float, ...], ...]:
-        """The scaled nodes (degree + 1,), from -1 to 1, of every variable."""
+        """The scaled nodes (degree + 1,) of every variable. They are from -1 to 1."""
         return tuple(_leja(self.scaled(k, start), degree + 1)
                      for k, (start, degree) in enumerate(zip(self.start, self.degrees, strict=True)))
 
@@ -169,12 +169,12 @@ class InterpolationGrid:
         return tuple(tuple(own[b] for b, own in zip(powers, values, strict=True)) for powers in _powers(self.degrees))
 
     def scaled(self, variable: int, value: float) -> float:
-        """A value of a variable on the scale from -1 to 1 of its bounds; 0 where it stays at the start."""
+        """A value scaled to -1 to 1 over its bounds. It is 0 for degree 0."""
         low, high = self.bounds[variable]
         return (value - 0.5 * (low + high)) / (0.5 * (high - low)) if self.degrees[variable] else 0.0
 
     def outside(self, point: tuple[float, ...]) -> int | None:
-        """The index of the first variable that is further outside its limits than allowed, or None."""
+        """The index of the first variable beyond its limits, or None."""
         for variable, (value, (low, high)) in enumerate(zip(point, self.limits, strict=True)):
             further = BEYOND * (high - low) + ROUNDING * max(abs(low), abs(high))
             if not low - further <= value <= high + further:
@@ -182,8 +182,7 @@ class InterpolationGrid:
         return None
 
     def polynomials(self, point: tuple[float, ...]) -> tuple[Real, Real]:
-        """The Lagrange polynomials (nodes,) of all nodes at values of the variables, and their slopes (variables,
-        nodes)."""
+        """The Lagrange polynomials (nodes,) at a point, and their slopes (variables, nodes)."""
         return _polynomials(self, point)
 
 
@@ -193,18 +192,19 @@ def _polynomials(grid: InterpolationGrid, point: tuple[float, ...]) -> tuple[Rea
     tables = []
     for k, value in enumerate(point):
         free = grid.scaled(k, value)
-        held = min(max(free, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND)
+        clipped = min(max(free, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND)
         low, high = grid.bounds[k]
-        newton, by = _newton(grid.sequences[k], held)
+        newton, by = _newton(grid.sequences[k], clipped)
         tables.append((newton[powers[:, k]], by[powers[:, k]] * (
-            2.0 / (high - low) if grid.degrees[k] and held == free else 0.0)))
+            2.0 / (high - low) if grid.degrees[k] and clipped == free else 0.0)))
     taken = np.array([values for values, _ in tables])
     slopes = [(by * np.delete(taken, k, axis=0).prod(axis=0)) @ inverse for k, (_, by) in enumerate(tables)]
     return taken.prod(axis=0) @ inverse, np.array(slopes)
 
 
 def _newton(sequence: tuple[float, ...], x: float) -> tuple[Real, Real]:
-    """Newton's polynomials (n,) of some nodes, each 0 at all nodes before its own, at x, and their slopes."""
+    """Newton's polynomials (n,) of the nodes at x, and their slopes. Each polynomial is 0 at all nodes before its
+    own."""
     values, slopes = [1.0], [0.0]
     for node in sequence[:-1]:
         slopes.append(slopes[-1] * (x - node) + values[-1])
@@ -214,26 +214,26 @@ def _newton(sequence: tuple[float, ...], x: float) -> tuple[Real, Real]:
 
 @cache
 def _powers(degrees: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """The powers of every polynomial of the set; with each polynomial, all lower ones are in it."""
+    """The powers of every polynomial; the set contains all lower ones."""
     return tuple(powers for powers in product(*(range(degree + 1) for degree in degrees))
                  if sum(b / degree for b, degree in zip(powers, degrees, strict=True) if degree) <= 1.0 + ROUNDING)
 
 
 @lru_cache(maxsize=1024)
 def _from_nodes(grid: InterpolationGrid) -> Real:
-    """The matrix (n, n) from products of Newton's polynomials to the Lagrange polynomials of the nodes."""
+    """The matrix (n, n) from Newton products to Lagrange polynomials."""
     powers = np.array(_powers(grid.degrees))
     values = np.ones((len(powers), len(powers)))
     for k, sequence in enumerate(grid.sequences):
         table = np.array([_newton(sequence, node)[0] for node in sequence])
         values *= table[np.ix_(powers[:, k], powers[:, k])]
-    # Triangular, since a polynomial is 0 at all nodes before its own.
+    # The matrix is triangular, since a polynomial is 0 at all nodes before its own.
     return np.asarray(solve_triangular(values, np.eye(len(powers)), lower=True))
 
 
 @cache
 def _leja(start: float, count: int) -> tuple[float, ...]:
-    """The first points of a Leja sequence on [-1, 1] that begins at `start`."""
+    """The first points of a Leja sequence on [-1, 1] from `start`."""
     found = [start]
     candidates = np.linspace(-1.0, 1.0, 4001)
     while len(found) < count:
@@ -243,7 +243,7 @@ def _leja(start: float, count: int) -> tuple[float, ...]:
 
 
 class _OfLengths(WithoutFrequency):
-    """A coefficient without frequency that gives its value and all its derivatives at once."""
+    """A coefficient without frequency that computes value and derivatives together."""
 
     def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
         """Its value, and its derivatives by parameters."""
@@ -272,7 +272,7 @@ class GridPolynomial(_OfLengths):
         """Its value, and its derivatives by parameters.
 
         Raises:
-            ModelError: a size outside the range that the model was made for.
+            ModelError: a size outside the range of the model.
         """
         found = [each.at(values) for each in self.amplitudes]
         point = tuple(value for value, _ in found)
@@ -280,8 +280,8 @@ class GridPolynomial(_OfLengths):
         if outside is not None:
             one, scale = self.amplitudes[outside], self.amplitudes[outside].scale
             size, low, high = map(scale.size, (point[outside], *self.grid.limits[outside]))
-            raise ModelError(f"{one.size.parameter or 'a shape'} of {size:.4g} (m or rad), as the lengths about it "
-                             f"have it, is outside the range that the model was made for, {low:.4g} to {high:.4g}")
+            raise ModelError(f"{one.size.parameter or 'a shape'} of {size:.4g} (m or rad), relative to the lengths "
+                             f"about it, is outside the range of this model, {low:.4g} to {high:.4g}")
         polynomials, slopes = self.grid.polynomials(point)
         by: dict[str, float] = {}
         for (_, own), slope in zip(found, slopes[:, self.number], strict=True):
@@ -292,8 +292,8 @@ class GridPolynomial(_OfLengths):
 
 @dataclass(frozen=True)
 class Receding(_OfLengths):
-    """The difference R0 - l r0 (m) between the radius of a vertical side and that of its image stretched by the ratio
-    l."""
+    """The difference R0 - l r0 (m) for a vertical side. It is the radius of the side minus that of its image stretched
+    by the ratio l."""
 
     radius: MovableLength
     stretched: Ratio
@@ -312,10 +312,10 @@ class Receding(_OfLengths):
 
 @dataclass(frozen=True)
 class Moves:
-    """The motion of a part of a place by shapes: the names of the mesh's coordinates at the nodes of a grid in
-    amplitudes.
+    """The motion of a part of a place by shapes.
 
-    ``side`` is the radius of vertical facets; None for cells and for horizontal facets.
+    ``variants`` are the names of the mesh's coordinates at the nodes of the ``grid`` in ``amplitudes``; ``side`` is the
+    radius of vertical facets, None for cells and for horizontal facets.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -324,6 +324,6 @@ class Moves:
     side: MovableLength | None = None
 
     def nodes(self) -> Iterator[tuple[str, GridPolynomial | None]]:
-        """The coordinates and the coefficient of every node; the coefficient of a single node is None."""
+        """The coordinates and coefficient of every node; None for a single node."""
         for number, variant in enumerate(self.variants):
             yield variant, GridPolynomial(self.grid, self.amplitudes, number) if len(self.variants) > 1 else None

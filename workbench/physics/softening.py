@@ -1,8 +1,8 @@
-"""A ceramic that softens and loses more at stronger drive: quadratic in the drive, f0 and Q fall in every state.
+"""A ceramic that softens and loses more at stronger drive.
 
-The Rayleigh law of a ferroelectric is linear in the strain's amplitude for the loss and for the stiffness; heating is
-quadratic in it. Over the few drive levels of a campaign a quadratic law stands for both (PZT below 1 MV/m: Hall 2001,
-J. Mater. Sci. 36, 4575).
+Both effects are quadratic in the drive; f0 and Q fall in every state. The Rayleigh law of a ferroelectric is linear in
+the strain amplitude for loss and stiffness; heating is quadratic in it. Over the few drive levels of a campaign a
+quadratic law represents both (PZT below 1 MV/m: Hall 2001, J. Mater. Sci. 36, 4575).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ ADMISSIBLE: Mapping[str, Admissible] = {
     "drive_loss": Admissible(0.0, 1e-2, "1/V^2", "as large as the softening: the Rayleigh law ties the two"),
 }
 
-#: Name of the parameter that holds the squared voltage amplitude at the electrodes (V^2) of a state.
+#: Name of the parameter for the squared voltage amplitude at the electrodes (V^2) of a state.
 DRIVE_SQUARED = "drive.squared"
 
 
 @dataclass(frozen=True)
 class Softening(Term):
-    """Softening of c33 by the factor 1 - (a + i b) V^2, e^{-i w t}, with V the amplitude at the electrodes.
+    """Softening of c33 with the squared drive. The factor is 1 - (a + i b) V^2.
 
-    Parameters ``<material>.softening`` a and ``<material>.drive_loss`` b (1/V^2; see :data:`ADMISSIBLE`),
-    ``<material>.c33`` and :data:`DRIVE_SQUARED`.
+    V is the amplitude at the electrodes, e^{-i w t}. Parameters ``<material>.softening`` a and
+    ``<material>.drive_loss`` b (1/V^2; see :data:`ADMISSIBLE`), ``<material>.c33`` and :data:`DRIVE_SQUARED`.
     """
 
     region: str

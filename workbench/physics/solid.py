@@ -9,7 +9,7 @@ from workbench.physics.term import Condition, Integral, Term, isotropic_solid
 
 @dataclass(frozen=True)
 class ElasticSolid(Term):
-    """Isotropic solid in a region, complex bulk and shear modulus constant over the band.
+    """Isotropic solid in a region, with moduli constant over the band.
 
         K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v
 

@@ -1,8 +1,8 @@
-"""Lengths of a chip as parameters of the model, exactly: no remeshing, no new matrices when they change.
+"""Lengths of a chip as exact parameters of the model, without remeshing.
 
 A layer that grows from t0 to t stretches its elements along z by s = t / t0. In each integral over it, every derivative
-along z is then divided by s and the measure multiplied by s, so that the parts of a form with no, one and two such
-derivatives scale with s, 1 and 1 / s: three matrices with coefficients that are powers of t.
+along z is divided by s and the measure multiplied by s, so the parts of a form with no, one and two such derivatives
+scale with s, 1 and 1 / s: three matrices with coefficients that are powers of t.
 
 A column of the section between the radii a and b, moved to A and B, stretches along r by s = (B - A) / (b - a), to R =
 A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R s dr, and u_r / r becomes u_r / R:
@@ -12,7 +12,7 @@ A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R 
     u_r^2 / r^2      s r / R = r / (r + d)             d = (b - a) / k - a,  k = B / A - 1
 
 In a straight section the measure dx becomes s dx and there is no u_r / r, so the parts of a form have one matrix, by
-s^(1 - derivatives). With an axis the last is no finite sum; it is interpolated in k between Chebyshev's nodes, with an
+s^(1 - derivatives). With an axis the last is not a finite sum; it is interpolated in k between Chebyshev nodes, with an
 error below :data:`INTERPOLATION` (Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a
 boundary the same relations hold for facets along r and along z; facets at a radius that moves have R / r for the
 measure, and 1 in a straight section.
@@ -49,14 +49,14 @@ from workbench.physics.term import (
 #: Largest relative error of the interpolated hoop stiffness over the range of the radii.
 INTERPOLATION = 1e-9
 
-#: A product of operators by the kinds of both.
+#: A product of operators with the kinds of both.
 Sorted = Iterator[tuple[Kind, Product]]
 
 
 @dataclass(frozen=True)
 class RadialInterval:
-    """A column of the section between two radii, with `ratios` the nodes of k = outer / inner - 1; none if it begins at
-    the axis, or if the section is ``straight``: two places x."""
+    """A column of the section between two radii. `ratios` are the nodes of k = outer / inner - 1; none if it begins at
+    the axis, or in a ``straight`` section between places x."""
 
     inner: MovableLength
     outer: MovableLength
@@ -73,8 +73,8 @@ class RadialInterval:
         return cls(inner, outer, nodes(high[0] / low[1] - 1.0, high[1] / low[0] - 1.0))
 
     def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
-        """Pairs of measure and coefficient that a form splits into, by its kind: derivatives along r and divisions by
-        r."""
+        """Pairs of measure and coefficient into which a form splits. `kind` has the numbers of derivatives along r and
+        of divisions by r."""
         slopes, divided = kind
         if self.straight:
             if not divided:
@@ -96,7 +96,7 @@ class RadialInterval:
 
 @dataclass(frozen=True)
 class MovingRim:
-    """Facets along z at a radius that moves, or in a ``straight`` section at a place x."""
+    """Facets along z at a radius that moves. In a ``straight`` section it is a place x."""
 
     radius: MovableLength
     straight: bool = False
@@ -111,7 +111,8 @@ class MovingRim:
 
 
 def nodes(low: float, high: float) -> tuple[float, ...]:
-    """Chebyshev's nodes between two values of k that interpolate 1 / (1 + k x), 0 <= x <= 1, to the error wanted."""
+    """Chebyshev nodes in k that interpolate 1 / (1 + k x). x is from 0 to 1. The error is below
+    :data:`INTERPOLATION`."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if half < 1e-12:
         return (middle,)
@@ -124,7 +125,7 @@ def nodes(low: float, high: float) -> tuple[float, ...]:
 
 
 class _OfColumn(WithoutFrequency):
-    """A coefficient that follows the two radii of a column."""
+    """A coefficient that depends on the two radii of a column."""
 
     column: RadialInterval
 
@@ -201,11 +202,8 @@ def _lagrange(nodes: tuple[float, ...], x: float) -> tuple[tuple[float, ...], tu
 
 @dataclass(frozen=True)
 class StretchedPart:
-    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows, and its
-    motion by shapes.
-
-    "" and None stand for no layer, no column and no motion.
-    """
+    """A part of a place and the lengths that move it. They are those of its layer, its column and its shapes. Its size
+    follows the layer's thickness and the column's radii. "" and None mean no layer, no column and no motion."""
 
     name: str
     layer: str = ""
@@ -215,11 +213,11 @@ class StretchedPart:
 
 @dataclass(frozen=True)
 class Stretched(Term):
-    """A term with its integrals as functions of the lengths of the layers and columns they lie in.
+    """A term whose integrals are functions of the chip's lengths.
 
-    ``parts`` holds, for every place of the term, its parts on the mesh (`geometry.stretch.split`); ``nominal`` the
-    thickness (m) that the mesh has of each layer. The term depends on the parameters ``<layer>.thickness`` (m) and on
-    those of the radii of its columns (m).
+    ``parts`` has the parts on the mesh of every place of the term (`geometry.stretch.split`); ``nominal`` the thickness
+    (m) of each layer on the mesh. The term depends on the parameters ``<layer>.thickness`` (m) and on the radii of its
+    columns (m).
     """
 
     term: Term
@@ -266,12 +264,12 @@ def _stretched(integral: Integral, part: StretchedPart, nominal: Mapping[str, fl
     return result
 
 
-#: Products of operators with a further factor of the measure and the coefficients of both.
+#: Products of operators with a factor of the measure and the coefficients of both.
 Measured = Iterator[tuple[MeasureFactor | None, tuple[Constant, ...], Product]]
 
 
 def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
-    """Measures, coefficients and products of an integral over cells, or over facets that only stretch."""
+    """Measures, coefficients and products of an integral over stretched cells or facets."""
     for (along_z, along_r, divided), product in _by_kinds(integral.products, radially=part.across is not None):
         high = _power(part.layer, 1 - along_z, nominal)
         if part.across is None:
@@ -282,7 +280,7 @@ def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float
 
 
 def _moved_facets(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
-    """Measures, coefficients and products over facets that shapes move: all lengths along them scale alike, and
+    """Measures, coefficients and products over facets that shapes move. All lengths along a facet scale equally, and
     operators are not split."""
     assert part.moves is not None
     side = part.moves.side
@@ -301,14 +299,14 @@ def _moved_facets(integral: Integral, part: StretchedPart, nominal: Mapping[str,
 
 
 def _power(layer: str, power: int, nominal: Mapping[str, float]) -> tuple[Constant, ...]:
-    """Factor by which a stretched layer scales an integral proportional to its thickness to the given power."""
+    """Factor of a stretched layer for integrals proportional to thickness^power."""
     if not layer or not power:
         return ()
     return (Monomial(nominal[layer] ** -power, 0, ((f"{layer}.thickness", power),)),)
 
 
 def _by_kinds(products: tuple[Product, ...], *, radially: bool) -> Sorted:
-    """The products split by kind: numbers of derivatives and divisions of both operators together."""
+    """The products split by kind. A kind has the numbers of derivatives and divisions of both operators together."""
     for product in products:
         for one, row in parts_by_stretch(product.row, radially=radially).items():
             for other, column in parts_by_stretch(product.column, radially=radially).items():

@@ -1,4 +1,7 @@
-"""The load of the surroundings on the outside of a solid: a backing or the air is an impedance, a holder a spring."""
+"""Loads on the outside of a solid: impedances and springs.
+
+A backing or the air is an impedance, a holder a spring.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +29,16 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class SurfaceLoad(Term):
-    """Traction against the velocity of an outer boundary: sigma n = i w (Z_n u_n n + Z_t u_t), e^{-i w t}.
+    """Traction proportional to the velocity of an outer boundary.
+
+    sigma n = i w (Z_n u_n n + Z_t u_t), e^{-i w t}:
 
         - i w Z_n u_n v_n - i w Z_t u_t v_t        over the boundary
 
-    A positive real part takes energy away; a mass m per area is Z = -i w m, a stiffness K per area Z = i K / w. Z is
-    constant over the band, which suits a wave that leaves and does not come back (Z = rho c of the surroundings;
-    Kinsler et al., Fundamentals of Acoustics, 2000, section 5.10), or a narrow band. `name` tells loads apart:
-    parameters ``<name>.normal_impedance`` and ``<name>.tangential_impedance`` (Pa s/m; see :data:`ADMISSIBLE`).
+    A positive real part dissipates energy; a mass m per area is Z = -i w m, a stiffness K per area Z = i K / w. Z is
+    constant over the band, which suits a wave that leaves without reflection (Z = rho c of the surroundings; Kinsler et
+    al., Fundamentals of Acoustics, 2000, section 5.10), or a narrow band. `name` distinguishes loads: parameters
+    ``<name>.normal_impedance`` and ``<name>.tangential_impedance`` (Pa s/m; see :data:`ADMISSIBLE`).
     """
 
     boundary: str
@@ -41,7 +46,7 @@ class SurfaceLoad(Term):
     name: str
 
     def free(self) -> tuple[FreeParameter, ...]:
-        # The air around a chip is no load.
+        # The load of the air around a chip is negligible.
         limit = replace(ADMISSIBLE["normal_impedance"], lowest=0.0)
         return (FreeParameter(f"{self.name}.normal_impedance", 0.0, limit),)
 
@@ -58,13 +63,15 @@ class SurfaceLoad(Term):
 
 @dataclass(frozen=True)
 class SurfaceSpring(Term):
-    """A holder that gives way: springs of stiffness k per area on an outer boundary, sigma n = - k (1 - i eta) u.
+    """A compliant holder: springs on an outer boundary.
+
+    sigma n = - k (1 - i eta) u with the stiffness k per area, e^{-i w t}:
 
         + k (1 - i eta) (u_n v_n + u_t v_t)        over the boundary
 
-    e^{-i w t}. The holder itself does not move. A k far above the stiffness of what it holds is a clamp
-    (Leissa, Vibration of Plates, 1969, section 1.1). `name` tells holders apart: parameters ``<name>.stiffness`` (Pa/m)
-    and ``.loss_factor`` eta (see :data:`ADMISSIBLE`).
+    The holder itself does not move. A k far above the stiffness of the solid is a clamp (Leissa, Vibration of Plates,
+    1969, section 1.1). `name` distinguishes holders: parameters ``<name>.stiffness`` (Pa/m) and ``.loss_factor`` eta
+    (see :data:`ADMISSIBLE`).
     """
 
     boundary: str

@@ -1,14 +1,14 @@
-"""Terms of the model: symmetric integrals with coefficients, and conditions on their unknowns.
+"""Terms of the model: symmetric integrals with coefficients, and conditions.
 
 The whole model is one complex-symmetric system that is affine in its coefficients,
 
     A(w, theta) = sum_q g_q(w, theta) A_q ,   A_q real and symmetric, assembled once per mesh,
 
-written for the time factor e^{-i w t} with the weight 2 pi r dr dz, or in a straight section with the weight length
-dx dz and without the parts u_r / r (plane strain). A term states each A_q by its quadratic form, as a
-sum of products of two operators of the unknowns, ``weight * integral(row(x) * column(x))``: the formula in the
-docstring and the declaration in the code are the same thing. From that one declaration the solver takes the matrix, the
-projection on a reduced basis, the derivative of the spectrum, and the map of its effect over the chip.
+for the time factor e^{-i w t} with the weight 2 pi r dr dz, or in a straight section with the weight length dx dz and
+without the parts u_r / r (plane strain). A term states each A_q by its quadratic form, as a sum of products of two
+operators of the unknowns, ``weight * integral(row(x) * column(x))``: the formula in the docstring is the declaration in
+the code. The declaration gives the matrix, the projection on a reduced basis, the derivative of the spectrum, and the
+map of the effect over the chip.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 
 class ModelError(ValueError):
-    """The terms do not make a solvable model (a missing unknown, electrode or boundary)."""
+    """The terms do not make a solvable model. An unknown, an electrode or a boundary is missing."""
 
 
 #: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa). Only fields that vary along the third
@@ -37,8 +37,8 @@ COMPONENTS = ("u_r", "u_z", "phi", "p", "u_s")
 #: is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
-#: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz); in a straight
-#: section r is x, and value / r is zero. Operators along s, the third direction, are those of fields that vary along
+#: The operators of terms, by name: the sum of their parts. Axisymmetric strain (rr, tt, zz, 2rz); in a straight section
+#: r is x, and value / r is zero. Operators along s, the third direction, are those of fields that vary along
 #: it, without the parts of :data:`TURNED`.
 _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_r": (("u_r", "value", ""),),
@@ -81,7 +81,7 @@ TURNED: Mapping[str, tuple[Part, ...]] = {
     "u_z_s_opposite": (("u_z", "less_turned_opposite", ""),),
 }
 
-#: Suffix of the parts of an operator that is taken on the opposite boundary.
+#: Suffix of the parts of an operator on the opposite boundary.
 OPPOSITE = "_opposite"
 
 
@@ -95,10 +95,8 @@ def _kind(part: Part, *, radially: bool) -> Kind:
 
 
 def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
-    """Names of the parts of `operator` by kind of derivative; its own name if it has one kind only.
-
-    Kinds are those that a stretch along z tells apart, or if `radially` a stretch along r too.
-    """
+    """Names of the parts of `operator` by kind of derivative. An operator of one kind has its own name. Kinds differ by
+    a stretch along z, and along r too if `radially`."""
     parts = _WRITTEN[operator]
     kinds = {_kind(part, radially=radially): [each for each in parts if _kind(each, radially=radially)
                                               == _kind(part, radially=radially)] for part in parts}
@@ -108,7 +106,7 @@ def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
 
 
 def by_order(operator: str) -> Iterator[tuple[int, str]]:
-    """Pairs of a power of the order and the name of that part."""
+    """Pairs of a power of the order and the part's name."""
     if operator in _WRITTEN:
         yield 0, operator
     if operator in TURNED:
@@ -143,12 +141,11 @@ class Coefficient(Protocol):
 
 @dataclass(frozen=True)
 class Monomial:
-    """The coefficient scale * omega**power * product(theta_i ** n_i), the form of almost every coefficient of the
-    model.
+    """The coefficient scale * omega**power * product(theta_i ** n_i).
 
     Args:
         scale: a constant.
-        omega_power: exponent of the angular frequency (rad/s); diffusion brings in half-integers.
+        omega_power: exponent of the angular frequency (rad/s), half-integer for diffusion.
         factors: (parameter name, exponent) pairs, each name once.
     """
 
@@ -196,10 +193,10 @@ DispersiveLaw = Callable[
 
 @dataclass(frozen=True)
 class Formula:
-    """The coefficient omega**power * law(theta): a power of the frequency, but no product of its parameters.
+    """The coefficient omega**power * law(theta).
 
     Args:
-        law: a function of the symbols; a module's own function, so that models can be compared, stored and sent.
+        law: a module-level function of the symbols, so that models can be compared, stored and sent.
         symbols: (symbol of the law, parameter name) pairs, each symbol once.
         omega_power: exponent of the angular frequency (rad/s).
     """
@@ -232,8 +229,7 @@ class Formula:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """The coefficient law(omega, theta), which is no power of the frequency. Arguments are those of :class:`Formula`.
-    """
+    """The coefficient law(omega, theta); arguments are those of :class:`Formula`."""
 
     law: DispersiveLaw
     symbols: tuple[tuple[str, str], ...]
@@ -270,7 +266,7 @@ class Constant(Coefficient, Protocol):
 
 
 class WithoutFrequency:
-    """Base of a :class:`Constant`: it answers as a coefficient from its value and its derivatives."""
+    """Base of a :class:`Constant`, defined by its value and derivatives."""
 
     def constant(self, values: Values) -> complex:
         """Its value."""
@@ -289,7 +285,7 @@ class WithoutFrequency:
 
 @dataclass(frozen=True)
 class Times:
-    """The product of a coefficient and one that does not depend on frequency."""
+    """The product of a coefficient and one without frequency."""
 
     first: Coefficient
     second: Constant
@@ -311,7 +307,7 @@ class Times:
 
 
 def times(first: Coefficient, second: Constant) -> Coefficient:
-    """The product of a coefficient and one without frequency: a monomial if both are."""
+    """The product of a coefficient and one without frequency; monomials stay monomials."""
     if not isinstance(first, Monomial) or not isinstance(second, Monomial):
         return Times(first, second)
     factors: dict[str, float] = dict(first.factors)
@@ -323,7 +319,7 @@ def times(first: Coefficient, second: Constant) -> Coefficient:
 
 @dataclass(frozen=True)
 class Admissible:
-    """The range of a parameter of an effect in real devices: from `lowest` to `highest` in `unit`, and the source."""
+    """The range of a parameter in real devices, with unit and source."""
 
     lowest: float
     highest: float
@@ -333,11 +329,8 @@ class Admissible:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A number of a term that a recording may determine, by its full name, and its admissible range.
-
-    ``neutral`` is its value in a model without the effect. If a term has several numbers, one of them makes it vanish;
-    the neutral values of the others are usual ones.
-    """
+    """A parameter of a term that recordings may determine. ``neutral`` is its value in a model without the effect. If a
+    term has several, one of them makes it vanish; the neutral values of the others are usual ones."""
 
     name: str
     neutral: float
@@ -345,13 +338,14 @@ class FreeParameter:
 
 
 def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[FreeParameter, ...]:
-    """The numbers ``<owner>.<key>`` for the keys of `neutral`, each with its range from `limits`."""
+    """The parameters ``<owner>.<key>`` for the keys of `neutral`. Each has its range from `limits`."""
     return tuple(FreeParameter(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
 
 
 @dataclass(frozen=True)
 class Product:
-    """weight * integral of row(x) * column(x); row and column are names of :data:`OPERATORS`."""
+    """A product of two operators: weight * integral of row(x) * column(x). Row and column are names of
+    :data:`OPERATORS`."""
 
     row: str
     column: str
@@ -360,8 +354,8 @@ class Product:
 
 @dataclass(frozen=True)
 class Radial:
-    """The factor r**power / (r + shift) of the measure, r (m) the radius on the mesh; it comes from a stretch along r.
-    """
+    """The factor r**power / (r + shift) of the measure. r (m) is the radius on the mesh; the factor results from a
+    stretch along r."""
 
     power: int
     shift: float
@@ -372,7 +366,8 @@ class Radial:
 
 @dataclass(frozen=True)
 class RadialCosine:
-    """The factor cos(pi n r / radius) of the measure: n ``half_waves`` between the axis and that `radius` (m)."""
+    """The factor cos(pi n r / radius) of the measure. n are the ``half_waves`` between the axis and that `radius`
+    (m)."""
 
     half_waves: int
     radius: float
@@ -381,23 +376,22 @@ class RadialCosine:
         return np.asarray(np.cos(np.pi * self.half_waves * radius / self.radius))
 
 
-#: A further factor of the measure 2 pi r dr dz.
+#: A further factor of the measure.
 MeasureFactor = Radial | RadialCosine
 
 
 @dataclass(frozen=True)
 class Integral:
-    """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
+    """One g_q A_q: coefficient, region or boundary, and quadratic form.
 
-    ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
-    ``opposite`` names the opposite boundary of a thin layer and ``opposite_solid`` the solid there, for the operators
-    that are taken on it; the two boundaries are horizontal and have the same radii. ``radius_fraction`` restricts a
-    region to radii above that fraction of its outer radius, also within an element, and a boundary across the axis to
-    the facets there. ``skin`` restricts it to the rows
-    of elements that take this share of its thickness, at its upper face or, if negative, at its lower one; the mesh
-    must have a line of nodes there (`geometry.mesh_size.MeshSize.skins`, or of a cavity ``levels``). ``radial`` is a
-    further factor of the measure 2 pi r dr dz. ``variant`` names the moved coordinates of the mesh that are integrated
-    over (`geometry.mesh.SectionMesh.variants`), "" for its own.
+    ``solid`` and ``fluid`` are the regions on the two sides of a boundary; the normal points out of ``solid``.
+    ``opposite`` is the opposite boundary of a thin layer and ``opposite_solid`` the solid there, for operators on it;
+    the two boundaries are horizontal and have the same radii. ``radius_fraction`` restricts a region to radii above
+    that fraction of its outer radius, also within an element, and a horizontal boundary to the facets there. ``skin``
+    restricts a region to the rows of elements in this share of its thickness, at its upper face or, if negative, at its
+    lower one; the mesh must have a line of nodes there (`geometry.mesh_size.MeshSize.skins`, or of a cavity
+    ``levels``). ``radial`` is a factor of the measure 2 pi r dr dz. ``variant`` names the moved coordinates of the mesh
+    (`geometry.mesh.SectionMesh.variants`), "" for its own.
     """
 
     coefficient: Coefficient
@@ -418,7 +412,7 @@ class Integral:
 
     @property
     def domain(self) -> str:
-        """The name of the domain: the place, its opposite boundary or restriction, and its variant."""
+        """The place with its opposite boundary, restriction and variant, as a key."""
         name = f"{self.place} facing {self.opposite}" if self.opposite else self.place
         name = name if not self.radius_fraction else f"{name} beyond {self.radius_fraction!r}"
         name = name if not self.skin else f"{name} skin {self.skin!r}"
@@ -427,8 +421,10 @@ class Integral:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on an unknown: `component` on `boundary` is `share` times the voltage of the live electrode, or times
-    the component `of` there."""
+    """A condition: `component` on `boundary` is `share` times the live voltage.
+
+    With a component `of`, it is `share` times that component there.
+    """
 
     component: str
     boundary: str
@@ -437,19 +433,17 @@ class Condition:
 
 
 class Term:
-    """One effect, as a frozen value: its regions or boundaries, its parameters by name, its integrals and conditions.
-
-    A term overrides the methods it needs; by default it brings in nothing.
-    """
+    """One effect as a frozen value. It has regions or boundaries, parameters by name, integrals and conditions. By
+    default it adds nothing to the model."""
 
     @property
     def unknowns(self) -> tuple[tuple[str, str], ...]:
-        """(component, region) pairs that this term brings into the model."""
+        """(component, region) pairs that this term adds to the model."""
         return ()
 
     @property
     def needs_axis(self) -> bool:
-        """Whether the term holds for a section that turns about an axis alone, and not for a straight one."""
+        """Whether the term holds only for a section with an axis."""
         return False
 
     def integrals(self) -> tuple[Integral, ...]:
@@ -461,16 +455,16 @@ class Term:
         return ()
 
     def free(self) -> tuple[FreeParameter, ...]:
-        """Numbers that a recording may determine, for a term that stands for an effect a model may lack."""
+        """Parameters that recordings may determine. The term is an effect that a model may lack."""
         return ()
 
     def fixed(self) -> Mapping[str, float]:
-        """Constant values, by name, of further parameters that belong to no material and no dimension."""
+        """Constant values of further parameters, by name."""
         return {}
 
 
 def isotropic_solid(region: str, material: str) -> tuple[Integral, ...]:
-    """The integrals of an isotropic solid in a region: those of its bulk modulus, shear modulus and density."""
+    """The integrals of an isotropic solid: bulk modulus, shear modulus and density."""
     def of(name: str, *products: Product, scale: float = 1.0, omega_power: int = 0) -> Integral:
         return Integral(Monomial(scale, omega_power, ((f"{material}.{name}", 1),)), region, products)
 

@@ -1,8 +1,8 @@
-"""An imperfect bond: a thin solid layer that is more compliant than its material.
+"""An imperfect bond: a thin solid layer more compliant than its material.
 
-Compliance along the normal lowers f0, more in the empty chip, and moves Z_min either way. Compliance along the layer
-raises Z_min and lowers Q, more in the filled chip. Both act in all states with the bond, and in no free disc. In a chip
-of 25 mm with 0.1 mm of epoxy, 2e-14 m/Pa along the normal is -11 kHz empty and -6 kHz filled.
+Normal compliance lowers f0, more in the empty chip, and moves Z_min in either direction. Tangential compliance raises
+Z_min and lowers Q, more in the filled chip. Both act in all states with the bond, and not in a free disc. In a chip of
+25 mm with 0.1 mm of epoxy, a normal compliance of 2e-14 m/Pa is -11 kHz empty and -6 kHz filled.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParamet
 
 _SPRING = (
     "from a perfect bond to a hundred times the compliance of 0.1 mm of the epoxy of Acevedo-Espinosa et al. "
-    "(RP-UEIS), where the two sides hardly hold each other; springs for bonds: Baik and Thompson 1984, J. Nondestr. "
+    "(RP-UEIS), which almost decouples the two sides; springs for bonds: Baik and Thompson 1984, J. Nondestr. "
     "Eval. 4, 177")
 
 #: Thickness of the compliant skin at one face, as a share of the layer's: thin beside the layer, thick enough to mesh.
@@ -30,18 +30,20 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class ImperfectBond(Term):
-    """Springs of compliance s_n and s_t per area in series with a layer, at its upper face or at its lower one.
+    """Springs of compliance s_n and s_t in series with a layer. They are per area.
+
+    The springs are at its upper or lower face:
 
         - s_n / (d + c33 s_n) sigma_zz(v) sigma_zz(u) - s_t / (d + G s_t) sigma_rz(v) sigma_rz(u)
 
-    over a skin of the layer that takes the share :data:`SKIN` of its thickness and is d thick, next to
-    `solid.IsotropicSolid` on the same region, with its own sigma_zz = c33 eps_zz + c13 (eps_rr + eps_tt) and sigma_rz =
-    2 G eps_rz, c33 = K + 4 G / 3, c13 = K - 2 G / 3. Together they are a skin of c33 / (1 + c33 s_n / d), c13 / (1 +
-    c33 s_n / d) and G / (1 + G s_t / d): stress is the same in skin and springs, strains add up (Backus 1962, J.
-    Geophys. Res. 67, 4427; springs for bonds: Baik and Thompson 1984). The springs have a loss: s is the stated
-    compliance times 1 + i eta, e^{-i w t}. The mesh must have the skin (`geometry.mesh_size.MeshSize.skins`). `name`
-    tells bonds apart: parameters ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor``
-    eta (see :data:`ADMISSIBLE`), ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
+    over a skin with the share :data:`SKIN` of the layer's thickness, d thick, in addition to `solid.IsotropicSolid` on
+    the same region, with its sigma_zz = c33 eps_zz + c13 (eps_rr + eps_tt) and sigma_rz = 2 G eps_rz, c33 = K + 4 G /
+    3, c13 = K - 2 G / 3. Together they are a skin of c33 / (1 + c33 s_n / d), c13 / (1 + c33 s_n / d) and G / (1 + G
+    s_t / d): stress is the same in skin and springs, strains add up (Backus 1962, J. Geophys. Res. 67, 4427; springs
+    for bonds: Baik and Thompson 1984). The springs have a loss: s is the stated compliance times 1 + i eta, e^{-i w t}.
+    The mesh must have the skin (`geometry.mesh_size.MeshSize.skins`). `name` distinguishes bonds: parameters
+    ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor`` eta (see :data:`ADMISSIBLE`),
+    ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
     """
 
     region: str
@@ -92,7 +94,8 @@ def _shear(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
 def _given(
     v: Mapping[str, complex], own: Mapping[str, float], first: Mapping[str, float], second: Mapping[str, float]
 ) -> tuple[complex, Mapping[str, complex]]:
-    """The coefficient -s / (d + m s) a b of a skin of modulus m, for two moduli a and b, and its derivatives."""
+    """The coefficient of a skin and its derivatives. It is -s / (d + m s) a b. m is the modulus of the skin, a and b
+    are two moduli."""
     m, a, b = (sum(factor * v[name] for name, factor in factors.items()) for factors in (own, first, second))
     lossy = 1.0 + 1j * v["eta"]
     d, s = SKIN * v["t"], v["s"] * lossy

@@ -1,1 +1,1 @@
-"""Reduced models: the same system on a small basis of its own solutions."""
+"""Reduced models: the system projected on a small basis of solutions."""

@@ -1,7 +1,7 @@
-"""The local reduced basis: for parameters about a point, from few full solves and one projection.
+"""The local reduced basis for parameters about a point.
 
-Full solves at a few frequencies give the states all over the band, and how draws of the moves of the parameters change
-them (a tangent-enriched basis). Further on the basis is enriched without a solve by the Neumann series to other values.
+Full solves at a few frequencies give the states over the band, and their changes by random moves of the parameters (a
+tangent-enriched basis). The Neumann series to other values then enriches the basis without a solve.
 """
 
 from __future__ import annotations
@@ -24,42 +24,42 @@ from workbench.reduced.model import ReducedModel, lifted
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Frequencies that are solved at, first and at most: resonances of a band overlap, each solve serves its neighbours.
+#: Initial and largest number of solved frequencies. Resonances overlap, so each solve serves its neighbours.
 NODES, MOST_NODES = 3, 12
 
 #: Vectors from each factorisation: of the states at neighbouring frequencies, and of the Neumann series of a state at
 #: other parameter values.
 NODE_DEPTH, TERMS = 8, 5
 
-#: Difference by rounding of the ratios of two changes of the operators that are equal up to a factor.
+#: Rounding tolerance of the ratios of two proportional changes of the operators.
 SAME_WAY = 1e-6
 
-#: Joint moves of the parameters that are drawn at each frequency.
+#: Number of random joint moves of the parameters at each frequency.
 DRAWS = 16
 
 
 @dataclass(frozen=True, eq=False)
 class LocalBasis:
-    """A reduced ``model`` for the parameters about ``values``, with the full solves that it was made from."""
+    """A reduced ``model`` for parameters about ``values``, with its full solves."""
 
     model: ReducedModel
     values: Values
     samples: tuple[Sample, ...]
 
     def without_factors(self) -> LocalBasis:
-        """A copy without the factors of its full solves, which cannot be :meth:`neumann_enriched`."""
+        """A copy without factorisations, which cannot be :meth:`neumann_enriched`."""
         return replace(self, samples=tuple(replace(each, factor=None) for each in self.samples))
 
     def of(self, operators: FullOperators) -> LocalBasis:
-        """A copy of other integrals of the same unknowns."""
+        """A copy for other integrals of the same unknowns."""
         return replace(self, model=self.model.of(operators))
 
     def neumann_enriched(self, places: Sequence[Values], tolerance: float, terms: int = TERMS) -> LocalBasis:
-        """A copy that also holds the states on the way to other values, `places`, to an error of Z of `tolerance`.
+        """A copy that includes the states at other parameter values, `places`.
 
-        With A the system here and A + D that at a place, the state there is the sum of (-A^-1 D)^k x, of which the
-        first `terms` are taken: their span serves beyond where the sum converges. No system is factorised anew. Places
-        whose D is that of one before but for a factor have the same span.
+        The error of Z is within `tolerance`. With A the system here and A + D that at a place, the state there is the
+        sum of (-A^-1 D)^k x. The span of the first `terms` serves even if the sum diverges. No system is factorised.
+        Places with proportional D have one span.
         """
         taken, changes = list[Values](), list[Complex]()
         for place in places:
@@ -76,13 +76,14 @@ class LocalBasis:
         return replace(self, model=model)
 
     def _change(self, own: Sample, place: Values) -> Complex:
-        """Change of the coefficients (n,) of all integrals at the frequency of a sample, from here to a place."""
+        """Change (n,) of the coefficients at a sample's frequency to a place."""
         omega = np.array([2.0 * np.pi * own.frequency])
         there, here = (self.model.full.coefficients(omega, values)[0] for values in (place, self.values))
         return np.asarray(there - here)
 
     def _terms(self, own: Sample, places: Sequence[Values], count: int) -> list[Complex]:
-        """The first terms (size, count) of the series of the state at every place, over the root of the charge."""
+        """First terms (size, count) of the series of every place's state. They are divided by the root of the
+        charge."""
         operators, factor = self.model.full, own.factor
         assert factor is not None  # not one without factors
         changes = np.stack([self._change(own, place) for place in places], axis=1)
@@ -100,19 +101,19 @@ def local_basis(
     operators: FullOperators, frequencies: Real, values: Values, moves: Mapping[str, float], *, tolerance: float,
     nodes: int = NODES, depth: int = NODE_DEPTH, draws: int = DRAWS,
 ) -> LocalBasis:
-    """The local reduced basis for parameters that move by about so much each about `values`.
+    """The local reduced basis for parameters about `values`.
 
-    From full solves at `nodes` of Chebyshev's frequencies, and then where the estimated error about `values` is
-    largest: the states with their neighbours in frequency, and how so many `draws` of the `moves` of the complex
-    parameters, as many as there are at most, change them. It is truncated to what an error of Z of `tolerance`
-    (relative) needs. Whether that is enough elsewhere, :meth:`ReducedModel.error` says.
+    Full solves are made at `nodes` Chebyshev frequencies and then where the estimated error about `values` is largest.
+    They give the states with their neighbours in frequency, and their changes by `draws` random joint moves of the
+    complex parameters, of the sizes `moves`. The basis is truncated for a relative error of Z of `tolerance`.
+    :meth:`ReducedModel.error` estimates the error elsewhere.
 
     Raises:
-        NotConverged: a full solve that failed, or an unknown without any energy.
+        NotConverged: a full solve failed, or an unknown has no energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
     wanted, looked_at = frequencies[chebyshev(frequencies.size, nodes)], watched(frequencies)
-    # Each solve draws anew: together they span what all moves do.
+    # Each solve has new random moves: together they span the effect of all.
     white, samples, trial = np.random.default_rng(0), list[Sample](), None
     with one_thread():
         system = System(operators, values)
@@ -135,7 +136,7 @@ def local_basis(
 
 
 def _is_along(one: Complex, other: Complex) -> bool:
-    """Whether two vectors (n,), neither of them nothing, are the same but for a factor."""
+    """Whether two nonzero vectors (n,) are proportional."""
     there = other != 0.0
     if not np.array_equal(one != 0.0, there):
         return False

@@ -1,7 +1,7 @@
-"""The reduced model at one set of values over a band: full solves are added where its error estimate is largest.
+"""The reduced model at one set of values over a band.
 
-See `workbench.reduced.estimate` for what the estimate is worth, and `workbench.reduced.growth` for how a solve enriches
-the basis.
+Full solves are added where the error estimate is largest. `workbench.reduced.estimate` describes the estimate,
+`workbench.reduced.growth` the enrichment of the basis.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from workbench.reduced.model import ReducedModel, lifted
 
 Real = NDArray[np.float64]
 
-#: Frequencies that the first solves are made at.
+#: Number of frequencies of the first solves.
 FIRST = 7
 
 
 class NotEnriched(RuntimeError):
-    """The reduced model did not reach its tolerance. Carries the estimate reached, the `remedy` in words, and in the
-    process that made them the model and its solution."""
+    """The reduced model did not reach its tolerance. It has the estimate, the `remedy` in words and, in the process
+    that made them, the model and its solution."""
 
     def __init__(
         self, estimate: float, tolerance: float, solves: int, found: tuple[ReducedModel, Solution] | None = None,
@@ -51,7 +51,7 @@ def _not_enriched(estimate: float, tolerance: float, solves: int, remedy: str) -
 def reduce(
     operators: FullOperators, frequencies: Real, values: Values, *, tolerance: float = 1e-5, **settings: Any
 ) -> ReducedModel:
-    """The model of :func:`reduced`, whose arguments these are."""
+    """The model of :func:`reduced`, with the same arguments."""
     return reduced(operators, frequencies, values, tolerance=tolerance, **settings)[0]
 
 
@@ -72,21 +72,21 @@ def reduced(
     system: System | None = None,
     progress: Progress = no_progress,
 ) -> tuple[ReducedModel, Solution]:
-    """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
+    """A reduced model within `tolerance` (relative) of the full impedance.
 
-    Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
-    the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
-    made for other parameter values is enriched for these. The basis also holds what the parameters in `tangents` change
-    the states by when they move by so much. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
-    frequency (Hz) at which `start` is off most, if that is known. With `skip_singular` a frequency is left out at which
-    a full solve does not converge but does beside it, or at which both models keep apart. A `system` is that of values.
+    The tolerance applies at all `frequencies`. Full solves are added where the estimate is largest, until it is within
+    the tolerance everywhere. If `confirmed`, a full solve at the worst frequency then confirms it. `start` is a model
+    for other parameter values that is enriched. The basis includes the changes of the states by the parameters in
+    `tangents`, for moves of these sizes. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
+    frequency (Hz) of the largest error of `start`, if known. `skip_singular` omits frequencies without a converged
+    full solve, and those of a persistent difference between both models. `system` is that of the values.
 
     Returns:
-        the model, and what it gives at all frequencies but those left out.
+        the model, and its solution at all frequencies that were not omitted.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
-        NotConverged: a full solve that failed, or an unknown without any energy.
+        NotConverged: a full solve failed, or an unknown has no energy.
     """
     frequencies, wanted = np.asarray(frequencies, dtype=float), np.zeros(0) if worst is None else np.array([worst])
     looked_at = watched(frequencies)
@@ -95,7 +95,7 @@ def reduced(
     model, spent, smallest, tried = start, 0, smallest_part(tolerance), set[float]()
 
     def report() -> None:
-        progress("reduced model", 1.0 - 0.7**spent)  # most models are done after six or seven solves
+        progress("reduced model", 1.0 - 0.7**spent)  # Most models need six or seven solves.
 
     with one_thread():
         system = system or System(operators, values)
@@ -111,12 +111,12 @@ def reduced(
                     report()
                 looked_at = watched(frequencies)
                 model = _enriched(model, system, samples, frequencies, smallest, tolerance)
-                # Where the new directions were not enough, too much may have been left out before them.
+                # If the new directions were not enough, the previous truncation may have been too coarse.
                 smallest *= TIGHTER
             assert model is not None
             solution, estimate, index = _worst(model, looked_at, values, tolerance, tried)
             if estimate <= tolerance and looked_at.size < frequencies.size:
-                # All of them, once the fewer are within.
+                # All frequencies are checked once the watched ones are within the tolerance.
                 solution, estimate, index = _worst(model, frequencies, values, tolerance, tried)
             worst, believed = float(solution.frequency[index]), estimate <= tolerance
             if believed and not confirmed:
@@ -140,11 +140,9 @@ def reduced(
 def _worst(
     model: ReducedModel, frequencies: Real, values: Values, tolerance: float, tried: Collection[float]
 ) -> tuple[Solution, float, int]:
-    """The result of :meth:`ReducedModel.worst`, each frequency that was `tried` in full being solved by itself.
-
-    A sweep of many frequencies ends once charges are right (`fem.dense`); its states may be less so. At a frequency
-    that was tried in full, no further full solve would help. One frequency by itself is solved exactly.
-    """
+    """The result of :meth:`ReducedModel.worst`, with exact estimates at `tried` frequencies. A sweep of many
+    frequencies ends when charges are accurate (`fem.dense`); its states may be less accurate. A further full solve at a
+    tried frequency is useless, so that frequency is solved alone, which is exact."""
     solution = model.solve(frequencies, values)
     estimate = model.error(solution)
     for k in np.flatnonzero(estimate > tolerance):
@@ -158,7 +156,8 @@ def _enriched(
     start: ReducedModel | None, system: System, samples: Sequence[Sample], frequencies: Real, smallest: float,
     tolerance: float,
 ) -> ReducedModel:
-    """The model enriched by samples of one system, or the first one, for `frequencies` (Hz); see :func:`grow`."""
+    """The model enriched by samples of one system; see :func:`grow`. Without `start` it is the first model for
+    `frequencies` (Hz)."""
     model = lifted(system, frequencies, samples[0].state) if start is None else start
     trial = TrialBasis.of(model, system, watched(frequencies)).joined(samples)
     changes = np.column_stack([each.changes for each in samples])
@@ -169,10 +168,8 @@ def _enriched(
 def _confirmed(
     model: ReducedModel, system: System, solution: Solution, index: int, skip_singular: bool
 ) -> tuple[ReducedModel, float]:
-    """The model with one more full solve counted, and how far (relative) it is off that solve's charge.
-
-    Infinite where the full solve does not converge and that is to be skipped.
-    """
+    """The model after one more full solve, and its error. The error is that of the solve's charge, relative. The error
+    is infinite if the full solve does not converge and is to be skipped."""
     frequency = float(solution.frequency[index])
     try:
         state, residual = system.solve(frequency)

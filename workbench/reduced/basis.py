@@ -1,10 +1,10 @@
-"""The basis of a reduced model: real vectors of unit energy, orthogonal in energy, and a lift.
+"""The basis of a reduced model: real energy-orthonormal vectors and a lift.
 
 The lift is the last vector and the only one with a voltage at the electrode, 1 V. Energy is the matrix R of
 `workbench.reduced.estimate`.
 
-One truncation serves all strategies, the proper orthogonal decomposition of states over the roots of their charges in
-the norm of the energy: the relative error of the charge, and so of Z, is at most the energy of what is left out.
+All strategies share one truncation, the proper orthogonal decomposition of states over the roots of their charges in
+the energy norm: the relative error of the charge, and so of Z, is at most the energy of the omitted part.
 """
 
 from __future__ import annotations
@@ -16,23 +16,21 @@ from scipy import sparse
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A vector whose part outside the others is smaller than this (relative) adds nothing but rounding.
+#: A vector whose relative part outside the others is smaller than this is rounding.
 DEPENDENT = 1e-9
 
-#: Squares of sizes below this times the largest are rounding: they come from sums of products.
+#: Squared sizes below this times the largest are rounding, as sums of products.
 ROUNDING = 1e-14
 
 
 def smallest_part(tolerance: float) -> float:
-    """Smallest part of a state over the root of its charge, in the root of its energy, that an error of Z needs."""
+    """Truncation threshold for an error of Z. It is in the root of energy over charge."""
     return float(np.sqrt(tolerance))
 
 
 def without_lift(vectors: NDArray[np.inexact], lift: Real) -> Real:
-    """Real and imaginary parts (size - 1, k) of `vectors` (size, n) without their share of the lift (size,).
-
-    The row of the electrode, in which nothing is left, is not among them; a part that is zero throughout is left out.
-    """
+    """Real and imaginary parts (size - 1, k) without the lift. The `vectors` are (size, n), the `lift` (size,). The
+    zero row of the electrode and zero parts are omitted."""
     is_lifted = vectors[-1] != 0.0
     parts = [part for part in ((vectors.real, vectors.imag) if np.iscomplexobj(vectors) else (vectors,)) if part.any()]
     found = np.empty((len(vectors) - 1, len(parts) * vectors.shape[1]))
@@ -45,15 +43,15 @@ def without_lift(vectors: NDArray[np.inexact], lift: Real) -> Real:
 def truncated(
     vectors: Real, energy: sparse.csr_matrix, smallest: float, basis: Real, seen: Real
 ) -> tuple[Real, Real]:
-    """Directions (m, k) that `vectors` (m, n) have more of than `smallest` outside a basis, and how much of each (k,).
+    """Directions (m, k) of `vectors` outside a basis, and sizes (k,).
 
-    The directions have unit energy and are orthogonal in `energy` (m, m) to each other and to `basis` (m, r), which is
-    likewise; `seen` (m, r) is energy times the basis. Sizes are in the root of the energy.
+    Sizes are in the root of the energy and above `smallest`. The directions have unit energy and are orthogonal in
+    `energy` (m, m) to each other and to `basis` (m, r), which is orthonormal; `seen` (m, r) is energy times the basis.
     """
     images = energy @ vectors
     large = np.sum(vectors * images, axis=0) > smallest**2
     parts, images = vectors[:, large], images[:, large]
-    # Twice, for what cancels.
+    # The second pass removes cancellation errors.
     for _ in range(2):
         along = basis.T @ images
         parts, images = parts - basis @ along, images - seen @ along
@@ -66,10 +64,8 @@ def truncated(
 
 
 def truncated_coordinates(vectors: Real, energy: Real, smallest: float) -> tuple[Real, Real]:
-    """:func:`truncated` of `vectors` (m, n) in coordinates of m others, few, of which the `energy` (m, m) is dense.
-
-    Sizes ascend as there.
-    """
+    """:func:`truncated` for `vectors` (m, n) in coordinates. The few coordinates have the dense `energy` (m, m). Sizes
+    ascend."""
     root = np.linalg.cholesky(energy)
     directions, sizes, _ = np.linalg.svd(root.T @ vectors, full_matrices=False)
     kept = np.flatnonzero(sizes > smallest)[::-1]
@@ -77,14 +73,15 @@ def truncated_coordinates(vectors: Real, energy: Real, smallest: float) -> tuple
 
 
 def _orthonormal(vectors: Real, energy: Real) -> Real:
-    """Combinations of `vectors` (m, k), of which the `energy` (k, k) is close to one, of unit energy."""
+    """Energy-orthonormal combinations of `vectors` (m, k). Their `energy` (k, k) is close to one."""
     return np.linalg.solve(np.linalg.cholesky(energy), vectors.T).T
 
 
 def span(vectors: Real, energy: sparse.csr_matrix, basis: Real) -> Real:
-    """Independent vectors (m, k) that span what `vectors` (m, n) have outside `basis` (m, r), however small.
+    """Independent vectors (m, k) that span `vectors` outside a `basis`.
 
-    Nearly orthonormal in the norm of the diagonal of the energy, in which small differences of vectors are exact.
+    `vectors` are (m, n), `basis` (m, r). Small directions are included. They are almost orthonormal in the norm of the
+    energy's diagonal, in which small differences of vectors are exact.
     """
     if basis.shape[1]:
         seen = energy @ basis
@@ -92,8 +89,8 @@ def span(vectors: Real, energy: sparse.csr_matrix, basis: Real) -> Real:
             vectors = vectors - basis @ (seen.T @ vectors)
     weights = np.sqrt(energy.diagonal())[:, None]
     weighted = weights * vectors
-    # Products are many times as fast as a QR decomposition of long columns. They lose small directions to rounding,
-    # which are found once the large ones are taken out.
+    # Products are many times as fast as a QR decomposition of long columns. They lose small directions to rounding;
+    # these are recovered after the large ones are removed.
     products = weighted.T @ weighted
     length = np.sqrt(np.diag(products))
     unit = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)

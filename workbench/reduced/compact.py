@@ -1,4 +1,4 @@
-"""Reduced models of few parameters: constant parts are summed once, so that such a model is small and quick."""
+"""Reduced models of few parameters, with constant parts summed once."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Real = NDArray[np.float64]
 def compacted(
     model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
 ) -> ReducedModel:
-    """`model` for parameters of which only those named `moving` change: integrals that depend alike on them become one.
+    """`model` for parameters of which only those named `moving` change.
 
-    Its predictions and error estimates are those of the other; it has no integrals of the full model, and cannot grow.
-    With `by_place` each region and boundary keeps integrals of its own.
+    Integrals with equal dependence on them become one. Predictions and error estimates stay the same; the model has no
+    integrals of the full model, and cannot grow. With `by_place` regions and boundaries stay separate.
     """
     integrals, weights = gathered(model.operators.integrals, moving, values, by_place=by_place)
     combine = model.operators.by_form(weights.astype(complex)).real
@@ -35,10 +35,10 @@ def compacted(
 def gathered(
     integrals: Sequence[Integral], moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
 ) -> tuple[tuple[Integral, ...], Real]:
-    """Integrals that depend alike on the parameters named `moving` as one, and the weights of the others in each.
+    """Sums of integrals with equal dependence on the parameters named `moving`.
 
     Returns:
-        k integrals, and weights (k, len(integrals)).
+        k integrals, and the weights (k, len(integrals)) of the given ones in each.
     """
     groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
     for q, integral in enumerate(integrals):
@@ -61,7 +61,8 @@ def gathered(
 def _separated(
     coefficient: Coefficient, moving: set[str], values: Mapping[str, complex]
 ) -> tuple[Coefficient, complex]:
-    """The factor of a coefficient that depends on frequency or on parameters that move, and the constant rest."""
+    """The varying factor of a coefficient, and the constant rest. The factor depends on frequency or on parameters that
+    move."""
     constant, kept = 1.0 + 0.0j, list[Constant]()
     while isinstance(coefficient, Times):
         if moving & set(coefficient.second.parameters):

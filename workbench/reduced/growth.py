@@ -1,8 +1,8 @@
-"""Samples of the full model, and how a reduced model is enriched by them: one way for every strategy.
+"""Samples of the full model, and enrichment of a reduced model.
 
-A sample spans more than is needed. Only the sums of the operators at the values of the sample, a handful of matrices,
-are projected on all of it (a trial); what the states in the band need of it is far less, and all operators are
-projected on that alone.
+A sample spans more than is needed. Only the sums of the operators at the sample's values, a handful of matrices, are
+projected on all of it (a trial); all operators are then projected on the much smaller part that the states in the band
+need.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from workbench.reduced.model import ReducedModel
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Where the full model is solved in place of a frequency at which that does not converge, relative to it: within a line
-#: of a quality factor of 5000. Doubled, the basis holds a little less of such a resonance.
+#: Ratio of frequencies at which a solve is repeated if it does not converge: within a line of a quality factor of 5000.
+#: Doubled, the basis includes a little less of such a resonance.
 BESIDE = 1.0 + 1e-4
 
-#: Vectors from each factorisation (`System.neighbours`), of a sample that serves its part of a band alone, and of one
-#: that enriches a basis: a back substitution costs a thirtieth of a factorisation.
+#: Vectors from each factorisation (`System.neighbours`), for a sample of a first basis and for one that enriches a
+#: basis. A back substitution costs a thirtieth of a factorisation.
 DEPTH, ENRICHING_DEPTH = 12, 6
 
-#: Frequencies at most that a trial is looked at while it grows, if there are more than the second number.
+#: Number of frequencies at which a growing trial is evaluated, if there are more than the second number.
 WATCHED, FEW = 97, 256
 
-#: Factor by which the part left out is made smaller until the estimated error is within its tolerance.
+#: Factor that tightens the truncation until the estimated error is within its tolerance.
 TIGHTER = 0.3
 
-#: No parameter is about to move.
+#: No tangents.
 NO_TANGENTS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -47,9 +47,9 @@ NO_TANGENTS: Mapping[str, float] = MappingProxyType({})
 class Sample:
     """A full solve at one ``frequency`` (Hz) and unit voltage.
 
-    ``states`` (size, depth) the state first, then vectors that make up its neighbours in frequency; ``changes``
-    (size, k) of the state by moves of parameters, over the root of its ``charge`` (C); ``residual`` scaled; ``factor``
-    the factorised system, None if it was let go.
+    ``states`` (size, depth) are the state and then vectors that span its neighbours in frequency; ``changes`` (size, k)
+    of the state by moves of parameters, over the root of its ``charge`` (C); ``residual`` scaled; ``factor`` the
+    factorised system, None if it was not kept.
     """
 
     frequency: float
@@ -61,12 +61,12 @@ class Sample:
 
     @property
     def state(self) -> Complex:
-        """(size,)."""
+        """The state (size,)."""
         return self.states[:, 0]
 
     @property
     def alone(self) -> Sample:
-        """The state alone, which takes less memory."""
+        """A copy with only the state, which takes less memory."""
         return replace(self, states=self.states[:, :1].copy(), changes=self.changes[:, :0].copy())
 
 
@@ -74,11 +74,11 @@ def sample(
     system: System, frequency: float, depth: int, tangents: Mapping[str, float] = NO_TANGENTS,
     draws: Real | None = None, *, keeps_factor: bool = False,
 ) -> Sample:
-    """The state at `frequency` (Hz), `depth` - 1 Krylov vectors, and its changes by moves of parameters.
+    """A full solve at `frequency` (Hz), with Krylov vectors and changes.
 
-    `tangents` holds by how much each complex parameter is about to move; changes are by each of them, or by the joint
-    moves `draws` (len(tangents), k) in units of these. Where the solve does not converge, it is made beside: at an
-    undamped resonance any state nearby is that of the resonance.
+    There are `depth` - 1 Krylov vectors. `tangents` are the sizes of the moves of each complex parameter; changes are
+    by each of them, or by the joint moves `draws` (len(tangents), k) in units of these. If the solve does not converge,
+    it is repeated beside: near an undamped resonance every state is that of the resonance.
 
     Raises:
         NotConverged: neither solve converges.
@@ -97,7 +97,7 @@ def sample(
 
 
 def watched(frequencies: Real) -> Real:
-    """Frequencies (Hz) that a trial is looked at: all of a few, or so many spread evenly."""
+    """Frequencies (Hz) at which a trial is evaluated. They are all, or some at equal spacing."""
     if frequencies.size <= FEW:
         return frequencies
     return frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
@@ -105,10 +105,10 @@ def watched(frequencies: Real) -> Real:
 
 @dataclass(frozen=True, eq=False)
 class TrialBasis:
-    """The system of one set of values on the basis of a model and on candidates beside it.
+    """The system at one set of values on a trial basis. The basis is that of a model and of candidates.
 
-    ``frequencies`` (n,) Hz are where it is looked at and ``factors`` (g, n) what its matrices are multiplied with
-    there; ``columns`` (size, k) the candidates; ``inner`` (g, r + k, r + k) and ``probed`` (g, PROJECTIONS, r + k) its
+    ``frequencies`` (n,) in Hz are those of the evaluation and ``factors`` (g, n) those of its matrices there;
+    ``columns`` (size, k) are the candidates; ``inner`` (g, r + k, r + k) and ``probed`` (g, PROJECTIONS, r + k) are its
     matrices on the basis without lift, the candidates and the lift, in this order.
     """
 
@@ -138,10 +138,10 @@ class TrialBasis:
             vectors = vectors - own @ np.linalg.solve(own.T @ (energy @ own), own.T @ (energy @ vectors))
         new = span(vectors, energy, self.model.basis[:-1, :-1])
         new = np.vstack([new, np.zeros((1, new.shape[1]))])
-        left = np.column_stack([before, lift, new, self.model.test]).T
+        rows = np.column_stack([before, lift, new, self.model.test]).T
         old, count = before.shape[1], new.shape[1]
         order = np.r_[:old, old + 1 : old + 1 + count, old]
-        images = np.stack([_projected_image(left, matrix, new) for matrix in self.system.groups])
+        images = np.stack([_projected_image(rows, matrix, new) for matrix in self.system.groups])
         cross, own_part, seen = np.split(images, [old + 1, old + 1 + count], axis=1)
         inner = np.concatenate([np.concatenate([self.inner, cross], axis=2),
                                 np.concatenate([cross.transpose(0, 2, 1), own_part], axis=2)], axis=1)
@@ -149,10 +149,8 @@ class TrialBasis:
                        probed=np.concatenate([self.probed, seen], axis=2)[:, :, order])
 
     def states(self, part: Real | None = None) -> tuple[Complex, Real]:
-        """States (r + k - 1, n) over roots of charges, and their estimated errors (n,).
-
-        On a `part` (k, m) of the candidates, if it is given: then r + m - 1.
-        """
+        """States over roots of charges, and estimated errors (n,). The states are (r + k - 1, n). `part` (k, m) selects
+        combinations of the candidates, so that the states are (r + m - 1, n)."""
         inner, probed, old = self.inner, self.probed, self.model.basis.shape[1] - 1
         if part is not None:
             inner, probed = (np.concatenate([each[..., :old], each[..., old:-1] @ part, each[..., -1:]], axis=-1)
@@ -163,10 +161,10 @@ class TrialBasis:
         return found.states[:-1] / np.sqrt(np.abs(found.charge)), estimated_error(np.asarray(remainder), found.charge)
 
     def needed(self, smallest: float, tolerance: float) -> tuple[Real, float]:
-        """Vectors (size, m) that the states at all frequencies need of the candidates, and the smallest part kept.
+        """The needed combinations (size, m) of candidates, and the smallest size.
 
-        That is `smallest` in the root of the energy, or less where all candidates together bring the estimated errors
-        within a `tolerance`, so that it stays so: a resonance magnifies what is left out.
+        The smallest size is `smallest` in the root of the energy, or less if all candidates together bring the
+        estimated errors within `tolerance`, since a resonance magnifies the omitted part.
         """
         found, error = self.states()
         enough = bool(error.max() <= tolerance) and np.isfinite(tolerance)
@@ -186,8 +184,7 @@ DEEPEST = 1e-7
 
 
 def _projected_image(left: Real, matrix: SplitMatrix, columns: Real) -> Complex:
-    """left (n, size) times a complex matrix times real columns (size, k); only rows of the matrix that are not empty
-    count."""
+    """left (n, size) times a complex matrix times real columns (size, k)."""
     found = np.zeros((len(left), columns.shape[1]), dtype=complex)
     for turn, part in matrix.parts:
         rows = np.flatnonzero(np.diff(part.whole.indptr))
@@ -200,10 +197,10 @@ def grow(
     model: ReducedModel, trials: Sequence[TrialBasis], *, smallest: float, tolerance: float = np.inf,
     changes: Complex | None = None,
 ) -> ReducedModel:
-    """`model` enriched by what the states of `trials` on it need of their candidates, and then by `changes` (size, k).
+    """`model` enriched by the needed candidates of `trials`, then by `changes`.
 
-    Directions of which no state over the root of its charge has more than `smallest`, in the root of the energy, are
-    left out; `tolerance` as in :meth:`TrialBasis.needed`.
+    `changes` are (size, k). Directions of size below `smallest`, in the root of the energy over the charge, are
+    omitted; `tolerance` is as in :meth:`TrialBasis.needed`.
     """
     candidates: list[tuple[NDArray[np.inexact], float]] = [trial.needed(smallest, tolerance) for trial in trials]
     if changes is not None and changes.size:

@@ -1,7 +1,7 @@
-"""The reduced model: the affine operators projected on a real basis of full solutions.
+"""The reduced model: affine operators on a real basis.
 
-The basis is real (real and imaginary parts of the states), so the projected A_q stay real and symmetric and the
-reduced model is again affine in the same coefficients. A model is a value: what enriches it makes a new one.
+The basis is real (real and imaginary parts of the states), so the projected A_q stay real and symmetric and the reduced
+model is affine in the same coefficients. A model is a value: enrichment returns a new one.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReducedModel(Brief):
-    """A reduced model with what it takes to judge and to enrich it.
+    """A reduced model with the data of its error estimate and enrichment.
 
-    ``basis`` (size, r) as in `workbench.reduced.basis`; ``sizes`` (r - 1,) how much of each of its directions the
-    states have that it was made for, in the root of energy over charge; ``test`` (size, PROJECTIONS) the vectors that
-    residuals are projected on and ``sketch`` (forms, PROJECTIONS, r) the projections of A basis; ``energy``
-    (size - 1, size - 1) the matrix R; ``solves`` full solves spent, ``residual`` the largest scaled residual of them.
+    ``basis`` (size, r) is as in `workbench.reduced.basis`; ``sizes`` (r - 1,) are the largest parts of the states along
+    its directions, in the root of energy over charge; ``test`` (size, PROJECTIONS) are the vectors of the residuals'
+    projections and ``sketch`` (forms, PROJECTIONS, r) the projections of A basis; ``energy`` (size - 1, size - 1) is
+    the matrix R; ``solves`` counts full solves, ``residual`` is their largest scaled residual.
     """
 
     full: FullOperators
@@ -47,18 +47,16 @@ class ReducedModel(Brief):
     residual: float
 
     def solve(self, frequencies: Real, values: Values) -> Solution:
-        """Reduced states at every frequency; see :meth:`error` for how far to trust them."""
+        """Reduced states at every frequency; :meth:`error` estimates their error."""
         return solve_reduced(self.operators, frequencies, values)
 
     def error(self, solution: Solution) -> Real:
-        """Estimated relative error (n,) of the impedance of a reduced solution of this model, any parameter values.
-
-        Rounding, some 1e-12, is not in it.
-        """
+        """Estimated relative error (n,) of the impedance of a reduced solution. It holds at any parameter values.
+        Rounding, about 1e-12, is not included."""
         return sketched_error(self.operators, self.sketch, solution)
 
     def worst(self, frequencies: Real, values: Values) -> tuple[Solution, float, int]:
-        """The reduced solution, its largest estimated error, and the index of the frequency of that."""
+        """The reduced solution, its largest estimated error, and the frequency's index."""
         solution = self.solve(frequencies, values)
         estimate = self.error(solution)
         index = int(np.argmax(estimate))
@@ -70,19 +68,18 @@ class ReducedModel(Brief):
         return np.asarray(found.states / np.sqrt(np.abs(found.charge)))
 
     def expand(self, solution: Solution) -> Complex:
-        """The states (size, n) of the full model that a reduced solution stands for."""
+        """The states (size, n) of the full model for a reduced solution."""
         return self.basis @ solution.states
 
     def counted(self, *residuals: float) -> ReducedModel:
-        """The model with a full solve more for each of the scaled residuals that they left."""
+        """The model with one more full solve for each scaled residual."""
         return replace(self, solves=self.solves + len(residuals), residual=max((self.residual, *residuals)))
 
     def joined(self, candidates: Iterable[tuple[NDArray[np.inexact], float]]) -> ReducedModel:
-        """The model that also spans vectors (size, n) of the full one, electrode included, over roots of charges.
+        """The model with a basis enriched by vectors (size, n). The vectors are over roots of charges.
 
-        Of each of the `candidates`, one after the other, those directions are taken that it has more of outside the
-        basis than the number beside it, in the root of the energy. The basis goes on as it is: what this model says at
-        any parameters the new one says at least as well.
+        Each of the `candidates` adds its directions outside the basis that are larger than its threshold, in the root
+        of the energy. The old basis is part of the new one, so the new model is at least as accurate.
         """
         basis, lift, sizes = self.basis[:-1, :-1], self.basis[:, -1:], self.sizes
         seen = self.energy @ basis
@@ -98,7 +95,7 @@ class ReducedModel(Brief):
                        sketch=sketch)
 
     def spanning(self, vectors: Complex, smallest: float) -> ReducedModel:
-        """A model on the lift of this one and on `vectors` alone, truncated as in :meth:`joined`."""
+        """A model on this one's lift and on `vectors`. It is truncated as in :meth:`joined`."""
         lift = self.basis[:, -1:]
         matrices, sketch = self.operators.matrices[:, -1:, -1:], self.sketch[:, :, -1:]
         bare = replace(self, operators=replace(self.operators, matrices=matrices), basis=lift, sizes=np.zeros(0),
@@ -106,17 +103,19 @@ class ReducedModel(Brief):
         return bare.joined([(vectors, smallest)])
 
     def truncated(self, states: Complex, tolerance: float) -> ReducedModel:
-        """The model on what reduced `states` (r, n) over roots of charges need of its basis for that error of Z."""
+        """The model on the part of its basis that reduced `states` need. The `states` (r, n) are over roots of charges;
+        `tolerance` is the error of Z."""
         coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
         return self.restricted(*truncated_coordinates(coordinates, np.eye(len(coordinates)), smallest_part(tolerance)))
 
     def coarser(self, tolerance: float) -> ReducedModel:
-        """The model on those directions of its basis that an error of Z of `tolerance` needs, by its sizes."""
+        """The model on the directions needed for `tolerance`. The tolerance is the error of Z."""
         kept = np.flatnonzero(self.sizes > smallest_part(tolerance))
         return self.restricted(np.eye(self.sizes.size)[:, kept], self.sizes[kept])
 
     def restricted(self, directions: Real, sizes: Real) -> ReducedModel:
-        """The model on the lift and on `directions` (r - 1, k) in coordinates of its basis, with their sizes (k,)."""
+        """The model on the lift and some `directions` of its basis. The directions are (r - 1, k). `sizes` (k,) are
+        those of the directions."""
         part = np.zeros((directions.shape[0] + 1, directions.shape[1] + 1))
         part[:-1, :-1], part[-1, -1] = directions, 1.0
         matrices = part.T @ self.operators.matrices @ part
@@ -124,7 +123,7 @@ class ReducedModel(Brief):
                        sizes=sizes, sketch=self.sketch @ part)
 
     def of(self, operators: FullOperators) -> ReducedModel:
-        """The model of other integrals of the same unknowns; forms that it does not have yet are projected."""
+        """The model for other integrals of the same unknowns. New forms are projected."""
         known = {form: index for index, form in enumerate(self.full.distinct_forms)
                  if operators.has_form_of(self.full, form)}
         first = np.unique(operators.forms, return_index=True)[1]
@@ -134,14 +133,16 @@ class ReducedModel(Brief):
         matrices[there >= 0], sketch[there >= 0] = (each[there[there >= 0]]
                                                     for each in (self.operators.matrices, self.sketch))
         if new.size:
-            # In the order in which these forms are met.
+            # They are in the order of the integrals.
             matrices[new], sketch[new] = projected_on(operators.of(first[new]), self.basis, self.test)
         inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
         return replace(self, full=operators, operators=inner, sketch=sketch)
 
 
 def lifted(system: System, frequencies: Real, state: Complex) -> ReducedModel:
-    """The smallest model: of the real part of one full `state` (size,), its lift, judged as suits `frequencies` (Hz).
+    """The smallest model, whose basis is the lift.
+
+    The lift is the real part of one full `state` (size,); the error estimate uses the median of `frequencies` (Hz).
 
     Raises:
         NotConverged: an unknown has no energy.
@@ -155,7 +156,7 @@ def lifted(system: System, frequencies: Real, state: Complex) -> ReducedModel:
 
 
 def sketched_error(operators: ReducedOperators, sketch: Real, solution: Solution) -> Real:
-    """Estimated relative error (n,) of the impedance of a `solution` of `operators`, see :class:`ReducedModel`."""
+    """Estimated relative error (n,) of the impedance; see :class:`ReducedModel`."""
     constants = np.array([constants for _, constants in solution.groups])
     sketches = combined_matrices(operators.by_form(constants), sketch)
     if solution.span is not None:
@@ -169,10 +170,8 @@ def sketched_error(operators: ReducedOperators, sketch: Real, solution: Solution
 def projected_on(
     operators: FullOperators, basis: Real, test: Real, known: ReducedModel | None = None
 ) -> tuple[Real, Real]:
-    """Matrices (forms, r, r) of the operators on `basis` (size, r), and sketch (forms, PROJECTIONS, r) on `test`.
-
-    Of the basis of `known`, with which `basis` begins but for the lift at the end, they are taken over.
-    """
+    """Matrices (forms, r, r) on `basis` and sketch on `test`. The sketch is (forms, PROJECTIONS, r). `basis` is (size,
+    r). Values for the basis of `known` are copied; `basis` begins with it, the lift apart."""
     rank = basis.shape[1]
     old = np.zeros(0, dtype=int) if known is None else np.append(np.arange(known.basis.shape[1] - 1), rank - 1)
     new = np.setdiff1d(np.arange(rank), old)

@@ -1,9 +1,8 @@
-"""The spectrum of a problem, and its exact derivatives, at one set of parameters after the other.
+"""The spectrum of a problem and its exact derivatives, for fits.
 
-A fit asks for the same spectrum hundreds of times while its parameters wander, lengths among them. A reduced model
-answers. Models and predictors are values: where the error estimate is above tolerance for the present parameters, an
-enriched model is made that begins with the same basis. Every prediction holds the model it was made with, and the next
-one is made by a predictor that holds that model (:meth:`Predictor.holding`).
+A fit computes the same spectrum hundreds of times for other parameters, lengths among them, by a reduced model. Models
+and predictors are values: if the error estimate exceeds the tolerance, an enriched model is made whose basis begins
+with the same vectors. Every prediction has its model; :meth:`Predictor.holding` returns a predictor with that model.
 """
 
 from __future__ import annotations
@@ -28,25 +27,22 @@ from workbench.reduced.model import ReducedModel
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Relative move of a parameter that is expected before the basis is enriched again.
+#: Expected relative move of a parameter before the next enrichment.
 MOVED = 0.1
 
-#: Error of Z that truncation to the states at given values may add there: to all that follows from these states alone,
-#: and as a share of the tolerance where a search goes on about them.
+#: Error of Z of a truncation to the states at given values: for quantities of these states alone, and as a share of the
+#: tolerance if a search continues about them.
 UNSEEN, UNSEEN_SHARE = 1e-9, 1e-3
 
-#: Vectors from which on a basis is truncated to the present states before it is enriched, to an error of Z of this
-#: share of the tolerance: dense solves cost the cube of the rank.
-WIDE, LEFT_BEHIND = 200, 0.1
+#: Number of vectors above which a basis is truncated to the present states before its enrichment, to this share of the
+#: tolerance: dense solves cost the cube of the rank.
+WIDE, TRUNCATION_SHARE = 200, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A predicted spectrum and what it would do if parameters moved.
-
-    ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of; ``values`` complex parameters, e^{-i w t},
-    lengths in metres.
-    """
+    """A predicted spectrum with its derivatives by parameters. ``impedance`` (n,) in ohm, e^{+j w t}; ``model`` is its
+    reduced model; ``values`` are the complex parameters, e^{-i w t}, lengths in metres."""
 
     solution: Solution
     model: ReducedModel
@@ -69,14 +65,14 @@ class Prediction:
 
     @property
     def full(self) -> tuple[FullOperators, Complex]:
-        """The full operators, and their states (size, n) that this stands for."""
+        """The full operators, and the states (size, n) of the prediction."""
         return self.model.full, self.model.expand(self.solution)
 
     def logarithmic_gradient(self, names: tuple[str, ...]) -> Complex:
-        """d ln Z / d theta (n, len(names)) by complex parameters, e^{-i w t} on both sides.
+        """Derivatives d ln Z / d theta by complex parameters. They are (n, len(names)), e^{-i w t} throughout.
 
         For ln Z of a spectrum take the conjugate: by the real part of theta conj(d), by its imaginary part conj(i d).
-        Zero by what nothing here depends on.
+        It is zero for parameters of no coefficient.
         """
         depending = self.solution.operators.coefficients.parameters
         known = [column for column, name in enumerate(names) if name in depending]
@@ -88,12 +84,12 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Spectra of one problem at fixed ``frequencies`` (n,) Hz, for any values of its parameters.
+    """Spectra of one problem at fixed ``frequencies`` (n,) in Hz.
 
-    ``tangents`` are the parameters about to be moved: the basis prepares for them. ``tolerance`` bounds the relative
-    error of the impedance: where the estimate is above, a prediction is made by an enriched model; infinite, by the
-    ``model`` there is. ``local`` is the local basis that is the model's, if it has one; ``solves`` counts the full
-    solves spent; ``every`` are all operators of the problem, and ``operators`` those of them that predict.
+    ``tangents`` are the parameters that will move. ``tolerance`` bounds the relative error of the impedance: if the
+    estimate exceeds it, the model is enriched; if infinite, the given ``model`` is used. ``local`` is the model's local
+    basis, if any; ``solves`` counts full solves; ``every`` are all operators of the problem, and ``operators`` those in
+    use.
     """
 
     problem: Problem
@@ -117,10 +113,10 @@ class Predictor:
     def __call__(
         self, values: Mapping[str, complex], clock: float = 0.0, known: Prediction | None = None
     ) -> Prediction:
-        """The spectrum at these parameters, of an enriched model if need be; those not given are the problem's own.
+        """The spectrum at parameter `values`, by default the problem's own.
 
-        It is that at the frequencies of a generator whose `clock` is off by so much, relative. A prediction `known`
-        already stands for all values that make the same system.
+        The model is enriched if necessary. `clock` is the relative frequency error of a generator. A prediction `known`
+        is reused for values with the same system.
 
         Raises:
             NotEnriched: the reduced model did not reach the tolerance.
@@ -131,7 +127,7 @@ class Predictor:
         frequencies, operators = self.frequencies * (1.0 + clock), self.model.operators
         groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
         if known is not None and known.model is self.model and _alike(known.solution.groups, groups):
-            # Another state of a device, or a step of what does not act here.
+            # Another state of a device, or a step in a parameter without effect here.
             return replace(known, values=values)
         prediction = Prediction(solve_groups(operators, frequencies, groups), self.model, values)
         if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
@@ -139,25 +135,26 @@ class Predictor:
         return prediction
 
     def holding(self, model: ReducedModel) -> Predictor:
-        """The predictor that goes on with a `model` that one of its predictions was made with."""
+        """The predictor with the `model` of one of its predictions."""
         if model is self.model:
             return self
         return replace(self, model=model, solves=self.solves + model.solves - (self.model.solves if self.model else 0))
 
     def at(self, frequencies: Real, tolerance: float | None = None) -> Predictor:
-        """A predictor at other frequencies (n,) Hz and perhaps to another tolerance, with a count of its own."""
+        """A predictor at other frequencies (n,) in Hz, with its own count. `tolerance` replaces the tolerance if
+        given."""
         return replace(self, frequencies=frequencies, solves=0,
                        tolerance=self.tolerance if tolerance is None else tolerance)
 
     def on_basis(self, local: LocalBasis) -> Predictor:
-        """A predictor on a local basis, which stays as it is."""
+        """A predictor on a local basis, without enrichment."""
         return replace(self, local=local, model=local.model, solves=local.model.solves, tolerance=math.inf)
 
     def restricted(
         self, values: Mapping[str, complex], moved: Mapping[str, complex], named: Collection[str] = ()
     ) -> Predictor:
-        """A predictor restricted to the integrals whose coefficient is not zero at `values` or at `moved`, or that
-        depend on one of `named`."""
+        """A predictor restricted to relevant integrals. Their coefficient is nonzero at `values` or at `moved`, or
+        depends on one of `named`."""
         here = {**self.problem.values, **values}
         omega = 2.0 * np.pi * self.frequencies[[0, -1]]
         acting = [self.every.coefficients(omega, each).any(axis=0) for each in (here, {**here, **moved})]
@@ -169,7 +166,8 @@ class Predictor:
         return replace(self, operators=operators, model=None)
 
     def with_every(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
-        """A predictor of all integrals that act at these values or begin to, truncated to the spectra there."""
+        """A predictor of all integrals relevant at these values. Their coefficient or its derivative is nonzero there.
+        The basis is truncated to the spectra there."""
         assert self.model is not None
         every = [{**self.problem.values, **each} for each in settings]
         acting = [self.every.coefficients.acting(each) for each in every]
@@ -179,11 +177,10 @@ class Predictor:
                        model=self.model.truncated(states, UNSEEN).of(operators))
 
     def truncated(self, settings: Sequence[Mapping[str, complex]], error: float | None = None) -> Predictor:
-        """A predictor that begins with no more of the basis than the spectra at these values need, with a count of its
-        own.
+        """A predictor whose basis is truncated to the spectra at these values.
 
-        The first are the values that the others lie about. The truncation adds a relative `error` of Z, by default a
-        share of the tolerance.
+        The other settings are about the first. The truncation adds a relative `error` of Z, by default a share of the
+        tolerance. The count of solves restarts.
         """
         if self.model is None:
             return self.at(self.frequencies)
@@ -194,20 +191,20 @@ class Predictor:
         return replace(self, model=self.model.truncated(states, error), solves=0)
 
     def full(self, values: Mapping[str, complex], at: Real) -> Complex:
-        """The impedance (e^{+j w t}) by full solves at the frequencies `at`, to check the reduced model with."""
+        """The impedance (e^{+j w t}) by full solves at `at` (Hz)."""
         return np.conj(solve_full(self.operators, at, {**self.problem.values, **values}).impedance)
 
     def _enriched(self, values: Mapping[str, complex], worst: float | None, clock: float) -> Prediction:
-        """The prediction of an enriched model; `worst` is the frequency (Hz) where the error estimate was largest."""
+        """The prediction of an enriched model. `worst` is the frequency (Hz) with the largest error estimate."""
         start, tolerance = self.model, 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
         if start is not None and start.basis.shape[1] > WIDE:
-            start = start.truncated(start.states(self.frequencies, values), LEFT_BEHIND * tolerance)
+            start = start.truncated(start.states(self.frequencies, values), TRUNCATION_SHARE * tolerance)
         moves = {name: MOVED * abs(values[name]) for name in self.tangents}
         model, solution = reduced(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves,
                                   start=start, depth=DEPTH if start is None else ENRICHING_DEPTH, confirmed=False,
                                   worst=worst)
-        # The model is made, and its error estimated, at the frequencies themselves: a clock is off by far less than
-        # the width of a resonance.
+        # The model is made, and its error estimated, at the nominal frequencies: a clock error is far below the width
+        # of a resonance.
         return Prediction(solution if clock == 0.0 else model.solve(self.frequencies * (1.0 + clock), values), model,
                           values)
 

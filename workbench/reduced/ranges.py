@@ -1,14 +1,15 @@
-"""A chip's spectrum as a function of its lengths, moduli and losses, anywhere within ranges, in a fraction of a second.
+"""A chip's spectrum as a fast function of parameters within ranges.
+
+::
 
     model = range_model(read_chip("chip.toml"), "filled", {"substrate.thickness": (0.7e-3, 1.0e-3),
                                                            "pla.shear_modulus": (0.8e9, 1.1e9)})
     model({"substrate.thickness": 0.8e-3}).impedance
 
 The basis of a reduced model is enriched for the ranges (weak greedy: Rozza, Huynh and Patera 2008, Arch. Comput.
-Methods Eng. 15, 229): at points spread evenly over them the error is estimated at frequencies all over the band, and
-where it is largest the full model is solved. Whether the model is good enough is what these solves say, since an
-estimate bounds the error by a factor of its own. Constant parts are summed once, so that a model of few parameters is
-small.
+Methods Eng. 15, 229): the error is estimated at points spread over the ranges and at frequencies over the band, and the
+full model is solved where it is largest. These solves give the error of the model, since an estimate has an unknown
+factor. Constant parts are summed once, so a model of few parameters is small.
 """
 
 from __future__ import annotations
@@ -61,35 +62,35 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Ranges = Mapping[str, tuple[float, float]]
 
-#: Frequencies at which errors are estimated in a round, points of the ranges looked at, and of these solved.
+#: Per round: number of frequencies at which errors are estimated, of points of the ranges, and of full solves.
 WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
 
-#: Frequencies of the first solves, in the middle of the ranges.
+#: Number of frequencies of the first solves, in the middle of the ranges.
 FIRST = 6
 
-#: A basis is truncated to what an error of Z of this times the tolerance needs: the energy of what is left out bounds
-#: the error many times over. At 30 a disc took 6 rounds of full solves in place of 2 (with 31 vectors, not 30).
+#: Truncation of a basis, as an error of Z relative to the tolerance. The energy of the omitted part is a pessimistic
+#: bound of the error. At 30 a disc took 6 rounds of full solves instead of 2 (with 31 vectors, not 30).
 TRUNCATED_TO = 3.0
 
-#: Candidates of unit energy whose part outside the others is smaller than this add nothing.
+#: Threshold of the part of a unit-energy candidate outside the others.
 INDEPENDENT = 1e-6
 
-#: Most full solves of a model, unless told otherwise.
+#: Default limit of the full solves of a model.
 LIMIT = 400
 
-#: Number of the layout at the head of a stored model; raise it where the layout changes.
+#: Version of the layout of a stored model.
 FORMAT = 3
 
 
 class OutOfRange(ValueError):
-    """A parameter outside the range that a model was made for."""
+    """A parameter outside the range of a model."""
 
 
 class NotCovered(RuntimeError):
-    """A range model that did not reach its tolerance. Carries the ``model``, whose ``error`` is what it reached."""
+    """A range model that did not reach its tolerance. ``model`` is that model; its ``error`` is the error reached."""
 
     def __init__(self, model: RangeModel) -> None:
-        super().__init__(f"the range model is off by {100.0 * model.error:.2g} % where it was checked last, after "
+        super().__init__(f"the range model has an error of {100.0 * model.error:.2g} % in its last check, after "
                          f"{model.reduced.solves} full solves and at rank {model.rank}, above the tolerance of "
                          f"{100.0 * model.relative_error:.2g} %; narrow the ranges, or allow more solves")
         self.model = model
@@ -100,24 +101,24 @@ class NotCovered(RuntimeError):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Response(Shown):
-    """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
+    """A spectrum of a range model. ``values`` are the parameters by name, ``prediction`` is their prediction."""
 
     values: Mapping[str, float]
     prediction: Prediction
 
     @property
     def frequency(self) -> Real:
-        """(n,) Hz."""
+        """Frequency (n,) in Hz."""
         return self.prediction.solution.frequency
 
     @property
     def impedance(self) -> Complex:
-        """(n,) ohm, e^{+j w t}."""
+        """Impedance (n,) in ohm, e^{+j w t}."""
         return self.prediction.impedance
 
     @property
     def error(self) -> Real:
-        """Estimated relative error (n,) of the impedance, against the mesh's own full solution."""
+        """Estimated relative error (n,) of the impedance on the same mesh."""
         return self.prediction.error
 
     @property
@@ -126,17 +127,17 @@ class Response(Shown):
         return Spectrum(self.frequency, self.impedance, origin=Origin("simulated"))
 
     def summary(self) -> Summary:
-        """The numbers asked for and the estimated error, for a notebook."""
+        """The parameters and the estimated error, for a notebook."""
         rows = [(name, f"{value:.6g}") for name, value in self.values.items()]
         rows.append(("estimated error of Z", f"{100.0 * float(self.error.max()):.1g} %"))
         return Summary("Range model", tuple(rows), {"simulated": self.spectrum})
 
     def to_xarray(self) -> xarray.Dataset:
-        """The spectrum with the estimated ``error`` (1), and the numbers asked for as attributes (SI)."""
+        """The spectrum with its estimated ``error``, and the parameters as attributes (SI)."""
         return self.spectrum.to_xarray().assign(error=("frequency", self.error)).assign_attrs(self.values)
 
     def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
-        """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""
+        """d Z / d parameter (n, len(names)) in ohm per SI unit. By default it is for all parameters of the model."""
         names = tuple(self.values) if names is None else names
         parsed = [ParameterName.parse(name) for name in names]
         keys = tuple(dict.fromkeys(name.key for name in parsed))
@@ -147,10 +148,11 @@ class Response(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RangeModel(Brief):
-    """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
+    """The spectrum of one problem for parameters within ``ranges``.
 
-    ``frequency`` (n,) Hz is where it answers; ``relative_error`` that it was made for, ``error`` the largest
-    found by full solves where it was checked last (where estimates were largest), ``seconds`` what it took.
+    ``ranges`` are in SI by name, with ``.loss`` for imaginary parts. ``frequency`` (n,) in Hz; ``relative_error`` is
+    the tolerance, ``error`` the largest error in the last check by full solves (where estimates were largest),
+    ``seconds`` the time of its making.
     """
 
     problem: Problem
@@ -171,11 +173,11 @@ class RangeModel(Brief):
         return tuple(self.ranges)
 
     def __call__(self, values: Mapping[str, float] | None = None) -> Response:
-        """The spectrum at these numbers; those not given are the problem's own.
+        """The spectrum at these parameters, by default the problem's own.
 
         Raises:
-            KeyError: a name that the model has no range for.
-            OutOfRange: a number outside its range.
+            KeyError: a name without a range.
+            OutOfRange: a parameter outside its range.
         """
         numbers = numbers_in_ranges(self.ranges, self.problem.values, values or {})
         placed_there = placed(self.problem.values, numbers)
@@ -184,14 +186,14 @@ class RangeModel(Brief):
 
     @cached_property
     def compact(self) -> ReducedModel:
-        """The reduced model with what no parameter of the ranges moves summed up."""
+        """The reduced model with constant parts summed."""
         return compacted(self.reduced, range_keys(self.ranges), self.problem.values)
 
     def enriched(
         self, relative_error: float | None = None, *, limit: int = LIMIT, seed: int = 1,
         progress: Progress = no_progress,
     ) -> RangeModel:
-        """A model of the same ranges that has been checked at further points, and is larger where that asks for it.
+        """A model of the same ranges, checked at further points. It is enlarged if necessary.
 
         Raises:
             NotCovered: `limit` further solves were not enough.
@@ -200,7 +202,7 @@ class RangeModel(Brief):
         return _last(_growth(self, wanted, limit, seed, progress))
 
     def save(self, path: Path | str) -> None:
-        """Keep the model in a file, to be read by :func:`load_range_model` with the chip it is of."""
+        """Store the model in a file for :func:`load_range_model`."""
         content = {"format": FORMAT, "ranges": dict(self.ranges), "relative_error": self.relative_error,
                    "error": self.error, "seconds": self.seconds, "solves": self.reduced.solves,
                    "residual": self.reduced.residual,
@@ -225,21 +227,21 @@ def range_model(
     progress: Progress = no_progress,
     accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
-    """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
+    """A model of a chip's spectrum over ranges of parameters.
 
     Args:
-        state: name of the state; the last one of the file if None.
-        ranges: lowest and highest number (SI) by name: ``substrate.thickness``, ``cavity.radius``,
-            ``<material>.shear_modulus``, ``<material>.shear_modulus.loss``. Of radii that coincide one is named.
-        points: frequencies of the band at which it answers.
+        state: name of the state, by default the last one of the file.
+        ranges: lowest and highest value (SI) by name: ``substrate.thickness``, ``cavity.radius``,
+            ``<material>.shear_modulus``, ``<material>.shear_modulus.loss``. One name stands for equal radii.
+        points: number of frequencies in the band.
         relative_error: of the impedance, against the full solution on the same mesh.
         limit: most full solves.
-        seed: of the points that it is enriched and checked at.
+        seed: of the random points of enrichment and check.
         accuracy: of the mesh, see `discretisation`.
 
     Raises:
-        InputError: something in the chip or its materials, or a range that names nothing or holds no number.
-        NotCovered: `limit` solves were not enough; the error carries the model.
+        InputError: an error in the chip or its materials, an unknown name, or an empty range.
+        NotCovered: `limit` solves were not enough; the error has the model.
     """
     model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
     return _last(_growth(model, relative_error, limit, seed, progress))
@@ -258,13 +260,13 @@ def growing_model(
     seed: int = 0,
     accuracy: float | Discretisation = ACCURACY,
 ) -> Iterator[RangeModel]:
-    """:func:`range_model` with every model on the way to the last one, for those who cannot wait.
+    """:func:`range_model` with all intermediate models.
 
-    The first is of the middle of the ranges alone; its ``error`` is infinite, since no full solve has checked it. Each
-    further one has that of the model before it.
+    The first is that of the middle of the ranges; its ``error`` is infinite, since no full solve has checked it. Each
+    later model has the error of the model before it.
 
     Raises:
-        InputError, NotCovered: as of :func:`range_model`.
+        InputError, NotCovered: as in :func:`range_model`.
     """
     model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
     yield model
@@ -275,7 +277,7 @@ def _first(
     chip: Chip, state: str | None, ranges: Ranges, registry: Registry | None, band: tuple[float, float] | None,
     points: int, tolerance: float, accuracy: float | Discretisation,
 ) -> RangeModel:
-    """The model that a range model grows from, of the middle of the ranges and of first derivatives there."""
+    """The first model: the middle of the ranges and its first derivatives."""
     started = time.perf_counter()
     low, high = chip.band if band is None else band
     plain = build(fill(chip, state, registry), band=(low, high), accuracy=accuracy)
@@ -292,11 +294,11 @@ def _first(
 
 
 def numbers_in_ranges(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
-    """A number for each of `ranges`: that of `values`, or else the one among the `own` complex parameters.
+    """A value for each of `ranges`: from `values`, or its `own` value.
 
     Raises:
-        KeyError: a name that there is no range for.
-        OutOfRange: a number outside its range.
+        KeyError: a name without a range.
+        OutOfRange: a value outside its range.
     """
     numbers = {name: real_part(own, name) for name in ranges} | dict(values)
     for name, number in numbers.items():
@@ -304,16 +306,15 @@ def numbers_in_ranges(ranges: Ranges, own: Mapping[str, complex], values: Mappin
             raise KeyError(f"the model has no range for {name!r}; it has {', '.join(ranges)}")
         low, high = ranges[name]
         if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
-            raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+            raise OutOfRange(f"{name} is {number:g}; the range of the model is {low:g} to {high:g}")
     return numbers
 
 
 def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, Ranges]:
-    """`problem` with the lengths among its values that `ranges` name, and the ranges by the names they have there.
+    """`problem` with the lengths of `ranges` as parameters. The ranges are returned by their names.
 
     Raises:
-        InputError: a name that is neither a coefficient nor a length, a range that holds no number, or two ranges for
-            radii that coincide.
+        InputError: a name that is neither a coefficient nor a length, an empty range, or two ranges for equal radii.
     """
     first, lengths = canonical_names(chip), chip.dimensions()
     flexed = parametrised_within(problem, chip, ranges)
@@ -323,28 +324,28 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         value = ParameterName.parse(known).key
         choose(value, {*flexed.values, *lengths}, source=chip.file, field="range")
         if value not in flexed.values:
-            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum feels")
+            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that affects the spectrum")
         low, high = map(float, ends)
         if not low < high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
         if known in first and admissible_range(chip, known, low, high) != (low, high):
             least, most = admissible_range(chip, known)
-            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range that keeps away from the "
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range at a distance from the "
                              f"next radii, within {least:g} to {most:g} m")
         if not low <= real_part(flexed.values, known) <= high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}",
-                             f"a range that holds the present {real_part(flexed.values, known):g}")
+                             f"a range that contains the present {real_part(flexed.values, known):g}")
         found[known] = (low, high)
     return flexed, found
 
 
 def range_keys(ranges: Ranges) -> set[str]:
-    """The complex values that numbers with `ranges` are parts of."""
+    """Keys of the complex values of the parameters in `ranges`."""
     return {ParameterName.parse(name).key for name in ranges}
 
 
 def _last(models: Iterator[RangeModel]) -> RangeModel:
-    """The last of some models, of which there is one at least."""
+    """The last of some models."""
     (found,) = deque(models, maxlen=1)
     return found
 
@@ -352,7 +353,7 @@ def _last(models: Iterator[RangeModel]) -> RangeModel:
 def _growth(
     model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress
 ) -> Iterator[RangeModel]:
-    """The models that `model` becomes round by round, the last within `tolerance`."""
+    """The successive models from `model`, the last within `tolerance`."""
     started = time.perf_counter()
     operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
     low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
@@ -374,7 +375,7 @@ def _growth(
             first = first or error
             reduced = reduced.counted(*(each.residual for each in solved))
             if first > tolerance:
-                # The share of the way, in orders of magnitude, that is behind.
+                # The completed share, in orders of magnitude of the error.
                 share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
                 progress("spectra", share)
             done = replace(model, reduced=reduced, relative_error=tolerance, error=float(error),
@@ -389,7 +390,7 @@ def _growth(
             enriched = reduced
             while enriched is reduced:
                 enriched = _enriched(reduced, states, watched, [value for value, _ in jobs], smallest, pool)
-                # The samples are off: where nothing of them seems to be needed, too much was left out.
+                # If no candidate is needed although the samples disagree, the truncation was too coarse.
                 smallest *= TIGHTER if enriched is reduced else 1.0
             reduced = enriched
             yield replace(done, reduced=reduced)
@@ -399,10 +400,8 @@ def _enriched(
     model: ReducedModel, candidates: Complex, frequencies: Real, places: Sequence[Values], smallest: float,
     pool: ThreadPoolExecutor,
 ) -> ReducedModel:
-    """`model` enriched by what the states at `places` together need of the `candidates` (size, n), truncated.
-
-    Each state needs candidates of other places too: its own alone are right near their frequency only.
-    """
+    """`model` enriched by the needed part of the `candidates` (size, n). The states are those at `places`. Each needs
+    candidates of other places too, since its own are accurate only near their frequency."""
     size = np.sqrt(np.sum(np.abs(candidates[:-1]) * np.abs(model.energy @ candidates[:-1]), axis=0))
     wide, old = model.joined([(candidates / size, INDEPENDENT)]), model.sizes.size
     found = np.column_stack(list(pool.map(lambda values: wide.states(frequencies, values)[old:-1], places)))
@@ -413,13 +412,13 @@ def _enriched(
 
 
 def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:
-    """The largest estimated error of a model, the index of its frequency, and the charge there."""
+    """Largest estimated error of a model, frequency index, and charge there."""
     solution, error, index = model.worst(frequencies, values)
     return error, index, complex(solution.charge[index])
 
 
 def fingerprint(problem: Problem) -> str:
-    """A digest of a problem: of its mesh and the measure of that, its terms and its values."""
+    """A digest of a problem: mesh with its measure, terms and values."""
     found = hashlib.sha256()
     found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
     found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
@@ -427,7 +426,7 @@ def fingerprint(problem: Problem) -> str:
         found.update(np.ascontiguousarray(problem.mesh.coordinates).tobytes())
     found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
     if problem.mesh.measure != ABOUT_AXIS:
-        # Of a mesh about the axis nothing is added, so that models kept before sections could be straight are known.
+        # About an axis nothing is added, so that older stored models stay readable.
         found.update(repr(problem.mesh.measure).encode())
     return found.hexdigest()
 
@@ -436,10 +435,10 @@ def load_range_model(
     path: Path | str, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
     accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
-    """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
+    """A model stored by :meth:`RangeModel.save`, for its chip.
 
     Raises:
-        InputError: the file is no such model, or one of another chip, state, material or mesh.
+        InputError: the file is not such a model, or is of another chip, state, material or mesh.
     """
     path = Path(path)
     content, stored = read_arrays(path)
@@ -449,14 +448,14 @@ def load_range_model(
         ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
         frequency = stored["frequency"]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
+        raise InputError(str(path), "file", repr(error), "a stored range model") from error
     name = chip.state(state).name
     band = float(frequency[0]), float(frequency[-1])
     device = fill(chip, state, registry)
     problem, _ = with_ranges(build(device, band=band, accuracy=accuracy), chip, ranges)
     if fingerprint(problem) != content["problem"]:
-        raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
-                         "model was made for")
+        raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh of "
+                         "the model")
     operators = assemble(problem.mesh, problem.terms)
     energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
     inner = ReducedOperators(operators.integrals, operators.coefficients, stored["matrices"], operators.forms)

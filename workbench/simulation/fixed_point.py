@@ -100,7 +100,7 @@ class HeatPaths:
         model, _ = conduction_of(problem, convection=up.convection, holder=up.holder)
         source = heat_source(solution, 1.0)
         unheated = np.nan_to_num(model.temperature(np.zeros(model.size)))
-        offset = float(model.averaging(CAVITY) @ unheated) if any(model.held.values()) else 0.0
+        offset = float(model.averaging(CAVITY) @ unheated) if any(model.holders.values()) else 0.0
         if not source.power > 0.0:
             return cls({}, offset, 1.0, dict.fromkeys(lawful, 1.0))
         rise = np.nan_to_num(model.temperature(source.load, driven=False))

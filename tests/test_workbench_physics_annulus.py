@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from workbench.physics.rim import SHARE, WIDTHS, Rim
+from workbench.physics.annulus import SHARE, WIDTHS, Annulus
 
-RIMS = (Rim("rim"), Rim("joint", 0.9, 0.23), Rim("hole", 0.4, 0.3, outwards=True))
+RIMS = (Annulus("rim"), Annulus("joint", 0.9, 0.23), Annulus("hole", 0.4, 0.3, outwards=True))
 
 
 def bent(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
@@ -19,7 +19,7 @@ def bent(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
 
 
 @pytest.mark.parametrize("rim", RIMS, ids=lambda rim: rim.name)
-def test_what_lies_within_the_width_is_affected(rim: Rim) -> None:
+def test_what_lies_within_the_width_is_affected(rim: Annulus) -> None:
     edges = np.array(rim.edges)
     assert (np.diff(edges) > 0.0).all()
     assert np.ptp(edges) == pytest.approx(rim.limit)
@@ -34,7 +34,7 @@ def test_what_lies_within_the_width_is_affected(rim: Rim) -> None:
 
 
 @pytest.mark.parametrize("rim", RIMS, ids=lambda rim: rim.name)
-def test_what_is_integrated_beyond_edges_is_the_law_of_every_ring(rim: Rim) -> None:
+def test_what_is_integrated_beyond_edges_is_the_law_of_every_ring(rim: Annulus) -> None:
     steps = list(rim.coefficients(bent, (("c", "glue.stiffness"),)))
     values = {rim.number: 0.137, "glue.stiffness": 3.0 - 1.0j}
     assert [edge for edge, _ in steps] == [edge for edge in rim.edges if edge < 1.0]
@@ -48,7 +48,7 @@ def test_what_is_integrated_beyond_edges_is_the_law_of_every_ring(rim: Rim) -> N
 
 @pytest.mark.parametrize("rim", RIMS, ids=lambda rim: rim.name)
 @pytest.mark.parametrize("name", ["width", "glue.stiffness"])
-def test_derivatives_are_those_of_the_coefficients(rim: Rim, name: str) -> None:
+def test_derivatives_are_those_of_the_coefficients(rim: Annulus, name: str) -> None:
     name = rim.number if name == "width" else name
     values, step = {rim.number: 0.137, "glue.stiffness": 3.0 - 1.0j}, 1e-6
     moved = 0
@@ -65,5 +65,5 @@ def test_derivatives_are_those_of_the_coefficients(rim: Rim, name: str) -> None:
 @pytest.mark.parametrize(("begin", "limit", "outwards"), [(1.2, 0.1, False), (0.3, 0.5, False), (0.9, 0.2, True),
                                                           (1.0, 0.0, False)])
 def test_a_rim_beyond_the_layer_is_refused(begin: float, limit: float, outwards: bool) -> None:
-    with pytest.raises(ValueError, match=r"rim 'rim' from .* expected two shares of 0 to 1"):
-        Rim("rim", begin, limit, outwards)
+    with pytest.raises(ValueError, match=r"annulus 'rim' from .* expected two shares of 0 to 1"):
+        Annulus("rim", begin, limit, outwards)

@@ -17,8 +17,8 @@ from workbench.fem.solve import solve_full
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.model.problem import Problem
+from workbench.physics.cosine_mode import CosineMode, VaryingProperty
 from workbench.physics.piezoelectric import PiezoelectricSolid
-from workbench.physics.uneven import UnevenProperty, UnevenSolid
 from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -43,11 +43,11 @@ def disc(
     return meshed(chip, {"transducer": lossy}, elements_per_wavelength=4.0)
 
 
-@pytest.mark.parametrize(("uneven", "scaled"), [
-    (UnevenProperty.STIFFNESS, ("c11", "c12", "c13", "c33", "c44")), (UnevenProperty.DENSITY, ("density",))])
-def test_no_half_wave_is_other_constants(uneven: UnevenProperty, scaled: tuple[str, ...], disc: Problem) -> None:
+@pytest.mark.parametrize(("varying", "scaled"), [
+    (VaryingProperty.STIFFNESS, ("c11", "c12", "c13", "c33", "c44")), (VaryingProperty.DENSITY, ("density",))])
+def test_no_half_wave_is_other_constants(varying: VaryingProperty, scaled: tuple[str, ...], disc: Problem) -> None:
     """The same everywhere: all stiffnesses, or the density, times 1 + a."""
-    wave = UnevenSolid.of(PiezoelectricSolid("transducer", PZT).integrals(), uneven, 0, RADIUS, disc.values)
+    wave = CosineMode.of(PiezoelectricSolid("transducer", PZT).integrals(), varying, 0, RADIUS, disc.values)
     values = {name: complex(value).real if name == f"{PZT}.c12" else value for name, value in disc.values.items()}
     term = assemble(disc.mesh, (*disc.terms, wave))
     found = solve_full(term, GRID, values | {wave.amplitude: 0.01}).impedance
