@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.chip import Chip
 from workbench.design.bounds import Bound
-from workbench.design.descent import Multipliers
+from workbench.design.descent import DesignDescent, Multipliers
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import figure_named
 from workbench.design.goal import SIGNED, Goal
@@ -42,7 +42,7 @@ class RoundedDesign:
     """A chip with its lengths rounded to their grids.
 
     ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
-    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None of an evolutionary search;
+    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None on a front;
     ``active`` are the bounds that hold it.
     """
 
@@ -86,27 +86,24 @@ class Confirmed:
         return self.candidate.chip
 
 
-def rounded_design(
-    goal: Goal, programme: NonlinearProgramme, optimum: Optimum, selection: Selection, evaluations: int
-) -> RoundedDesign:
-    """The chip that an optimum becomes with its lengths on their steps."""
-    held, descent = round_to_grid(programme, optimum.descent, evaluations=evaluations)
-    rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
-    lengths = {each.name: {**held.fixed, **rounded}[each.name] for each in goal.unknowns}
-    return proposed(goal, programme, lengths, selection, optimum)
+def rounded_lengths(programme: NonlinearProgramme, descent: DesignDescent, evaluations: int) -> dict[str, float]:
+    """The lengths (m) of the variables at the end of a descent, on their steps."""
+    held, descent = round_to_grid(programme, descent, evaluations=evaluations)
+    return {**descent.point.lengths, **{each.name: each.round(descent.point.lengths[each.name])
+                                        for each in held.variables}}
 
 
 def proposed(
     goal: Goal, programme: NonlinearProgramme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
 ) -> RoundedDesign:
-    """The chip of these `lengths` (m), one for each of the goal's unknowns."""
-    everything = {**selection.stock, **lengths}
+    """The chip of these `lengths` (m), one for each of the goal's unknowns, that the `optimum` was rounded to."""
+    everything = {**selection.stock, **{each.name: lengths[each.name] for each in goal.unknowns}}
     chip = changed(goal.chip, everything, selection.materials, note=f"by {goal.source}")
     fixed, nothing = programme.holding(lengths), np.zeros(0)
     evaluations = fixed.evaluations(nothing, gradient=False)
     points = [fixed.under(each).point(nothing, evaluations) for each in goal.objectives]
-    point = replace(points[0], x=programme.unknowns(lengths), lengths=dict(lengths))
+    point = replace(points[0], x=programme.unknowns(lengths))
     active = () if optimum is None else active_bounds(goal, programme, optimum.descent.multipliers)
     return RoundedDesign(selection, chip, everything, point, tuple(each.objective for each in points), optimum, active,
                          goal.bounds)

@@ -1,5 +1,5 @@
 """A descent from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB 88-28,
-of scipy), and the bounds that hold its end where it is."""
+of scipy), and the active bounds at its end. An objective without slopes has differential evolution instead."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize, nnls
+from scipy.optimize import differential_evolution, minimize, nnls
 
 from workbench.design.nonlinear_programme import KEPT, NonlinearProgramme, ProgrammePoint
 
@@ -36,6 +36,8 @@ STALLED = 2
 #: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
+#: Objective of points that break a bound, less their violation: the logarithm of a figure is far below.
+BROKEN = 1e3
 
 #: Evaluations without anything better after which a round ends: a line search takes ten at most.
 PATIENCE = 12
@@ -116,6 +118,27 @@ def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> 
     best = min(points, key=lambda each: each.rank)
     return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
                          tuple((each.objective, each.violation) for each in points))
+
+
+def evolve(programme: NonlinearProgramme, start: Real, *, population: int, generations: int, seed: int,
+           say: Callable[[float], None] = lambda share: None) -> ProgrammePoint:
+    """The best point of a differential evolution (Storn and Price 1997, J. Global Optim. 11, 341, of scipy).
+
+    `start` (n,) is a member of the first generation of about `population` points. Lengths are on their steps.
+    """
+    points: list[ProgrammePoint] = []
+
+    def objective(x: Real) -> float:
+        points.append(programme(programme.on_steps(x), gradient=False))
+        say(min(1.0, len(points) / (population * generations)))
+        broken, value = points[-1].rank
+        return min(value, BROKEN) + BROKEN * broken
+
+    objective(start)
+    if size := len(start):
+        differential_evolution(objective, [(0.0, 1.0)] * size, x0=start, popsize=math.ceil(population / size),
+                               maxiter=generations, seed=seed, init="sobol", polish=False)
+    return min(points, key=lambda each: each.rank)
 
 
 def _last_gain(points: list[ProgrammePoint]) -> int:

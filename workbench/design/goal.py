@@ -56,7 +56,7 @@ TOLERANCE = "tolerance"
 SIGNED = ("trap_offset", "trap_radius")
 
 #: Most combinations of stock lengths and materials that are searched one by one, each on a model of its own. Twice as
-#: many take twice the time; beyond, stock lengths are left to the evolutionary search, on one model.
+#: many take twice the time; beyond, stock lengths are searched on one model that covers them all.
 ENUMERATED = 12
 
 _VARIABLE_KEYS = ("from", "to", "step", "values", "materials")
@@ -80,8 +80,8 @@ class SearchOptions:
     ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
     the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model extends
     to either side of its middle, relative to the length there; within wider bounds models are moved, at most ``moves``
-    times. ``relative_error``: of the impedance on them. ``population`` and ``generations`` of the evolutionary search,
-    which ``evolutionary`` asks for.
+    times. ``relative_error``: of the impedance on them. ``evolutionary`` makes one model over all bounds, stock lengths
+    included; ``population`` is the number of chips on a front, and with ``generations`` of an evolution without slopes.
     """
 
     starts: int = 10
@@ -193,7 +193,7 @@ class Goal:
 
     @property
     def unknowns(self) -> tuple[VariedNumber, ...]:
-        """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
+        """The lengths that a model is of: the stock lengths too, from end to end, if one model covers all bounds."""
         stock = self.stock if self.search.evolutionary else ()
         return (*self.lengths, *(replace(each, values=()) for each in stock))
 

@@ -222,7 +222,11 @@ def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSam
 
 def trust_region_of(goal: Goal) -> TrustRegion:
     """The first trust region of the models of a goal: a share of the present lengths, or of the nearest within bounds.
+
+    The one model of an evolutionary search covers all bounds.
     """
+    if goal.search.evolutionary:
+        return TrustRegion({each.name: each.high - each.low for each in goal.unknowns})
     return TrustRegion.relative(present_of(goal), goal.search.reach)
 
 

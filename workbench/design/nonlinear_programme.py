@@ -37,9 +37,10 @@ NO_TOLERANCE = 1e-6
 class ProgrammePoint:
     """A point of a programme.
 
-    ``x`` (n,) the unknowns, ``lengths`` what they are (SI); ``objective`` to be small and its ``slope`` (n,);
-    ``margins`` (m,) in the order of the bounds and their ``jacobian`` (m, n); ``evaluation`` the figures of the nominal
-    chip. Where a figure that is needed does not exist, the numbers are NaN and ``missing`` says why.
+    ``x`` (n,) the unknowns; ``lengths`` (SI) of these and of all fixed variables; ``objective`` to be small and its
+    ``slope`` (n,); ``margins`` (m,) in the order of the bounds and their ``jacobian`` (m, n); ``evaluation`` the
+    figures of the nominal chip. Where a figure that is needed does not exist, the numbers are NaN and ``missing`` says
+    why.
     """
 
     x: Real
@@ -74,7 +75,8 @@ class NonlinearProgramme:
     """A nonlinear programme on an evaluator: an objective to minimise over lengths, under bounds.
 
     ``variables`` the unknowns with their ranges; ``fixed`` all other lengths (SI) by name, of which the evaluator gets
-    those it knows; ``scenarios`` the sample that figures are a quantile or a mean over, None for the nominal chip.
+    those it knows, and ``held`` those of them that were variables; ``scenarios`` the sample that figures are a quantile
+    or a mean over, None for the nominal chip.
     """
 
     evaluator: Evaluator
@@ -83,6 +85,7 @@ class NonlinearProgramme:
     bounds: tuple[Bound, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     scenarios: ScenarioSample | None = None
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def low(self) -> Real:
@@ -95,19 +98,25 @@ class NonlinearProgramme:
         return np.array([each.high - each.low for each in self.variables])
 
     def lengths(self, x: Real) -> dict[str, float]:
-        """The lengths (m) that the unknowns `x` (n,) are, by name."""
+        """The lengths (m) of the variables at the unknowns `x` (n,), by name, fixed variables included."""
         values = self.low + self.extent * np.clip(x, 0.0, 1.0)
-        return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
+        return {**{each.name: float(value) for each, value in zip(self.variables, values, strict=True)}, **self.held}
 
     def unknowns(self, lengths: Mapping[str, float]) -> Real:
         """The unknowns (n,) at these lengths (m), the nearest within their ranges."""
         values = np.array([lengths[each.name] for each in self.variables])
         return np.clip((values - self.low) / self.extent, 0.0, 1.0)
 
+    def on_steps(self, x: Real) -> Real:
+        """The unknowns (n,) nearest to `x` (n,) at which lengths are on their steps."""
+        lengths = self.lengths(x)
+        return self.unknowns({each.name: each.round(lengths[each.name]) for each in self.variables})
+
     def holding(self, lengths: Mapping[str, float]) -> NonlinearProgramme:
         """The programme whose variables among `lengths` (m) stay at these."""
         rest = tuple(each for each in self.variables if each.name not in lengths)
-        return replace(self, variables=rest, fixed={**self.fixed, **lengths})
+        held = {each.name: lengths[each.name] for each in self.variables if each.name in lengths}
+        return replace(self, variables=rest, fixed={**self.fixed, **lengths}, held={**self.held, **held})
 
     @property
     def sampled(self) -> bool:

@@ -6,9 +6,11 @@ another. So how many of them end at the best optimum says how surely it is the b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,14 +52,19 @@ class Attempt:
         return self.descents[0]
 
 
-def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
-    """The start of that number; with `present` (n,) that point is descended from too."""
+def attempt(
+    programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None,
+    stock: Mapping[str, float] = MappingProxyType({}),
+) -> Attempt:
+    """The start of that number with the `stock` lengths (m) fixed; with `present` (n,) also from that point."""
+    free = [each.name not in stock for each in programme.variables]
+    programme = programme.holding(stock)
     size = len(programme.variables)
-    sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
     # A power of two, as Sobol points are even in; what is beyond is not looked at.
-    drawn = sampler.random_base2(int(np.ceil(np.log2(search.looked_at))))[: search.looked_at]
+    drawn = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number])).random_base2(
+        math.ceil(math.log2(search.looked_at)))[: search.looked_at] if size else ()
     looked_at = sorted((programme(x, gradient=False) for x in drawn), key=lambda each: each.rank)
-    starts = [] if present is None else [present]
+    starts = [] if present is None else [present[free]]
     for point in looked_at:
         if len(starts) < search.descended and not any(np.all(np.abs(point.x - x) < BESIDE) for x in starts):
             starts.append(point.x)
@@ -67,18 +74,21 @@ def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, p
 
 def search_all(
     programme: NonlinearProgramme, search: SearchOptions, present: Real, *, workers: Workers,
-    finished: Callable[[Attempt], None] | None = None,
+    finished: Callable[[Attempt, float], None] | None = None, stock: Sequence[Mapping[str, float]] = (),
 ) -> list[Attempt]:
-    """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
-    found = []
+    """All starts in the order of their numbers; of `stock` lengths (m), one start for each choice.
+
+    `finished` is called with each start as it ends, in any order, and the share that has ended.
+    """
+    starts = [partial(attempt, search=search, number=number, present=present if number == 0 or stock else None,
+                      stock=each) for number, each in enumerate(stock or [{}] * search.starts)]
+    attempts: list[Attempt] = []
     workers.share(itself, programme)
-    for _, done in workers.completed(
-            (number, partial(attempt, search=search, number=number, present=present if number == 0 else None))
-            for number in range(search.starts)):
-        found.append(done.result())
+    for _, done in workers.completed(enumerate(starts)):
+        attempts.append(done.result())
         if finished is not None:
-            finished(found[-1])
-    return sorted(found, key=lambda each: each.number)
+            finished(attempts[-1], len(attempts) / len(starts))
+    return sorted(attempts, key=lambda each: each.number)
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
@@ -96,8 +106,3 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
     """Whether two points with figures are one optimum; the scale of an unknown is its range."""
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
-
-
-def feasible(found: Iterable[Optimum]) -> list[Optimum]:
-    """The optima that keep all bounds."""
-    return [each for each in found if each.descent.feasible]
