@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import quadratic, with_fields
+from support import half_wave_focus_time, quadratic, with_fields
 from test_geometry_straight import CHIP, chip
 from test_workbench_design_cavity import BEAD, WATER, lines
 
 from geometry.measure import Measure, Parity, Straight
-from workbench.acoustics.channel import half_wave_focus_time
 from workbench.acoustics.nodal import integrate
 from workbench.acoustics.traps import focus_time
 from workbench.design.cavity import Cavity, CavityField, Places, Surroundings, cavity_field
-from workbench.design.dual import Dual
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.goal import read_goal
 from workbench.design.model import DesignModel, design_model, full_evaluation
@@ -27,6 +25,7 @@ from workbench.design.parts import ReducedModels, numbers_by_name, parts_of
 from workbench.design.plan import read_study
 from workbench.design.tolerance import tolerance
 from workbench.design.trapping import find_trap, largest_square, trap_focus_time
+from workbench.fem.dual import Dual
 from workbench.jobs.progress import no_progress
 from workbench.model.drive import Drive, PowerDrive, VoltageDrive
 from workbench.model.particles import viscous_scattering

@@ -17,10 +17,10 @@ from geometry.dimension import SAME_LENGTH
 from geometry.measure import Measure
 from workbench.acoustics.basins import find_basins, label_basins
 from workbench.acoustics.fields import Fields
+from workbench.acoustics.focusing import FROM, TO
 from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
 from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, integrate, interpolate, raster
 from workbench.acoustics.streaming import critical_diameter
-from workbench.model.particles import FluidProperties, Particle, viscosity
 from workbench.results.brief import Brief
 
 #: Points per wavelength of sound across the channel, and number of them up, of a profile. Lines lie within (pi / 64)^2
@@ -28,9 +28,6 @@ from workbench.results.brief import Brief
 POINTS_PER_WAVELENGTH, POINTS_UP = 128, 41
 #: Depth of a line as a share of the span of the potential below which it may be an artefact of the mesh.
 LEAST_LINE = 1e-2
-#: Shares of a quarter wavelength, or of the way to a side wall, that a time to focus is counted between: those of
-#: `traps.focus_time`.
-COUNTED_FROM, COUNTED_TO = 0.9, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,20 +199,6 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     return tuple(sorted(found, key=lambda line: -line.depth))
 
 
-def half_wave_focus_time(
-    particle: Particle, fluid: FluidProperties, contrast_factor: float, *, energy_density: float, wavenumber: float,
-    start: float, stop: float,
-) -> float:
-    """Time (s) in which an ideal half wave brings a particle from `start` to `stop`, m from the node of the pressure.
-
-        t = 3 eta / (4 a^2 Phi k^2 E) ln[tan(k start) / tan(k stop)]
-
-    (Bruus, Lab Chip 12, 1014, 2012.) `energy_density` J/m^3 is p0^2 / (4 rho c^2).
-    """
-    rate = 4.0 * particle.radius**2 * contrast_factor * wavenumber**2 * energy_density / (3.0 * viscosity(fluid))
-    return math.log(math.tan(wavenumber * start) / math.tan(wavenumber * stop)) / rate
-
-
 def _ends_around(x: FloatArray, liquid: NDArray[np.bool_], i: int) -> tuple[float, float]:
     """The right and the left end of the liquid around the point `i` of `x` (n,)."""
     dry = np.flatnonzero(~liquid)
@@ -243,8 +226,8 @@ def _time(
     for side, end in zip((1.0, -1.0), ends, strict=True):
         reach = quarter if mesh.mirrors.on(np.array(end)) else min(quarter, abs(end - place))
         try:
-            found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * reach,
-                                          stop=place + side * COUNTED_TO * reach))
+            found.append(focus_time_along(forces, 0, across=height, start=place + side * FROM * reach,
+                                          stop=place + side * TO * reach))
         except ValueError:
             continue
     return min(found, default=None)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from workbench.acoustics.focusing import travel_time
 from workbench.acoustics.nodal import FloatArray, NodalMesh, gradient, integrate, interpolate, raised, transfer
 from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
 from workbench.model.particles import (
@@ -142,20 +143,13 @@ def force_at(forces: ParticleForces, points: FloatArray) -> FloatArray:
     return interpolate(forces.mesh, forces.force, points, [forces.region])
 
 
-def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, stop: float, points: int = 2001) -> float:
-    """Time (s) from height `start` to `stop` (m) at constant `radius` (m): see :func:`focus_time_along`."""
-    return focus_time_along(forces, 1, across=radius, start=start, stop=stop, points=points)
-
-
 def focus_time_along(
     forces: ParticleForces, axis: int, *, across: float, start: float, stop: float, points: int = 2001
 ) -> float:
     """Time (s) from `start` to `stop` (m) along a direction (`axis` 0 r or x, 1 z) at a constant place `across` (m) in
     the other one: radiation force, and along z weight, against drag.
 
-    Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so 6 pi eta a dz/dt = F_z - W and
-    the time is the integral of dz over the speed; it diverges logarithmically towards the trap itself. Simpson's rule
-    over an odd number of `points`.
+    Simpson's rule over an odd number of `points` (`workbench.acoustics.focusing.travel_time`).
 
     Raises:
         ValueError: part of the way lies outside the region, the force stops or turns before `stop`, or an even number
@@ -175,7 +169,7 @@ def focus_time_along(
     if against.any():
         raise ValueError(f"the particle does not get from {along} = {start:.6g} m to {stop:.6g} m: at "
                          f"{way[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
-    weights = np.full(points, 2.0)
-    weights[1::2], weights[[0, -1]] = 4.0, 1.0
-    step = (stop - start) / (points - 1)
-    return float(drag_coefficient(forces.particle, forces.fluid) * step / 3.0 * np.sum(weights / net))
+    weights = np.tile([2.0, 4.0], points // 2 + 1)[:points]
+    weights[[0, -1]] = 1.0
+    return float(travel_time(drag_coefficient(forces.particle, forces.fluid), stop - start, net,
+                             weights / (3.0 * (points - 1))))

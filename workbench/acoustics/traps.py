@@ -11,6 +11,7 @@ from numpy.polynomial.legendre import legder, legval2d, legvander2d
 
 from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
+from workbench.acoustics.focusing import FROM, TO, along_stiffest
 from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at
 from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
@@ -251,18 +252,19 @@ def time_to(report: TrapReport, trap: Trap) -> float | None:
 def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     forces = report.forces
     quarter = 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
-    stiffness = (trap.radial_stiffness, trap.axial_stiffness)
-    for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
-        begin = (trap.radius, trap.height)[axis]
+
+    def along(axis: int) -> float:
         if axis == 1 and trap.lift is not None and trap.lift < abs(net_weight(forces.particle, forces.fluid)):
-            continue
-        reach = side * min(quarter, _to_wall(forces, trap, side)) if axis == 0 else side * quarter
-        try:
-            return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],
-                                    start=begin + 0.9 * reach, stop=begin + 0.1 * reach)
-        except ValueError:
-            continue
-    return None
+            raise ValueError("the field is too weak to hold the particle against its weight")
+        begin = (trap.radius, trap.height)[axis]
+        reach = side * min(quarter, math.inf if axis else _to_wall(forces, trap, side))
+        return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis], start=begin + FROM * reach,
+                                stop=begin + TO * reach)
+
+    try:
+        return along_stiffest(trap.measure, (trap.radial_stiffness, trap.axial_stiffness), along)
+    except ValueError:
+        return None
 
 
 def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:

@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
+from numpy.polynomial.legendre import legder, leggauss
 from numpy.typing import NDArray
+from scipy.special import eval_legendre
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
@@ -33,8 +34,7 @@ from geometry.stretch import canonical_names, moved_places
 from materials.kinds import Fluid
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.radiation import gorkov_potential, radiation_force
-from workbench.design.dual import Dual, dual_derivative
-from workbench.design.legendre import derivatives
+from workbench.fem.dual import Dual, dual_derivative
 from workbench.fem.operators import FullOperators
 from workbench.model.particles import Particle, compressibility, viscous_scattering
 
@@ -65,8 +65,14 @@ class Places:
     nominal: Real
     slopes: Real
 
-    def at(self, change: Real) -> Real:
-        return self.nominal + self.slopes @ change
+    def at(self, change: Real, moving: Real) -> Dual:
+        """The places after a `change` (k,) of the parameters, which have the derivatives `moving` (k, m)."""
+        return Dual(self.nominal + self.slopes @ change, (self.slopes @ moving).T)
+
+    def extent(self, change: Real, moving: Real) -> Dual:
+        """The distance (m) from the first place to the last one; arguments as of :meth:`at`."""
+        places = self.at(change, moving)
+        return places[-1] - places[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,21 +243,19 @@ class CavityField:
     """Squares of the pressure's fields at unit voltage, as polynomials.
 
     ``coefficients`` (f, n, m) of the potential (J), |p|^2 (Pa^2), the energy density (J/m^3) and the forces (N) in the
-    directions that particles focus in (`geometry.measure`), ``gradient`` (f, n, m, k) of these at constant s and t,
-    ``around`` the scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its
-    largest value.
+    directions that particles focus in (`geometry.measure`), with derivatives at constant s and t; ``around`` the
+    scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its largest value.
     """
 
     cavity: Cavity
-    coefficients: Real
-    gradient: Real
+    coefficients: Dual
     around: Surroundings
     unfitted: float
 
     @property
     def mean_energy_density(self) -> Dual:
         """Over the cavity's volume: the coefficient of P_0 P_0, since ds is in proportion to it."""
-        return Dual(float(self.coefficients[ENERGY, 0, 0]), self.gradient[ENERGY, 0, 0])
+        return self.coefficients[ENERGY, 0, 0]
 
 
 def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Surroundings, change: Real,
@@ -267,21 +271,22 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     """
     polynomials = cavity.polynomials
     pressure, slopes = (cavity.unfolded(each, cavity.measure.mirror) for each in (pressure, slopes))
-    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.across, cavity.z))
+    lines = [places.at(change, moving) for places in (cavity.across, cavity.z)]
+    xi, eta = ((each - each[0]) / (each[-1] - each[0]) for each in lines)
     counts = polynomials.counts
-    s, by_share, _ = argument(xi, cavity.measure)
+    s, by_share, _ = argument(xi.value, cavity.measure.power)
     tables = [(derivatives(x, count, 0), derivatives(x, count, 1))
-              for x, count in ((s, counts[0]), (2.0 * eta - 1.0, counts[1]))]
+              for x, count in ((s, counts[0]), (2.0 * eta.value - 1.0, counts[1]))]
     inverse = [np.linalg.pinv(values) for values, _ in tables]
     found = inverse[0] @ pressure @ inverse[1].T
     left = pressure - tables[0][0] @ found @ tables[1][0].T
     by_s = by_share[:, None] * (tables[0][1] @ found @ tables[1][0].T)
     by_t = 2.0 * (tables[0][0] @ found @ tables[1][1].T)
-    fixed = slopes - by_s[:, :, None] * by_xi[:, None, :] - by_t[:, :, None] * by_eta[None, :, :]
-    changes = np.einsum("an,nmk,bm->kab", inverse[0], fixed, inverse[1], optimize=True)
+    fixed = np.moveaxis(slopes, -1, 0) - by_s * xi.gradient[:, :, None] - by_t * eta.gradient[:, None, :]
+    changes = inverse[0] @ fixed @ inverse[1].T
     scalars = {name: number.value for name, number in around.numbers().items()}
     values = squares(cavity, found, scalars)
-    gradient = np.zeros((*values.shape, len(changes)))
+    gradient = np.zeros((len(changes), *values.shape))
     size = np.linalg.norm(found)
     for k, each in enumerate(changes):
         length = np.linalg.norm(each)
@@ -289,29 +294,19 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
             # Of a quadratic form half the difference of its values on both sides is the derivative, exactly.
             step = (size / length) * each
             both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
-            gradient[..., k] = (0.5 * length / size) * both
+            gradient[k] = (0.5 * length / size) * both
     for name, number in around.numbers().items():
         if number.gradient.any():
             by_scalar = dual_derivative(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
-            gradient += by_scalar[..., None] * number.gradient
-    to_end = np.moveaxis(polynomials.coefficients(np.moveaxis(gradient, -1, 0)), 0, -1)
-    return CavityField(cavity, polynomials.coefficients(values), to_end, around,
+            gradient += np.multiply.outer(number.gradient, by_scalar)
+    return CavityField(cavity, Dual(polynomials.coefficients(values), polynomials.coefficients(gradient)), around,
                        float(np.abs(left).max() / np.abs(pressure).max()))
 
 
-def _scaled(places: Places, change: Real, moving: Real) -> tuple[Real, Real]:
-    """Places as shares of the way from the first to the last one (n,), and their derivatives (n, k)."""
-    at, slopes = places.at(change), places.slopes @ moving
-    at, slopes = at - at[0], slopes - slopes[0]
-    share = at / at[-1]
-    return share, (slopes - share[:, None] * slopes[-1]) / at[-1]
-
-
-def argument(xi: Real, measure: Measure) -> tuple[Real, Real, Real]:
-    """The argument s of the polynomials at shares xi (n,) of the cavity's width, and its two derivatives by these;
-    there is no third one."""
-    q = measure.power
-    return 2.0 * xi**q - 1.0, 2.0 * q * xi ** (q - 1), np.full_like(xi, 2.0 * q * (q - 1))
+def argument(xi: Real, power: int) -> tuple[Real, Real, Real]:
+    """The argument s = 2 xi^power - 1 of the polynomials at shares xi (n,) of the cavity, and its two derivatives by
+    these; for a power of 1 or 2 there is no third one."""
+    return (2.0 * xi**power - 1.0, 2.0 * power * xi ** (power - 1), np.full_like(xi, 2.0 * power * (power - 1)))
 
 
 def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
@@ -321,7 +316,7 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
     (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
     width, height, density = scalars["width"], scalars["height"], scalars["density"]
     xi = (0.5 * (polynomials.s + 1.0)) ** (1.0 / cavity.measure.power)
-    first, second = (each[:, None] for each in argument(xi, cavity.measure)[1:])
+    first, second = (each[:, None] for each in argument(xi, cavity.measure.power)[1:])
     half, mixed = s0 @ found, s1 @ found
     pressure, along_z = half @ t0.T, (2.0 / height) * (half @ t1.T)
     along_r, twice_z = (first / width) * (mixed @ t0.T), (2.0 / height) ** 2 * (half @ t2.T)
@@ -346,3 +341,23 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
             cavity.particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=slopes,
             velocity=velocity, velocity_gradient=to_velocity * curvature)[..., focusing]
     return np.concatenate([np.stack([potential, square, energy]), np.moveaxis(force, -1, 0)])
+
+
+@lru_cache(maxsize=64)
+def _differentiation(count: int, order: int) -> Real:
+    """The derivatives of some order of P_0 ... P_(count - 1) in P_0 ... : (count - order, count)."""
+    return np.asarray(legder(np.eye(count), order))
+
+
+def derivatives(x: Real, count: int, order: int) -> Real:
+    """The derivatives of some `order` of P_0 ... P_(count - 1) at x (n,): (n, count)."""
+    if order >= count:
+        return np.zeros((x.size, count))
+    values = eval_legendre(np.arange(count - order), x[:, None])
+    return np.asarray(values @ _differentiation(count, order) if order else values)
+
+
+def legendre_polynomials(x: Real, count: int) -> Real:
+    """P_0 ... P_(count - 1) at x (n,) with their first three derivatives: (4, n, count)."""
+    values = derivatives(x, count, 0)
+    return np.stack([values, *(values[:, : count - order] @ _differentiation(count, order) for order in (1, 2, 3))])

@@ -9,14 +9,12 @@ from functools import partial
 from itertools import product
 
 from geometry.chip import Chip
-from workbench.design.boxes import sides_within
 from workbench.design.candidate import RoundedDesign, proposed, rounded_lengths
 from workbench.design.descent import descend, evolve
 from workbench.design.front import front
 from workbench.design.goal import Goal
-from workbench.design.modelling import Modelling, Say, Solver, modelled, present_of, trust_region_of
-from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
-from workbench.design.scenarios import ScenarioSample
+from workbench.design.modelling import ChipSolver, Modelling, Say, half_widths_of, modelled, present_of, sides_within
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint, ScenarioSample
 from workbench.design.search import Attempt, Optimum, optima, search_all
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
@@ -54,8 +52,8 @@ class ChoiceResult:
 
 
 def search_choice(
-    goal: Goal, selection: Selection, solver: Solver, *, scenarios: ScenarioSample | None, workers: Workers, say: Say,
-    keep: Keep | None,
+    goal: Goal, selection: Selection, solver: ChipSolver, *, scenarios: ScenarioSample | None, workers: Workers,
+    say: Say, keep: Keep | None,
 ) -> ChoiceResult:
     """The best chips of one choice.
 
@@ -63,24 +61,27 @@ def search_choice(
         NotCovered: no model of the lengths is good enough, however narrow.
     """
     about: Mapping[str, float] = present_of(goal)
-    region, stock = trust_region_of(goal), stock_of(goal)
+    half_widths, stock = half_widths_of(goal), stock_of(goal)
     open_sides: tuple[str, ...] = ()
     attempts: list[Attempt] = []
     for models in range(1, goal.search.moves + 2):
-        modelling = modelled(goal, selection, about, region, solver, say, scenarios)
+        modelling = modelled(goal, selection, about, half_widths, solver, say, scenarios)
         if not goal.unknowns:
             only = proposed(goal, modelling.programme, {}, selection)
             return ChoiceResult(selection, modelling, models, (), (), (only,) if only.point.exists else ())
         if len(goal.objectives) > 1 or not modelling.programme.sampled:
             programme = replace(modelling.programme, scenarios=scenarios)
             find = _between if len(goal.objectives) > 1 else _evolved
-            chips = tuple(each for one in stock for each in find(goal, programme.holding(one), selection, workers, say))
-            front = chips if len(goal.objectives) > 1 else ()
-            return ChoiceResult(selection, modelling, models, (), (), tuple(sorted(
-                chips, key=lambda each: each.point.rank)), front)
+            chips: list[RoundedDesign] = []
+            for each in (each for one in stock for each in find(goal, programme.holding(one), selection, workers, say)):
+                chips.append(each)
+                _kept(goal, selection, each.point, keep)
+            return ChoiceResult(
+                selection, modelling, models, (), (), tuple(sorted(chips, key=lambda each: each.point.rank)),
+                tuple(chips) if len(goal.objectives) > 1 else ())
         attempts = _attempts(goal, selection, modelling, about, workers, say, keep)
         about = min((each.best.point for each in attempts), key=lambda each: each.rank).lengths
-        region = modelling.trust_region
+        half_widths = modelling.half_widths
         open_sides = sides_within(about, modelling.box, goal.unknowns)
         if not open_sides:
             break
@@ -104,18 +105,23 @@ def _attempts(
     goal: Goal, selection: Selection, modelling: Modelling, about: Mapping[str, float], workers: Workers,
     say: Say, keep: Keep | None,
 ) -> list[Attempt]:
-    """All starts on a model; `keep` gets the chip that each ends at, as one that is not confirmed."""
+    """All starts on a model; `keep` gets the chip that each ends at."""
     programme, stock = modelling.programme, stock_of(goal)
 
     def finished(one: Attempt, share: float) -> None:
         say("starts", share)
-        if keep is not None:
-            keep(changed(goal.chip, {**selection.stock, **one.best.point.lengths}, selection.materials,
-                         note=f"by {goal.source}, not confirmed"), one.best.point)
+        _kept(goal, selection, one.best.point, keep)
 
     say("starts", 0.0)
     return search_all(programme, goal.search, programme.unknowns(about), workers=workers, finished=finished,
                       stock=stock if len(stock) > 1 else ())
+
+
+def _kept(goal: Goal, selection: Selection, point: ProgrammePoint, keep: Keep | None) -> None:
+    """Hand the chip of a point over, as one that is not confirmed."""
+    if keep is not None:
+        keep(changed(goal.chip, {**selection.stock, **point.lengths}, selection.materials,
+                     note=f"by {goal.source}, not confirmed"), point)
 
 
 def _programme_at(

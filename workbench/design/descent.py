@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,10 @@ PENALTY = 1.0
 
 #: Objective of points that break a bound, less their violation: the logarithm of a figure is far below.
 BROKEN = 1e3
+
+#: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
+#: objective are rounded to the nearest step at first.
+CORNERS = 16
 
 #: Evaluations without anything better after which a round ends: a line search takes ten at most.
 PATIENCE = 12
@@ -199,3 +204,34 @@ def multipliers(point: ProgrammePoint) -> Multipliers:
                                      np.split(found, np.cumsum([bounds.size, low.size])), strict=True):
         target[indices] = part
     return result
+
+
+def round_to_grid(
+    programme: NonlinearProgramme, found: DesignDescent, *, evaluations: int
+) -> tuple[NonlinearProgramme, DesignDescent]:
+    """The best of the combinations of steps about an optimum, the other lengths optimal for each.
+
+    All roundings up and down are tried, then single steps away from the best one until none is better. Returns the
+    programme with the steps fixed, and the descent in the rest of it.
+    """
+    lengths, tried = found.point.lengths, dict[tuple[float, ...], tuple[NonlinearProgramme, DesignDescent]]()
+    slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
+    leverage = {each: abs(float(slope)) * each.step / extent for each, slope, extent in slopes if each.step is not None}
+    if not leverage:
+        return programme, found
+    # The nearest step, then the other one of the two beside the length.
+    choices = {each: (nearest := each.round(lengths[each.name]), *(
+        value for value in each.beside(lengths[each.name])
+        if value != nearest and abs(value - lengths[each.name]) < (each.step or 0.0))) for each in leverage}
+    for each in sorted(leverage, key=lambda each: leverage[each]):
+        if math.prod(map(len, choices.values())) > CORNERS:
+            choices[each] = choices[each][:1]
+    corners = set(product(*choices.values()))
+    while new := corners - set(tried):
+        for corner in sorted(new):
+            held = programme.holding({each.name: value for each, value in zip(choices, corner, strict=True)})
+            tried[corner] = held, descend(held, held.unknowns(lengths), evaluations=evaluations)
+        best = min(tried, key=lambda corner: tried[corner][1].point.rank)
+        corners = {(*best[:index], value, *best[index + 1:]) for index, each in enumerate(choices)
+                   for value in each.beside(best[index])}
+    return tried[best]

@@ -10,10 +10,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.bounds import Bound
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import DesignObjective, SearchOptions
 from workbench.design.nonlinear_programme import NonlinearProgramme
+from workbench.design.requirement import Bound
 from workbench.design.search import attempt
 from workbench.jobs.workers import Workers, itself
 

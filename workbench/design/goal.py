@@ -32,15 +32,23 @@ from typing import Any
 
 from geometry.chip import Chip, read_chip
 from geometry.operating_point import AT_ENERGY
-from geometry.plausible import check_band, check_length
+from geometry.plausible import check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
-from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.evaluation import Operation
 from workbench.design.figures import FIGURES, LOSS_SHARE, with_parts
-from workbench.design.plan import frequency_key
+from workbench.design.plan import band_key, frequency_key
+from workbench.design.requirement import Bound, parse_bounds
 from workbench.design.thermal import read_thermal
-from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
+from workbench.design.variables import (
+    MATERIAL,
+    MaterialChoice,
+    Variable,
+    VariedNumber,
+    first_name,
+    flat_entries,
+    read_materials,
+)
 from workbench.files.errors import InputError, choose, expect
 from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
@@ -59,7 +67,7 @@ SIGNED = ("trap_offset", "trap_radius")
 #: many take twice the time; beyond, stock lengths are searched on one model that covers them all.
 ENUMERATED = 12
 
-_VARIABLE_KEYS = ("from", "to", "step", "values", "materials")
+_EXAMPLE = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
 
 
 @dataclass(frozen=True)
@@ -169,7 +177,7 @@ class Goal:
         if "state" in head:
             chosen = head.choice("state", (each.name for each in chip.states))
         options = _search(root.table("search"))
-        unknown = tuple(_variables(root.table("variables"), chip, registry))
+        unknown = tuple(_variables(root.table("variables"), chip, registry or Registry()))
         if not unknown:
             raise root.error("variables",
                              'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
@@ -177,7 +185,7 @@ class Goal:
         bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
                        for bound in parse_bounds(text, chip.dimensions(), chip.regions, driven, source=source,
                                                  field=f"goal.constraints[{index}]"))
-        within = _band(head, chip)
+        within = band_key(head, chip)
         thermal_resistance = read_thermal(root, chip, (), states=(chosen,), band=within, registry=registry)
         self.__dict__.update(
             source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
@@ -256,49 +264,26 @@ def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:
     return tuple(found)
 
 
-def _band(head: FileTable, chip: Chip) -> tuple[float, float] | None:
-    if "band" not in head:
-        return None
-    low, high = head.quantities("band", "frequency", numbered=True,
-                                expected='two frequencies, such as ["0.9 MHz", "1.1 MHz"]')
-    if not 0.0 < low < high:
-        raise head.error("band", "two frequencies above zero, the lower one first")
-    if "band" not in chip.unusual:
-        check_band(chip.layers, (low, high), head.source, head.at("band"))
-    return low, high
-
-
-def _variables(table: FileTable, chip: Chip, registry: Registry | None) -> Iterator[Variable]:
+def _variables(table: FileTable, chip: Chip, registry: Registry) -> Iterator[Variable]:
     lengths = chip.dimensions()
     known = [*lengths, *(layer.region + MATERIAL for layer in chip.layers)]
     seen: dict[str, str] = {}
-    for name, inner in _flat(table):
+    for name, value in flat_entries(table.content):
+        inner = FileTable.of(value, source=table.source, field=table.at(name), expected=_EXAMPLE)
         choose(name, known, source=table.source, field=table.at(name))
         for alike in moving_together(chip, name) if name in lengths else (name,):
             if alike in seen:
                 raise InputError(table.source, table.at(name), name,
                                  f"one of the two: it coincides with {seen[alike]}, and they change together")
             seen[alike] = name
-        inner.only(_VARIABLE_KEYS)
+        inner.only(("from", "to", "step", "values", "materials"))
         if name.endswith(MATERIAL):
-            yield _material(inner, name, chip, registry)
+            yield MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, tuple(read_materials(inner, registry)))
         else:
             found = _length(inner, first_name(chip, name))
             for each in found.values or (found.low, found.high):
                 check_length(found.name, each, source=inner.source, field=inner.field, unusual=chip.unusual)
             yield found
-
-
-def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
-    """The variables by their whole names, which TOML takes for tables in tables unless they are quoted."""
-    expected = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
-    for name in table:
-        inner = table.table(name, expected=expected)
-        if "." in name or set(inner) & set(_VARIABLE_KEYS):
-            yield name, inner
-            continue
-        for rest in inner:
-            yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
 def _length(table: FileTable, name: str) -> VariedNumber:
@@ -318,19 +303,6 @@ def _length(table: FileTable, name: str) -> VariedNumber:
     if step is not None and not 0.0 < step <= high - low:
         raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
     return VariedNumber(name, low, high, step)
-
-
-def _material(table: FileTable, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
-    table.only(("materials",))
-    names = table.texts("materials", expected='materials such as ["pla", "petg"]')
-    if len(set(names)) < max(2, len(names)):
-        raise table.error("materials", "two or more different materials")
-    for each in names:
-        try:
-            (registry or Registry()).find(each)
-        except InputError as error:
-            raise InputError(table.source, table.at("materials"), each, error.expected, error.nearest) from None
-    return MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, names)
 
 
 def _robust(table: FileTable) -> Robust:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -24,15 +24,16 @@ import numpy as np
 from geometry.assumed import is_film
 from geometry.chip import Chip
 from geometry.stretch import admissible_range, canonical_names
-from materials.fit import Correlation
-from materials.kinds import Fluid, Material, Solid
+from materials.assumed import with_assumed_loss
+from materials.kinds import Fluid, Material
 from materials.registry import Registry
+from workbench.design.model import all_of_one_length
 from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable, parse_json
 from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers, full_names
-from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits
+from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits, placed
 from workbench.model.problem import FilledChip, fill
 
 #: Of a fluid, what the model holds as a number of its own; its losses follow from others.
@@ -126,7 +127,7 @@ def stated_uncertainty(
         if number.stated is None and number.is_dimension and is_film(name) and name not in {*found.inputs, *said}:
             found.notes.append(f"{name} is taken as exact, since the chip file states no tolerance, but "
                                f"{number.known.assumed}: \"{name} = {ASSUMED}\" counts with that")
-    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
+    return found.uncertainty(device)
 
 
 def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertainty:
@@ -135,12 +136,11 @@ def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertaint
     Raises:
         InputError: a tolerance or an uncertainty that cannot be used.
     """
-    found = _of_files(device, device_numbers(device.chip, device.materials.values()), law)
-    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
+    return _of_files(device, device_numbers(device.chip, device.materials.values()), law).uncertainty(device)
 
 
 def _of_files(device: FilledChip, numbers: Mapping[str, Number], law: Law) -> _Collected:
-    found = _Collected({}, [], [])
+    found = _Collected()
     for each in numbers.values():
         if each.is_dimension and each.tolerance:
             _length(each, device.chip, law, found)
@@ -169,11 +169,11 @@ def _is_felt(number: Number, device: FilledChip) -> bool:
 
 @dataclass
 class _Collected:
-    """Inputs by name, the correlations between some of them, and notes on numbers left out."""
+    """Inputs by name, the correlations between pairs of them, and notes on numbers left out."""
 
-    inputs: dict[str, Number]
-    correlations: list[Correlation]
-    notes: list[str]
+    inputs: dict[str, Number] = field(default_factory=dict)
+    correlations: dict[tuple[str, str], float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def put(self, new: Number) -> None:
         """Take an input in the place of the one there was, correlations included."""
@@ -183,24 +183,24 @@ class _Collected:
     def drop(self, name: str) -> None:
         """Forget an input and its correlations."""
         self.inputs.pop(name, None)
-        self.correlations = [_without(each, name) for each in self.correlations]
+        self.correlations = {pair: each for pair, each in self.correlations.items() if name not in pair}
 
-    def uncertainty(self, materials: Mapping[str, Solid]) -> Uncertainty:
+    def correlate(self, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
+        """Take the correlations between inputs, of a matrix with a row and a column for each name."""
+        self.correlations |= {
+            (one, other): rows[i][j] for i, one in enumerate(names) for j, other in enumerate(names)
+            if i != j and one in self.inputs and other in self.inputs}
+
+    def uncertainty(self, device: FilledChip) -> Uncertainty:
         names = list(self.inputs)
         matrix = np.eye(len(names))
-        for each in self.correlations:
-            at = [names.index(name) for name in each.names]
-            matrix[np.ix_(at, at)] = each.rows
+        for (one, other), each in self.correlations.items():
+            matrix[names.index(one), names.index(other)] = each
         lossy = {ParameterName.parse(name).owner for name in names if name.endswith(LOSS)}
         return Uncertainty(tuple(self.inputs.values()), matrix,
-                           {name: each for name, each in materials.items() if name in lossy},
+                           {each.name: each for each in device.materials.values()
+                            if each.name in lossy and not isinstance(each, Fluid)},
                            tuple(dict.fromkeys(self.notes)))
-
-
-def _without(correlation: Correlation, name: str) -> Correlation:
-    kept = [k for k, other in enumerate(correlation.names) if other != name]
-    return Correlation(tuple(correlation.names[k] for k in kept),
-                       tuple(tuple(correlation.rows[i][j] for j in kept) for i in kept))
 
 
 def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
@@ -217,8 +217,8 @@ def _coefficients(
 ) -> None:
     """The uncertainties of a registry entry, with the correlation that a fit left among its numbers."""
     left_out = []
-    for field, value in material.values.items():
-        for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
+    for real, value in material.values.items():
+        for key, spread in ((real, value.uncertainty), (real + LOSS, value.loss_uncertainty)):
             number = numbers.get(f"{material.name}.{key}")
             if number is not None and number.stated is not None and _is_felt(number, device):
                 found.put(known_as(number, number.stated))
@@ -229,12 +229,7 @@ def _coefficients(
                            "model")
     if material.fit is not None and material.fit.correlation is not None:
         stored = material.fit.correlation
-        names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)
-        known = Correlation(names, stored.rows)
-        for name in names:
-            if name not in found.inputs:
-                known = _without(known, name)
-        found.correlations.append(known)
+        found.correlate([f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names], stored.rows)
 
 
 def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], found: _Collected) -> None:
@@ -242,7 +237,7 @@ def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], foun
     table = _read_fit(path)
     names, rows = _correlation(table)
     own = table.text("material", ""), table.content.get("saved_as")
-    kept: list[tuple[int, str]] = []
+    here = dict.fromkeys(names, "")
     for each in table.tables("parameters", expected="the parameters of a fit"):
         stated, mean, spread = each.text("name"), each.optional_number("value"), each.optional_number("standard_error")
         if stated.startswith(BENCH):
@@ -258,12 +253,11 @@ def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], foun
         choose(name, known, source=table.source, field=each.field)
         ends = admissible_range(device.chip, name) if known[name].is_dimension else None
         found.put(known_as(_at(known[name], mean), Stated(spread, origin=str(path)), ends))
-        kept.append((names.index(stated), name))
-    if not kept:
+        here[stated] = name
+    if not any(here.values()):
         raise InputError(table.source, "parameters", own[0], "a fit of a material of the chip: "
                          + ", ".join(sorted({m.name for m in device.materials.values()})))
-    matrix = tuple(tuple(rows[i][j] for j, _ in kept) for i, _ in kept)
-    found.correlations.append(Correlation(tuple(name for _, name in kept), matrix))
+    found.correlate([here[name] for name in names], rows)
 
 
 def _read_fit(path: Path) -> FileTable:
@@ -322,7 +316,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: 
     match = _AMOUNT.fullmatch(each.amount)
     assert match is not None
     amount, word = match["amount"], match["word"] or (law if number.is_dimension else "standard")
-    if any(name in known_to.names and len(known_to.names) > 1 for known_to in found.correlations):
+    if any(name in pair for pair in found.correlations):
         found.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
     if each.amount == "exact":
         found.drop(name)
@@ -363,3 +357,38 @@ def _meant(each: Statement, device: FilledChip, known: Mapping[str, Number]) -> 
     near = nearest_names(each.name, [*known, *short])
     raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),
                      tuple(dict.fromkeys(short.get(one, one) for one in near)))
+
+
+@dataclass(frozen=True)
+class CentredRegistry(Registry):
+    """A registry whose materials have other ``numbers`` (SI, by parameter name) than their entries."""
+
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
+        """The material called `name`, with the numbers that are stated of it in the place of its own."""
+        material = super().load(name, temperature=temperature, notes=notes)
+        if self.assumed_losses:  # the numbers are those of the ceramic as it is simulated
+            material, _ = with_assumed_loss(material)
+        mine = {key: number for key, number in self.numbers.items() if ParameterName.parse(key).owner == material.name}
+        before = {f"{material.name}.{key}": value for key, value in material.parameters().items()}
+        after = placed(before, mine)
+        changed: dict[str, Any] = {}
+        for key, value in after.items():
+            if value != before[key]:
+                coefficient = key.removeprefix(f"{material.name}.")
+                kept_real = isinstance(getattr(material, coefficient), float)
+                changed[coefficient] = value.real if kept_real else value
+        return replace(material, **changed) if changed else material
+
+
+def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, float]) -> tuple[Chip, Registry]:
+    """`chip` and `registry` with `numbers` (SI, by parameter name) in the place of their own."""
+    known = chip.dimensions()
+    lengths = {name: number for name, number in numbers.items()
+               if ParameterName.parse(name).is_dimension and number != known[name].value}
+    others = {name: number for name,
+              number in numbers.items() if not ParameterName.parse(name).is_dimension}
+    moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
+    registry = registry or Registry()
+    return moved, CentredRegistry(registry.folders, registry.assumed_losses, registry.inviscid, others)

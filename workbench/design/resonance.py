@@ -15,14 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics.sound_energy import SoundEnergy, peaks_of
 from workbench.fem.level import NO_NUMBERS, Level, drive_level, impedance_level
-from workbench.fem.linearised import LinearisedState
+from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.solve import Solution
 from workbench.model.drive import Drive
 from workbench.results.merit import NoResonance
@@ -34,18 +33,8 @@ Complex = NDArray[np.complex128]
 HALF = 0.5 * math.log(2.0)
 #: Relative change of a frequency below which Newton's method has converged: a millihertz of a megahertz.
 CONVERGED = 1e-9
-#: Difference of two levels that rounding makes.
-ROUNDING = 1e-12
 #: Most steps of it; it falls back on bisection, which gains a bit each.
 STEPS = 60
-
-
-class Linearisable(Protocol):
-    """A model with its parameter values in place."""
-
-    def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
-        """The state at a frequency (Hz) with its derivatives by frequency and by complex parameters, also second ones
-        if `twice` is set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,54 +42,46 @@ class Responding:
     """A model to be driven: the ``system`` that is solved, its parameter ``values``, and the energy of its ``sound``,
     None where the cavity holds no fluid."""
 
-    system: Linearisable
+    system: FullSystem | ReducedSystem
     values: Mapping[str, complex]
     sound: SoundEnergy | None = None
 
 
-class ResonantQuantity(Protocol):
-    """A figure of a state over frequency, as a level that is least at a resonance and ln(2)/2 higher at half power."""
+@dataclass(frozen=True)
+class Impedance:
+    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`).
+
+    A response is a level of a state over frequency that is least at a resonance and ln(2)/2 higher at half power.
+    """
 
     def sampled(self, model: Responding, solution: Solution) -> Real:
         """The level (n,) of the states of a solution."""
-
-    def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
-
-    def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
-        """The level of a state and its derivatives."""
-
-    def deepest(self, level: Real) -> int | None:
-        """The index of the resonance among levels (n,), None where there is none."""
-
-    def words(self, level: float) -> str:
-        """A level in words."""
-
-
-@dataclass(frozen=True)
-class Impedance:
-    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`)."""
-
-    def sampled(self, model: Responding, solution: Solution) -> Real:
         return -np.log(solution.omega * np.abs(solution.charge))
 
     def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
         return model.system.linearised(frequency, names)
 
     def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
+        """The level of a state and its derivatives."""
         return impedance_level(state, turns)
 
     def deepest(self, level: Real) -> int | None:
+        """The index of the resonance among levels (n,), None where there is none."""
         lowest = int(np.argmin(level))
         return None if lowest in (0, level.size - 1) else lowest
 
     def words(self, level: float) -> str:
+        """A level in words."""
         return f"smallest |Z|, {math.exp(level):.4g} ohm,"
 
 
 @dataclass(frozen=True)
 class Energy:
-    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2."""
+    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2.
+
+    Methods are those of :class:`Impedance`.
+    """
 
     drive: Drive
 
@@ -122,6 +103,9 @@ class Energy:
 
     def words(self, level: float) -> str:
         return f"largest energy of the sound in the cavity, {math.exp(-2.0 * level):.4g} J/m^3 under {self.drive},"
+
+
+ResonantQuantity = Impedance | Energy
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +206,7 @@ def _inner(neighbour: float, f0: float, step: int) -> float:
 def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
     """The frequency of the least level between ascending `points` (Hz), about the one of index `nearest`.
 
-    The points may be those of a rougher model: its neighbour may be lower. Newton's method between points that are
-    higher; a step that leaves them, or does not go down, halves the larger part instead.
+    The points may be those of a rougher model: its neighbour may be lower.
 
     Raises:
         NoResonance: the level goes down to the first or last point.
@@ -237,23 +220,7 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         if not down:
             break
         nearest += down
-    for _ in range(STEPS):
-        here = level(middle)
-        step = -here.slope / here.curvature if here.curvature > 0.0 else math.inf
-        if abs(step) <= CONVERGED * middle or high - low <= CONVERGED * middle:
-            # The last step squares the error, so that figures of the state are smooth in the numbers.
-            return middle + step if low < middle + step < high else middle
-        further = middle + step
-        if not low < further < high:
-            further = 0.5 * (middle + (high if high - middle > middle - low else low))
-        there = level(further)
-        # To rounding, a flatter place is a lower one.
-        if there.value < here.value or (there.value <= here.value + ROUNDING and abs(there.slope) < abs(here.slope)):
-            low, high = (middle, high) if further > middle else (low, middle)
-            middle = further
-        else:
-            low, high = (low, further) if further > middle else (further, high)
-    return middle
+    return _root(level, (low, high), middle, lambda each: (each.slope, each.curvature), rising=True)
 
 
 def _crossing(
@@ -287,9 +254,10 @@ def _root(
         else:
             low = frequency
         step = -value / derivative if derivative else math.inf
-        if abs(step) <= CONVERGED * frequency:
-            return frequency
         following = frequency + step
+        if abs(step) <= CONVERGED * frequency:
+            # The last step squares the error, so that figures of the state are smooth in the numbers.
+            return following if low < following < high else frequency
         frequency = following if low < following < high else 0.5 * (low + high)
         if high - low <= CONVERGED * frequency:
             break

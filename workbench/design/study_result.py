@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.figures import figure_named
-from workbench.design.plan import Study
-from workbench.design.sampling import GRID
+from workbench.design.plan import GRID, Study
 from workbench.design.study_folder import FinishedPoints
 from workbench.design.variables import Variable, VariedNumber
 from workbench.files.writing import replacing, write_json

@@ -1,0 +1,45 @@
+"""Time to focus: a particle comes to a trap from 90 to 10 % of a way beside it, by the net force against drag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from geometry.measure import Measure
+from workbench.acoustics.nodal import FloatArray
+from workbench.fem.dual import Dual
+
+T = TypeVar("T", float, Dual)
+
+#: Shares of a quarter wavelength, or of the way to a side wall, that a time to focus is counted between. With half of
+#: the last one the time is longer by ln 2 of the e-folding time.
+FROM, TO = 0.9, 0.1
+
+
+def travel_time(drag: T, way: T, net: FloatArray | Dual, weights: FloatArray) -> T:
+    """Time (s) along a `way` (m) against a `drag` coefficient (N s/m).
+
+    Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so the speed is the `net` force
+    (n,) N along the way over the drag, and the time is the integral of its inverse, by a rule whose `weights` (n,) sum
+    to one. It diverges logarithmically towards the trap itself.
+    """
+    return drag * way * (weights @ net**-1.0)
+
+
+def along_stiffest(measure: Measure, stiffness: Sequence[float], time_along: Callable[[int], T]) -> T:
+    """The time along the stiffest direction, of those that particles focus in, in which they come to the trap.
+
+    Args:
+        stiffness: N/m across and up.
+        time_along: the time (s) along a direction, 0 across and 1 up; raises ValueError where they do not get there.
+
+    Raises:
+        ValueError: that of the stiffest direction, if particles come to the trap in none.
+    """
+    failures = []
+    for axis in sorted(measure.focusing, key=lambda axis: -stiffness[axis]):
+        try:
+            return time_along(axis)
+        except ValueError as error:
+            failures.append(error)
+    raise failures[0]
