@@ -13,7 +13,7 @@ from geometry.chip import Chip
 from geometry.shapes import with_shapes
 from materials.kinds import Fluid
 from workbench.acoustics.critical import critical_diameter
-from workbench.design.cavity import Cavity, CavityField, NoCavity, Places, Surroundings, cavity_field, cavity_of
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, NoCavity, Places, cavity_field, cavity_of
 from workbench.design.trapping import NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
 from workbench.fem.dual import Dual, dual_derivative
 from workbench.fem.elements import gauss_lobatto
@@ -55,10 +55,9 @@ def field(pressure: object, by_radius: object = None, by_height: object = None,
         if each is not None:
             slopes[:, :, column] = each(r, z)
     nothing = np.zeros(2)
-    around = Surroundings(Dual(FREQUENCY, nothing), Dual(RADIUS, np.array([1.0, 0.0])),
-                          Dual(HEIGHT, np.array([0.0, 1.0])),
-                          {name: Dual(getattr(WATER, name), nothing)
-                           for name in ("density", "sound_speed", "shear_viscosity")})
+    around = {"frequency": Dual(FREQUENCY, nothing), "width": Dual(RADIUS, np.array([1.0, 0.0])),
+              "height": Dual(HEIGHT, np.array([0.0, 1.0])),
+              **{name: Dual(getattr(WATER, name), nothing) for name in OF_FLUID}}
     return cavity_field(place, pressure(r, z).astype(complex), slopes, around, np.zeros(2), np.eye(2))
 
 
@@ -170,7 +169,7 @@ def test_what_does_not_lead_to_the_trap_is_said() -> None:
     # A quarter wavelength above mid-height of a low cavity there is a wall.
     low = replace(cavity(), wave_number=WAVE)
     found = field(plane, place=low)
-    short = replace(found, around=replace(found.around, frequency=found.around.frequency * 0.8))
+    short = replace(found, around={**found.around, "frequency": found.around["frequency"] * 0.8})
     with pytest.raises(NoTrap, match="there is a wall"):
         trap_focus_time(find_trap(short), Dual(1.0, np.zeros(2)))
     heavy = replace(BEAD, density=19300.0)

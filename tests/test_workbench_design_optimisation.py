@@ -17,13 +17,12 @@ from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from workbench.design.descent import descend, evolve, round_to_grid
 from workbench.design.evaluation import Evaluation
-from workbench.design.front import front
 from workbench.design.goal import DesignObjective, Goal, Robust, SearchOptions, read_goal
 from workbench.design.modelling import box_about, sides_within
 from workbench.design.nonlinear_programme import NonlinearProgramme, ScenarioSample
 from workbench.design.optimisation import optimise
 from workbench.design.requirement import parse_bounds
-from workbench.design.search import attempt, optima, search_all
+from workbench.design.search import attempt, front, optima, search_all
 from workbench.design.variables import MaterialChoice, VariedNumber, changed
 from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource

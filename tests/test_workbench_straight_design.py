@@ -16,7 +16,7 @@ from test_workbench_design_cavity import BEAD, WATER, lines
 from geometry.measure import Measure, Parity, Straight
 from workbench.acoustics.nodal import integrate
 from workbench.acoustics.traps import focus_time
-from workbench.design.cavity import Cavity, CavityField, Places, Surroundings, cavity_field
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Places, cavity_field
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.goal import read_goal
 from workbench.design.model import DesignModel, design_model, full_evaluation
@@ -59,9 +59,8 @@ def standing(
                     Places(z, np.zeros((z.size, 1))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
     pressure = AMPLITUDE * np.outer(shape(math.pi / width * x), np.ones(z.size)).astype(complex)
     nothing = np.zeros(1)
-    around = Surroundings(Dual(frequency, nothing), Dual(width, np.ones(1)), Dual(HEIGHT, nothing),
-                          {name: Dual(getattr(WATER, name), nothing)
-                           for name in ("density", "sound_speed", "shear_viscosity")})
+    around = {"frequency": Dual(frequency, nothing), "width": Dual(width, np.ones(1)), "height": Dual(HEIGHT, nothing),
+              **{name: Dual(getattr(WATER, name), nothing) for name in OF_FLUID}}
     return cavity_field(cavity, pressure, np.zeros((*pressure.shape, 1)), around, np.zeros(1), np.eye(1))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from geometry.measure import Measure
 from workbench.acoustics.nodal import FloatArray
@@ -16,14 +16,15 @@ T = TypeVar("T", float, Dual)
 FROM, TO = 0.9, 0.1
 
 
-def travel_time(drag: T, way: T, net: FloatArray | Dual, weights: FloatArray) -> T:
+def travel_time(drag: T, way: T, net: Any, weights: FloatArray) -> T:
     """Time (s) along a `way` (m) against a `drag` coefficient (N s/m).
 
     Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so the speed is the `net` force
-    (n,) N along the way over the drag, and the time is the integral of its inverse, by a rule whose `weights` (n,) sum
-    to one. It diverges logarithmically towards the trap itself.
+    (n,) N along the way, an array or a Dual, over the drag. The time is the integral of its inverse, by a rule whose
+    `weights` (n,) sum to one. It diverges logarithmically towards the trap itself.
     """
-    return drag * way * (weights @ net**-1.0)
+    time: T = drag * way * (weights @ net**-1.0)
+    return time
 
 
 def along_stiffest(measure: Measure, stiffness: Sequence[float], time_along: Callable[[int], T]) -> T:

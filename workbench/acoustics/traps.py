@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
@@ -129,25 +130,11 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
         radius = mesh.mirrors.snapped(float(place[0]))
         column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
         floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
-        held = landscape.hold(i, j)
         traps.append(Trap(
             radius=radius, height=float(place[1]), above_floor=max(0.0, float(place[1] - floor)), potential=value,
-            depth=highest - value, barrier=held.barrier, axial_barrier=held.axial, radial_barrier=held.radial,
-            lift=held.lift, share=held.share, radial_stiffness=float(curvature[0]),
-            axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]), measure=mesh.measure,
-        ))
+            depth=highest - value, radial_stiffness=float(curvature[0]), axial_stiffness=float(curvature[1]),
+            on_wall=bool(landscape.walls[i, j]), measure=mesh.measure, **landscape.hold(i, j)))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
-
-
-@dataclass(frozen=True)
-class _Held:
-    """The barriers that hold a particle in a trap: see :class:`Trap`."""
-
-    barrier: float | None
-    axial: float | None
-    radial: float | None
-    lift: float | None
-    share: float
 
 
 class _Landscape:
@@ -176,8 +163,8 @@ class _Landscape:
         self.volume = np.where(inside, np.outer(depth * np.diff(edges), heights), 0.0)
         self.taken: set[int] = set()
 
-    def hold(self, i: int, j: int) -> _Held:
-        """The barriers around the trap at a place of the raster."""
+    def hold(self, i: int, j: int) -> dict[str, Any]:
+        """The barriers around the trap at a place of the raster, by their names in :class:`Trap`."""
         rest = int(self.label[i, j])
         at = divmod(rest, self.total.shape[1])
         lies = bool(self.walls[i, j])
@@ -185,7 +172,7 @@ class _Landscape:
         # At a wall that faces another way, another wall carries the particle.
         elsewhere = self.walls[at] and not (lies and float(self.outward[i, j] @ self.outward[at]) >= 0.5)
         if rest in self.taken or self.by_sound[at] != self.by_sound[i, j] or elsewhere:
-            return _Held(0.0, 0.0, 0.0, lift, 0.0)
+            return {"barrier": 0.0, "axial_barrier": 0.0, "radial_barrier": 0.0, "lift": lift, "share": 0.0}
         self.taken.add(rest)
         others = self.walls.copy()
         if lies:
@@ -198,7 +185,8 @@ class _Landscape:
         radial = self._climb(self._along(self.total[:, j], i, mirrored=self.mirrored), at)
         # In a corner, where two walls share one mean direction, a straight way may end sooner.
         ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
-        return _Held(min(ways, default=None), axial, radial, lift, share)
+        return {"barrier": min(ways, default=None), "axial_barrier": axial, "radial_barrier": radial, "lift": lift,
+                "share": share}
 
     def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
         return None if level is None else level - float(self.total[at])

@@ -8,8 +8,8 @@ um", "20 um", "50 um"] } "sidewall.thickness" = { tolerance = true }          # 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -52,11 +52,11 @@ def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Reg
         raise InputError(table.source, table.field, "nothing", "at least one thing that varies")
     choices = {name: _choice(name, entry, chip, states, registry)
                for name, entry in entries.items() if "materials" in entry or name.endswith(MATERIAL)}
-    numbers = Numbers.of(chip, states, list(choices.values()), registry)
+    common, others = _numbers(chip, states, list(choices.values()), registry)
     axes: list[Variable] = []
     for name, entry in entries.items():
         _check_points(entry, method, ranged="from" in entry or "tolerance" in entry)
-        axes.append(choices[name] if name in choices else _number_axis(name, entry, numbers))
+        axes.append(choices[name] if name in choices else _number_axis(name, entry, chip, common, others))
     _check_lengths(chip, [axis for axis in axes if isinstance(axis, VariedNumber)], table)
     return tuple(axes)
 
@@ -76,48 +76,36 @@ def _check_points(entry: FileTable, method: str, *, ranged: bool) -> None:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """The numbers of a chip that can vary: ``common`` what all its states with all alternatives have, the values by
-    name (SI; several where they differ), ``others`` what only some of these have; ``tolerances`` (m) of lengths;
-    ``unusual`` what the chip says is (`geometry.plausible`)."""
-
-    common: Mapping[str, frozenset[float]]
-    others: frozenset[str]
-    tolerances: Mapping[str, float | None]
-    unusual: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry) -> Numbers:
-        """Those of a chip in its states with all choices of materials."""
-        found: list[dict[str, Number]] = []
-        for state, *chosen in product(states, *(axis.materials for axis in choices)):
-            picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
-            held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
-            found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
-                          if not name.startswith("ports.")})
-        everywhere = set.intersection(*(set(each) for each in found))
-        common = {name: frozenset(each[name].value for each in found) for name in found[0] if name in everywhere}
-        return cls(common, frozenset(set().union(*found) - everywhere),
-                   {name: each.tolerance for name, each in found[0].items() if each.is_dimension}, chip.unusual)
-
-    def full_name(self, written: str) -> str:
-        """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
-        owners = {ParameterName.parse(name).owner for name in {*self.common, *self.others}}
-        full = full_names(written, (owner for owner in owners if "/" in owner))
-        return full[0] if len(full) == 1 else written
+def _numbers(
+    chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry
+) -> tuple[dict[str, list[Number]], set[str]]:
+    """The numbers by name that a chip has in all its states with all alternatives, and the names that only some have.
+    """
+    found: list[dict[str, Number]] = []
+    for state, *chosen in product(states, *(axis.materials for axis in choices)):
+        picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
+        held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
+        found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
+                      if not name.startswith("ports.")})
+    common = {name: [each[name] for each in found] for name in found[0] if all(name in each for each in found)}
+    return common, set().union(*found) - set(common)
 
 
-def _number_axis(written: str, entry: FileTable, numbers: Numbers) -> VariedNumber:
-    name = numbers.full_name(written)
-    if name in numbers.others:
+def _number_axis(
+    written: str, entry: FileTable, chip: Chip, common: Mapping[str, Sequence[Number]], others: Collection[str]
+) -> VariedNumber:
+    owners = {ParameterName.parse(name).owner for name in {*common, *others}}
+    # ``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name.
+    full = full_names(written, (owner for owner in owners if "/" in owner))
+    name = full[0] if len(full) == 1 else written
+    if name in others:
         raise InputError(entry.source, entry.field, written, "a number of a material that every state and every "
                          "alternative holds; what only some of them hold asks for a study of its own")
-    if name not in numbers.common:
-        shown = [known for known in numbers.common if not known.endswith(".loss")]
+    if name not in common:
+        shown = [known for known in common if not known.endswith(".loss")]
         raise InputError(entry.source, entry.field, written, "a length that the spectrum feels or a material's "
                          f"coefficient (with .loss its imaginary part): {', '.join(shown)}",
-                         nearest_names(name, numbers.common))
+                         nearest_names(name, common))
     kind = next((key for key in _RIVALS if key in entry), "from")
     for key in ("from", "to", "tolerance"):
         if kind in _RIVALS and key in entry and key != kind:
@@ -125,14 +113,14 @@ def _number_axis(written: str, entry: FileTable, numbers: Numbers) -> VariedNumb
     if kind == "values":
         found = VariedNumber.listed(name, _values(entry, name))
     else:
-        low, high = _tolerance(name, entry, numbers) if kind == "tolerance" else (
+        low, high = _tolerance(name, entry, common[name]) if kind == "tolerance" else (
             _quantity(entry, key, name) for key in ("from", "to"))
         if not low < high:
             raise InputError(entry.source, entry.field, f"{low:g} to {high:g} {ParameterName.parse(name).unit}",
                              "from a lower number to a higher one")
         found = VariedNumber(name, low, high, points=entry.content.get("points"))
     for value in found.values or (found.low, found.high):
-        check_length(name, value, source=entry.source, field=entry.field, unusual=numbers.unusual)
+        check_length(name, value, source=entry.source, field=entry.field, unusual=chip.unusual)
     return found
 
 
@@ -154,16 +142,16 @@ def _values(entry: FileTable, name: str) -> tuple[float, ...]:
     return found
 
 
-def _tolerance(name: str, entry: FileTable, numbers: Numbers) -> tuple[float, float]:
+def _tolerance(name: str, entry: FileTable, numbers: Sequence[Number]) -> tuple[float, float]:
     """The ends of the range that a tolerance leaves about the number of the chip file or the material."""
-    if len(numbers.common[name]) > 1:
+    value, stated = numbers[0].value, entry.content["tolerance"]
+    if any(each.value != value for each in numbers):
         raise entry.error("tolerance", f"from and to: {name} is not the same number in all states")
-    (value,), stated = numbers.common[name], entry.content["tolerance"]
     if stated is True:
-        width = numbers.tolerances.get(name)
+        width = numbers[0].tolerance if numbers[0].is_dimension else None
         if width is None:
             expected = ("a tolerance such as \"20 um\": the chip file states none of this length"
-                        if name in numbers.tolerances else 'a tolerance such as "5 %"; only lengths have one of their '
+                        if numbers[0].is_dimension else 'a tolerance such as "5 %"; only lengths have one of their '
                         "own, in the chip file")
             raise entry.error("tolerance", expected)
     elif isinstance(stated, str) and stated.strip().endswith("%"):

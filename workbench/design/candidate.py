@@ -116,8 +116,8 @@ def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers)
             # A hundredth of the scale in the unit of the bound; of two ends the text says which one is meant.
             figure = None if bound.of_lengths else figure_named(bound.figure)
             factor, unit = (1e-6, "um") if figure is None else (figure.factor, figure.shown)
-            end = f" ({'lower' if bound.above else 'upper'} end)" if "within" in bound.text else ""
-            active.append(Active(f"{bound.text}{end}", f"{0.01 * bound.scale / factor:.3g} {unit}".strip(),
+            which = f" ({'lower' if bound.above else 'upper'} end)" if "within" in bound.text else ""
+            active.append(Active(f"{bound.text}{which}", f"{0.01 * bound.scale / factor:.3g} {unit}".strip(),
                                  0.01 * float(gain)))
     own = {each.name: each for each in goal.unknowns}
     for each, low, high in zip(programme.variables, found.low, found.high, strict=True):

@@ -53,6 +53,11 @@ POTENTIAL, SQUARE, ENERGY = range(3)
 OF_FLUID = ("density", "sound_speed", "shear_viscosity")
 
 
+#: The scalars that squares of the pressure depend on besides, by name: ``frequency`` Hz, ``width`` (of a round cavity
+#: its radius) and ``height`` m, and :data:`OF_FLUID` where known, in kg/m^3, m/s and Pa s.
+Surroundings = Mapping[str, Dual]
+
+
 class NoCavity(ValueError):
     """A chip whose cavity has no field of the kind asked for."""
 
@@ -225,20 +230,6 @@ class Polynomials:
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The scalars that squares of the pressure depend on besides: frequency Hz, ``width`` (of a round cavity its
-    radius) and height m, and ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
-
-    frequency: Dual
-    width: Dual
-    height: Dual
-    fluid: Mapping[str, Dual]
-
-    def numbers(self) -> dict[str, Dual]:
-        return {"frequency": self.frequency, "width": self.width, "height": self.height, **self.fluid}
-
-
-@dataclass(frozen=True, eq=False)
 class CavityField:
     """Squares of the pressure's fields at unit voltage, as polynomials.
 
@@ -284,7 +275,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     by_t = 2.0 * (tables[0][0] @ found @ tables[1][1].T)
     fixed = np.moveaxis(slopes, -1, 0) - by_s * xi.gradient[:, :, None] - by_t * eta.gradient[:, None, :]
     changes = inverse[0] @ fixed @ inverse[1].T
-    scalars = {name: number.value for name, number in around.numbers().items()}
+    scalars = {name: number.value for name, number in around.items()}
     values = squares(cavity, found, scalars)
     gradient = np.zeros((len(changes), *values.shape))
     size = np.linalg.norm(found)
@@ -295,7 +286,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
             step = (size / length) * each
             both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
             gradient[k] = (0.5 * length / size) * both
-    for name, number in around.numbers().items():
+    for name, number in around.items():
         if number.gradient.any():
             by_scalar = dual_derivative(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
             gradient += np.multiply.outer(number.gradient, by_scalar)

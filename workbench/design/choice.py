@@ -11,11 +11,10 @@ from itertools import product
 from geometry.chip import Chip
 from workbench.design.candidate import RoundedDesign, proposed, rounded_lengths
 from workbench.design.descent import descend, evolve
-from workbench.design.front import front
 from workbench.design.goal import Goal
 from workbench.design.modelling import ChipSolver, Modelling, Say, half_widths_of, modelled, present_of, sides_within
 from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint, ScenarioSample
-from workbench.design.search import Attempt, Optimum, optima, search_all
+from workbench.design.search import Attempt, Optimum, front, optima, search_all
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
 

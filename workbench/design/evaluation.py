@@ -19,7 +19,7 @@ from geometry.chip import Chip
 from geometry.names import parent_place
 from geometry.operating_point import AT_ENERGY, AT_F0
 from workbench.acoustics.sound_energy import SoundEnergy
-from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, cavity_field
 from workbench.design.figures import LOSS_SHARE, QUOTIENTS, with_parts
 from workbench.design.resonance import Energy, Impedance, Resonance, ResonantQuantity, Responding, find_resonance
 from workbench.design.trapping import FoundTrap, NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
@@ -360,8 +360,7 @@ class _Operating:
         if {"p0", "e_ac"} & set(names):
             largest = largest_square(field_there) * square
             found["p0"] = largest**0.5
-            fluid = field_there.around.fluid
-            found["e_ac"] = largest / (fluid["density"] * fluid["sound_speed"] ** 2.0) / 4.0
+            found["e_ac"] = largest / (field_there.around["density"] * field_there.around["sound_speed"] ** 2.0) / 4.0
         of_trap = [name for name in names if name in OF_TRAP]
         if of_trap and cavity.particle is None:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
@@ -380,21 +379,19 @@ class _Operating:
                                                                                      len(question.names))
         change = cavity.change(question.values)
         width, height = (each.extent(change, moving) for each in (cavity.across, cavity.z))
-        fluid = {}
+        around = {"frequency": self.frequency, "width": width, "height": height}
         for name in OF_FLUID:
-            key = f"{cavity.fluid.name}.{name}"
-            stated = getattr(cavity.fluid, name)
+            key, stated = f"{cavity.fluid.name}.{name}", getattr(cavity.fluid, name)
             if stated is not None:
-                fluid[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
-        surroundings = Surroundings(self.frequency, width, height, fluid)
-        return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], surroundings, change, moving)
+                around[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
+        return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], around, change, moving)
 
 
 def _trap_figures(
     trap: FoundTrap, square: Dual, found: dict[str, Dual], missing: dict[str, str], beyond: float
 ) -> None:
     found["trap_height"], found["trap_radius"] = trap.height, trap.radius
-    found["trap_offset"] = trap.height - trap.field.around.height * 0.5
+    found["trap_offset"] = trap.height - trap.field.around["height"] * 0.5
     found["trap_depth"] = trap.depth * square
     found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
     circulating = follows_flow(trap)

@@ -14,7 +14,7 @@ of the number itself, ``exact`` leaves it certain, and ``assumed`` gives a lengt
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -29,6 +29,7 @@ from materials.kinds import Fluid, Material
 from materials.registry import Registry
 from workbench.design.model import all_of_one_length
 from workbench.design.uncertainty import Uncertainty, known_as
+from workbench.design.variables import flat_entries
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable, parse_json
@@ -75,22 +76,12 @@ def read_statements(path: Path) -> tuple[Statement, ...]:
     """
     root = FileTable.read(path).only(("uncertainty",))
     root.required("uncertainty", "a table [uncertainty] of names and amounts")
-    table = root.table("uncertainty")
     found = []
-    for name, amount in _flat(table.content):
+    for name, amount in flat_entries(root.table("uncertainty").content, of_tables=False):
         if not isinstance(amount, str):
             raise InputError(str(path), f"uncertainty.{name}", amount, 'a text, such as "20 um"')
         found.append(Statement(name, amount, str(path), f"uncertainty.{name}"))
     return tuple(found)
-
-
-def _flat(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
-    """Keys without quotation marks, whose dots have made tables of them, as the names that were meant."""
-    for key, value in content.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{key}.")
-        else:
-            yield before + key, value
 
 
 def stated_uncertainty(
@@ -142,8 +133,11 @@ def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertaint
 def _of_files(device: FilledChip, numbers: Mapping[str, Number], law: Law) -> _Collected:
     found = _Collected()
     for each in numbers.values():
-        if each.is_dimension and each.tolerance:
-            _length(each, device.chip, law, found)
+        if each.is_dimension and each.tolerance and each.name.startswith("ports."):
+            found.notes.append(f"{each.name}: no figure depends on it")
+        elif each.is_dimension and each.tolerance:
+            found.put(known_as(each, Stated.within(each.half_width, law, origin=each.origin),
+                               admissible_range(device.chip, each.name)))
     for material in {each.name: each for each in device.materials.values()}.values():
         _coefficients(material, device, numbers, found)
     return found
@@ -201,15 +195,6 @@ class _Collected:
                            {each.name: each for each in device.materials.values()
                             if each.name in lossy and not isinstance(each, Fluid)},
                            tuple(dict.fromkeys(self.notes)))
-
-
-def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
-    """A length with a tolerance, which a normal `law` reads as three standard deviations."""
-    if number.name.startswith("ports."):
-        found.notes.append(f"{number.name}: no figure depends on it")
-    else:
-        found.put(known_as(number, Stated.within(number.half_width, law, origin=number.origin),
-                           admissible_range(chip, number.name)))
 
 
 def _coefficients(

@@ -225,7 +225,7 @@ def of_range_model(
     followed = responses(wanted, *(replace(operation, drive=each) for each in (operation.drive, *drives)))
     stated = operation.frequency if isinstance(operation.frequency, float) else None
     bases = bases_of(made, followed if device.is_wet else [Impedance()] * bool(followed), stated,
-                     [] if cavity is None else [cavity], tolerance=relative_error, by_place=_by_place(wanted),
+                     cavity, tolerance=relative_error, by_place=_by_place(wanted),
                      seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)

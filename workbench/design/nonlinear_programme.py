@@ -19,6 +19,7 @@ from workbench.design.goal import TOLERANCE, DesignObjective
 from workbench.design.model import Evaluator
 from workbench.design.requirement import Bound
 from workbench.design.variables import VariedNumber
+from workbench.fem.dual import Dual
 
 Real = NDArray[np.float64]
 
@@ -184,29 +185,24 @@ class NonlinearProgramme:
 
     def point(self, x: Real, evaluations: Sequence[Evaluation]) -> ProgrammePoint:
         """The point with the objective, slopes and margins of `evaluations`, those of the unknowns `x` (n,)."""
-        lengths = self.lengths(x)
-        nominal, judged = evaluations[0], evaluations[1:] if self.scenarios and self.sampled else evaluations
+        lengths, over_scenarios = self.lengths(x), self.scenarios is not None and self.sampled
+        nominal, judged = evaluations[0], evaluations[1:] if over_scenarios else evaluations
         missing = next(filter(None, map(self._missing, evaluations)), "")
-        n, m, count = len(self.variables), len(self.bounds), len(judged)
+        n, m = len(self.variables), len(self.bounds)
         if missing:
             return ProgrammePoint(x, lengths, math.nan, np.full(n, math.nan), np.full(m, math.nan),
-                                  np.full((m, n), math.nan),
-                                  nominal, missing)
-        everything = {**self.fixed, **lengths}
-        losses, margins = np.empty(count), np.empty((m, count))
-        slopes, jacobians = np.empty((count, n)), np.empty((m, count, n))
-        for k, each in enumerate(judged):
-            losses[k], slopes[k] = self._loss(each)
-            for j, bound in enumerate(self.bounds):
-                margins[j, k], jacobians[j, k] = self._margin(bound, each, everything)
-        weights = self._weights(losses)
-        kept = np.array([self._weights(-row) for row in margins]).reshape(m, count)
-        return ProgrammePoint(x, lengths, float(weights @ losses), weights @ slopes,
-                              np.einsum("jk,jk->j", kept, margins),
-                              np.einsum("jk,jkn->jn", kept, jacobians), nominal)
-
-    def _weights(self, losses: Real) -> Real:
-        return self.scenarios.weights(losses) if self.scenarios and self.sampled else np.ones(1)
+                                  np.full((m, n), math.nan), nominal, missing)
+        units = dict(zip((each.name for each in self.variables), np.diag(self.extent), strict=True))
+        known = {name: Dual(value, units.get(name, np.zeros(n))) for name, value in {**self.fixed, **lengths}.items()}
+        # Numbers to be small, of every chip that is judged: the loss, and margins with the other sign.
+        small = [[self._loss(each), *(bound.margin(known if bound.of_lengths else {
+            bound.figure: self._figure(each, bound.figure)}) * -1.0 for bound in self.bounds)] for each in judged]
+        values = np.array([[each.value for each in row] for row in small]).T
+        weights = np.array([self.scenarios.weights(row) if self.scenarios is not None and over_scenarios else np.ones(1)
+                            for row in values])
+        slopes = np.einsum("jk,kjn->jn", weights, np.array([[each.gradient for each in row] for row in small]))
+        values = (weights * values).sum(axis=1)
+        return ProgrammePoint(x, lengths, float(values[0]), slopes[0], -values[1:], -slopes[1:], nominal)
 
     def _missing(self, evaluation: Evaluation) -> str:
         """Why a figure that is needed does not exist; empty if all do."""
@@ -220,11 +216,12 @@ class NonlinearProgramme:
         value = evaluation.figures[self.objective.figure]
         return "" if value > 0.0 else f"{self.objective.figure}: {value:g} is not above zero"
 
-    def _loss(self, evaluation: Evaluation) -> tuple[float, Real]:
+    def _loss(self, evaluation: Evaluation) -> Dual:
         if not self.sampled:
-            return -math.log(max(self._tolerance(evaluation), NO_TOLERANCE)), np.full(len(self.variables), math.nan)
-        sign, value = -1.0 if self.objective.maximise else 1.0, evaluation.figures[self.objective.figure]
-        return sign * math.log(value), sign * self._slope(evaluation, self.objective.figure) / value
+            tolerance = max(self._tolerance(evaluation), NO_TOLERANCE)
+            return Dual(-math.log(tolerance), np.full(len(self.variables), math.nan))
+        sign, figure = -1.0 if self.objective.maximise else 1.0, self._figure(evaluation, self.objective.figure)
+        return Dual(sign * math.log(figure.value), sign * figure.gradient / figure.value)
 
     def _tolerance(self, evaluation: Evaluation) -> float:
         """The largest factor of all tolerances with which every bound of a figure still holds for 95 % of the chips, by
@@ -233,25 +230,18 @@ class NonlinearProgramme:
         assert evaluation.gradient is not None
         found = [math.inf]
         for bound in self.bounds:
-            if bound.of_lengths:
-                continue
-            slopes = zip(self.evaluator.names, evaluation.gradient[bound.figure], strict=True)
-            deviation = self.scenarios.deviation(
-                {name: bound.slope(bound.figure) * float(each) for name, each in slopes})
-            if deviation > 0.0:
-                found.append(bound.margin(evaluation.figures) / (ONE_SIDED * deviation))
+            if not bound.of_lengths:
+                name = bound.figure
+                margin = bound.margin({name: Dual(evaluation.figures[name], evaluation.gradient[name])})
+                deviation = self.scenarios.deviation(dict(zip(self.evaluator.names, margin.gradient, strict=True)))
+                if deviation > 0.0:
+                    found.append(margin.value / (ONE_SIDED * deviation))
         return min(found)
 
-    def _margin(self, bound: Bound, evaluation: Evaluation, lengths: Mapping[str, float]) -> tuple[float, Real]:
-        if bound.of_lengths:
-            slopes = np.array([bound.slope(each.name) for each in self.variables])
-            return bound.margin(lengths), slopes * self.extent
-        slope = bound.slope(bound.figure) * self._slope(evaluation, bound.figure)
-        return bound.margin(evaluation.figures), slope
-
-    def _slope(self, evaluation: Evaluation, name: str) -> Real:
-        """d figure / d unknown (n,)."""
-        if evaluation.gradient is None:
-            return np.full(len(self.variables), math.nan)
-        by_name = dict(zip(self.evaluator.names, evaluation.gradient[name], strict=True))
-        return np.array([by_name[each.name] for each in self.variables]) * self.extent
+    def _figure(self, evaluation: Evaluation, name: str) -> Dual:
+        """A figure with its derivatives (n,) by the unknowns, NaN of an evaluation without them."""
+        slopes = np.full(len(self.variables), math.nan)
+        if evaluation.gradient is not None:
+            by_name = dict(zip(self.evaluator.names, evaluation.gradient[name], strict=True))
+            slopes = np.array([by_name[each.name] for each in self.variables]) * self.extent
+        return Dual(evaluation.figures[name], slopes)

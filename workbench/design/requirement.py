@@ -1,12 +1,10 @@
 """A requirement on a chip, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
 
     <figure> within <margin> [of <centre>] [at <drive>]
+    <figure> within [<low>, <high>] [at <drive>]
     <figure> >= <number> [at <drive>]          or <=
 
-A design keeps to bounds: requirements, a figure within two ends, or sums of lengths::
-
-    f0 within [0.9 MHz, 1.1 MHz]
-    substrate.radius - cavity.radius >= 0.8 mm
+A design keeps to bounds: requirements, or limits of sums of lengths, ``substrate.radius - cavity.radius >= 0.8 mm``.
 
 Figures are those of `workbench.design.figures`, in capitals or not. Without a centre, a margin is about what the chip
 as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.model.drive.parse_drive`.
@@ -18,6 +16,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ _SENTENCE = re.compile(r"\s*(?P<name>[\w./]+)(?![\w./])\s*(?P<verb>[<>=!~]+|\w+)
                        re.IGNORECASE)
 _DRIVEN = re.compile(r"(?P<what>.*?)\s+at\b\s*(?P<drive>.*)", re.IGNORECASE)
 _CENTRED = re.compile(r"(?P<margin>.*?)\s+of\b\s*(?P<centre>.*)", re.IGNORECASE)
-_ENDS = re.compile(r"\s*(?P<name>.+?)\s+within\s*\[(?P<low>[^,\]]+),(?P<high>[^,\]]+)\]\s*", re.IGNORECASE)
+_ENDS = re.compile(r"\[(?P<low>[^,\]]+),(?P<high>[^,\]]+)\]\s*")
 _LENGTHS = re.compile(r"\s*(?P<sum>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<limit>[^<>=]+?)\s*")
 _TERM = re.compile(r"\s*([+-])\s*([\w.]+)\s*")
 
@@ -85,53 +84,47 @@ def parse_requirement(
     Raises:
         InputError: it is none: no known figure, no comparison, a number of another dimension, an unknown drive.
     """
-    found = _SENTENCE.fullmatch(text) if isinstance(text, str) else None
+    found, place = _SENTENCE.fullmatch(text) if isinstance(text, str) else None, f'{field} "{text}"'
     if found is None:
         raise InputError(source, field, text, f"a requirement {EXPECTED}")
-    named = _figure(found["name"], regions, text, source, field)
+    known = {each.casefold(): each for each in (*FIGURES, *(LOSS_SHARE + region for region in regions))}
+    if found["name"].casefold() not in known:
+        raise InputError(source, place, found["name"], "a figure: " + ", ".join(known.values()),
+                         nearest_names(found["name"], known.values()))
+    figure = figure_named(known[found["name"].casefold()])
     what, drive = found["rest"], None
     driven = _DRIVEN.fullmatch(what)
     if driven is not None:
-        what, drive = driven["what"], parse_drive(driven["drive"], source=source, field=f'{field} "{text}"')
+        what, drive = driven["what"], parse_drive(driven["drive"], source=source, field=place)
 
-    def number(part: str, dimension: str = named.dimension) -> float:
-        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
+    def number(part: str, dimension: str = figure.dimension) -> float:
+        return parse_quantity(part, dimension, source=source, field=place)
 
-    match found["verb"].casefold():
-        case "within":
-            return _within(text, named, drive, what, source, field)
-        case ">=" | ">":
-            return Requirement(text, named, drive, low=number(what))
-        case "<=" | "<":
-            return Requirement(text, named, drive, high=number(what))
-    raise InputError(source, f'{field} "{text}"', found["verb"], "within, >= or <= behind the figure",
-                     nearest_names(found["verb"], ("within", ">=", "<=")))
-
-
-def _within(text: str, named: Figure, drive: Drive | None, what: str, source: str, field: str) -> Requirement:
-    def number(part: str, dimension: str) -> float:
-        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
-
+    verb = found["verb"].casefold()
+    if verb in (">=", ">"):
+        return Requirement(text, figure, drive, low=number(what))
+    if verb in ("<=", "<"):
+        return Requirement(text, figure, drive, high=number(what))
+    if verb != "within":
+        raise InputError(source, place, found["verb"], "within, >= or <= behind the figure",
+                         nearest_names(found["verb"], ("within", ">=", "<=")))
+    if ends := _ENDS.fullmatch(what):
+        low, high = number(ends["low"]), number(ends["high"])
+        if not low < high:
+            raise InputError(source, place, what, "a lower end, then a higher one")
+        return Requirement(text, figure, drive, low=low, high=high)
     centred = _CENTRED.fullmatch(what)
     written = what if centred is None else centred["margin"]
     # A figure in per cent has its margin in per cent.
-    relative = written.rstrip().endswith("%") and named.shown != "%"
-    margin = number(written, "dimensionless" if relative else named.dimension)
-    centre = None if centred is None else number(centred["centre"], named.dimension)
+    relative = written.rstrip().endswith("%") and figure.shown != "%"
+    margin = number(written, "dimensionless" if relative else figure.dimension)
+    centre = None if centred is None else number(centred["centre"])
     if not margin > 0.0:
-        raise InputError(source, f'{field} "{text}"', written, "a margin above zero")
+        raise InputError(source, place, written, "a margin above zero")
     if relative and centre == 0.0:
-        raise InputError(source, f'{field} "{text}"', written, f"a margin with its unit, such as \"1 "
-                         f"{named.shown or '1'}\": per cents of 0 are 0")
-    return Requirement(text, named, drive, margin=margin, centre=centre, relative=relative)
-
-
-def _figure(name: str, regions: Iterable[str], text: str, source: str, field: str) -> Figure:
-    known = {each.casefold(): each for each in (*FIGURES, *(LOSS_SHARE + region for region in regions))}
-    if name.casefold() not in known:
-        raise InputError(source, f'{field} "{text}"', name, "a figure: " + ", ".join(known.values()),
-                         nearest_names(name, known.values()))
-    return figure_named(known[name.casefold()])
+        raise InputError(source, place, written, f"a margin with its unit, such as \"1 {figure.shown or '1'}\": per "
+                         "cents of 0 are 0")
+    return Requirement(text, figure, drive, margin=margin, centre=centre, relative=relative)
 
 
 def parse_requirements(
@@ -184,15 +177,12 @@ class Bound:
             raise ValueError(f"{self.text!r} is of lengths")
         return next(iter(self.weights))
 
-    def margin(self, values: Mapping[str, float]) -> float:
-        """The distance, in scales, of the sum of `values` (SI, by name) from the limit, positive where it is kept; NaN
-        where a value is."""
-        total = sum(weight * values[name] for name, weight in self.weights.items())
-        return (total - self.limit if self.above else self.limit - total) / self.scale
-
-    def slope(self, name: str) -> float:
-        """d margin / d number of that name, 1 over its SI unit."""
-        return (1.0 if self.above else -1.0) * self.weights.get(name, 0.0) / self.scale
+    def margin(self, values: Mapping[str, Any]) -> Any:
+        """The distance, in scales, of the sum of `values` (SI, by name; numbers or `workbench.fem.dual.Dual`) from the
+        limit, positive where it is kept; NaN where a value is."""
+        first, *others = (values[name] * weight for name, weight in self.weights.items())
+        total = sum(others, first)
+        return (total - self.limit if self.above else total * -1.0 + self.limit) / self.scale
 
 
 def parse_bounds(
@@ -203,46 +193,26 @@ def parse_bounds(
     Raises:
         InputError: another sentence, an unknown name, a limit that is no quantity of that kind, or another drive.
     """
-    lengths, regions = set(lengths), set(regions)
-    sum_of_lengths = _LENGTHS.fullmatch(text)
-    if sum_of_lengths is not None and _is_of_lengths(sum_of_lengths["sum"], lengths):
-        weights = _weights(sum_of_lengths["sum"], lengths, source=source, field=field)
-        limit = parse_quantity(sum_of_lengths["limit"], "length", source=source, field=f'{field} "{text}"')
+    lengths = set(lengths)
+    found = _LENGTHS.fullmatch(text)
+    words = re.findall(r"[\w.]+", found["sum"]) if found else []
+    # A sum is meant to be one of lengths if it names one, or adds up.
+    if found and (len(words) > 1 or lengths.intersection(words)):
+        weights = _weights(found["sum"], lengths, source=source, field=field)
+        limit = parse_quantity(found["limit"], "length", source=source, field=f'{field} "{text}"')
         # A clearance of zero is given in millimetres.
-        return (Bound(weights, limit, sum_of_lengths["sign"] == ">=", abs(limit) or 1e-3, text, True),)
-    name, low, high = _limits(text, regions, drive, source=source, field=field)
+        return (Bound(weights, limit, found["sign"] == ">=", abs(limit) or 1e-3, text, True),)
+    required = parse_requirement(text, regions, source=source, field=field)
+    if required.drive is not None and required.drive != drive:
+        raise InputError(source, field, text, f"the drive of the goal, {drive}: an optimum is of one drive")
+    if required.margin is not None and required.centre is None:
+        raise InputError(source, field, text, 'a centre, "within ... of ...": what the chip does changes here')
+    low, high = required.limits(math.nan)
     bounded = [(end, above) for end, above in ((low, True), (high, False)) if math.isfinite(end)]
     scale = 0.5 * (high - low) if len(bounded) == 2 else abs(bounded[0][0])
     if scale == 0.0:
         raise InputError(source, field, text, 'a limit other than zero, or a margin about it: "within 50 um of 0 um"')
-    return tuple(Bound({name: 1.0}, end, above, scale, text) for end, above in bounded)
-
-
-def _limits(
-    text: str, regions: set[str], drive: Drive, *, source: str, field: str
-) -> tuple[str, float, float]:
-    """The figure that a text bounds, and its lowest and highest value (SI), infinite where there is none."""
-    ends = _ENDS.fullmatch(text)
-    if ends is not None:
-        parts = [parse_requirement(f"{ends['name']} {sign} {ends[end]}", regions, source=source, field=field)
-                 for sign, end in ((">=", "low"), ("<=", "high"))]
-        low, high = parts[0].low, parts[1].high
-        if not low < high:
-            raise InputError(source, field, text, "a lower end, then a higher one")
-        return parts[0].figure.name, low, high
-    found = parse_requirement(text, regions, source=source, field=field)
-    if found.drive is not None and found.drive != drive:
-        raise InputError(source, field, text, f"the drive of the goal, {drive}: an optimum is of one drive")
-    if found.margin is not None and found.centre is None:
-        raise InputError(source, field, text, 'a centre, "within ... of ...": what the chip does changes here')
-    low, high = found.limits(math.nan)
-    return found.figure.name, low, high
-
-
-def _is_of_lengths(text: str, lengths: set[str]) -> bool:
-    """Whether a sum is meant to be one of lengths: it names one, or adds up."""
-    words = re.findall(r"[\w.]+", text)
-    return len(words) > 1 or (words[0] if words else "") in lengths
+    return tuple(Bound({required.figure.name: 1.0}, end, above, scale, text) for end, above in bounded)
 
 
 def _weights(text: str, lengths: set[str], *, source: str, field: str) -> dict[str, float]:

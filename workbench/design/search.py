@@ -1,4 +1,4 @@
-"""Many starts of one search, and which of their ends are the same optimum.
+"""Many starts of one search, which of their ends are the same optimum, and fronts between two objectives.
 
 A start looks at points of its own, spread evenly (Sobol), and descends from the best of them; no start knows of
 another. So how many of them end at the best optimum says how surely it is the best one within the ranges.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from workbench.design.descent import DesignDescent, descend
-from workbench.design.goal import SearchOptions
+from workbench.design.goal import DesignObjective, SearchOptions
 from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
+from workbench.design.requirement import Bound
 from workbench.jobs.workers import Workers, itself
 from workbench.search.optimum import distinct, is_same_optimum
 
@@ -106,3 +107,38 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
     """Whether two points with figures are one optimum; the scale of an unknown is its range."""
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
+
+
+def front(
+    programme: NonlinearProgramme, objectives: Sequence[DesignObjective], search: SearchOptions, present: Real,
+    points: int, *, workers: Workers, say: Callable[[float], None] = lambda share: None,
+) -> list[tuple[NonlinearProgramme, DesignDescent]]:
+    """Descents to `points` points from the optimum of the first objective to that of the second, with their programmes.
+
+    One objective is optimised, the other one bounded (epsilon-constraint method); the bound goes in equal steps of its
+    logarithm. No point if a figure does not exist.
+    """
+    one, other = (programme.under(each) for each in objectives)
+    first, last = (attempt(each, search, 0, present).best for each in (one, other))
+    if not (first.point.exists and last.point.exists):
+        return []
+    second = objectives[1]
+    ends = other(first.point.x, gradient=False).objective, last.point.objective
+    shares, bounded = np.linspace(0.0, 1.0, points)[1:], list[NonlinearProgramme]()
+    for level in ends[0] + (ends[1] - ends[0]) * shares:
+        limit = math.exp(-level if second.maximise else level)
+        bound = Bound({second.figure: 1.0}, limit, second.maximise, limit,
+                      f"{second.figure} {'>=' if second.maximise else '<='} {limit:.6g}")
+        bounded.append(replace(one, bounds=(*one.bounds, bound)))
+    starts = [first.point.x + share * (last.point.x - first.point.x) for share in shares]
+    workers.share(itself, search.evaluations)
+    tasks = [partial(_descended, programme=each, start=start) for each, start in zip(bounded, starts, strict=True)]
+    descents = [first] * len(tasks)
+    for count, (index, done) in enumerate(workers.completed(enumerate(tasks)), 1):
+        descents[index] = done.result()
+        say(count / len(tasks))
+    return list(zip((one, *bounded), (first, *descents), strict=True))
+
+
+def _descended(evaluations: int, *, programme: NonlinearProgramme, start: Real) -> DesignDescent:
+    return descend(programme, start, evaluations=evaluations)

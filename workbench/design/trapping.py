@@ -61,12 +61,12 @@ class FoundTrap:
     def radius(self) -> Dual:
         """m from the axis, or from the middle of a straight chip, below zero on its left."""
         middle = 0.0 if isinstance(self.field.cavity.measure, Axisymmetric) else 0.5
-        return self.field.around.width * (self.place[0] - middle)
+        return self.field.around["width"] * (self.place[0] - middle)
 
     @property
     def height(self) -> Dual:
         """m above the floor."""
-        return self.field.around.height * self.place[1]
+        return self.field.around["height"] * self.place[1]
 
 
 def largest_square(field: CavityField) -> Dual:
@@ -92,7 +92,7 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
     right = max(int(i), len(values) - 1 - int(i)) if field.cavity.is_half else int(i)
     start = np.array([right, j]) / (np.array(values.shape) - 1.0)
     if near is not None:
-        column = min(round(near / around.width.value * (len(values) - 1)), len(values) - 1)
+        column = min(round(near / around["width"].value * (len(values) - 1)), len(values) - 1)
         start = np.array([column, np.argmin(values[column])]) / (np.array(values.shape) - 1.0)
     place, free = _minimum(field, start)
     by_number = np.zeros((len(potential.gradient), 2))
@@ -104,14 +104,14 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
     moving = Dual(place, by_number)
     xi, eta = ([each[0] for each in _along(field, axis, moving[axis:axis + 1])] for axis in (0, 1))
     highest, lowest = lines[0][k] @ potential @ lines[1][m], xi[0] @ potential @ eta[0]
-    return FoundTrap(field, moving, highest - lowest, xi[2] @ potential @ eta[0] / around.width**2.0,
-                     xi[0] @ potential @ eta[2] / around.height**2.0)
+    return FoundTrap(field, moving, highest - lowest, xi[2] @ potential @ eta[0] / around["width"]**2.0,
+                     xi[0] @ potential @ eta[2] / around["height"]**2.0)
 
 
 def follows_flow(trap: FoundTrap) -> str:
     """The reason why the particle comes to no trap, if streaming along plane walls moves it more than sound does; empty
     otherwise."""
-    cavity, frequency = trap.field.cavity, trap.field.around.frequency.value
+    cavity, frequency = trap.field.cavity, trap.field.around["frequency"].value
     assert cavity.particle is not None
     factor = viscous_scattering(cavity.particle, cavity.fluid, frequency).contrast_factor
     if not factor or 2.0 * cavity.particle.radius >= (limit := critical_diameter(factor, cavity.fluid, frequency)):
@@ -140,14 +140,14 @@ def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: flo
     field, side = trap.field, ("beside", "above")[axis]
     particle, around = field.cavity.particle, field.around
     assert particle is not None
-    length, base = (around.width, around.height)[axis], trap.place[axis]
-    reach = around.fluid["sound_speed"] / around.frequency * 0.25
+    length, base = (around["width"], around["height"])[axis], trap.place[axis]
+    reach = around["sound_speed"] / around["frequency"] * 0.25
     if axis == 0 and (1.0 - base.value) * length.value < reach.value:
         reach = (base * -1.0 + 1.0) * length
     if base.value * length.value + FROM * reach.value > (1.0 + beyond) * length.value:
         raise NoTrap(f"a quarter wavelength {side} the deepest trap there is a wall")
     # Weight less buoyancy, as `particles.net_weight`.
-    weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY if axis else 0.0)
+    weight = (around["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY if axis else 0.0)
     rise = reach / length
     points, weights = leggauss(RULE)
     back = weight - _force(trap, axis, base + rise * (0.5 * (FROM + TO) + 0.5 * (FROM - TO) * points)
@@ -163,7 +163,7 @@ def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: flo
         if np.ptp(further) > SETTLED and against.max() < abs(weight.value):
             raise NoTrap("the field is too weak to hold a particle in the deepest trap against its weight")
     # Stokes' drag, as `particles.drag_coefficient`.
-    drag = around.fluid["shear_viscosity"] * (6.0 * math.pi * particle.radius)
+    drag = around["shear_viscosity"] * (6.0 * math.pi * particle.radius)
     return travel_time(drag, reach * (FROM - TO), back, 0.5 * weights)
 
 
@@ -185,7 +185,7 @@ def _raster(field: CavityField) -> tuple[Real, Real]:
     """Polynomials in s (i, n) and in t (j, m) on lines a small part of a wavelength apart, both walls included."""
     wavelength = 2.0 * math.pi / field.cavity.wave_number
     counts = [math.ceil(RASTER_POINTS * length.value / wavelength) + 1
-              for length in (field.around.width, field.around.height)]
+              for length in (field.around["width"], field.around["height"])]
     in_s, in_t = field.coefficients.value.shape[1:]
     return _on_lines(counts[0], in_s, field.cavity.measure.power), _on_lines(counts[1], in_t, 1)
 

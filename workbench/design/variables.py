@@ -110,12 +110,13 @@ class MaterialChoice:
 Variable = VariedNumber | MaterialChoice
 
 
-def flat_entries(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def flat_entries(content: Mapping[str, Any], *, of_tables: bool = True) -> Iterator[tuple[str, Any]]:
     """The entries of a table by their full names: TOML reads ``substrate.thickness`` without quotes as a table in a
-    table. An entry that is a table holds anything but tables."""
+    table. Entries `of_tables` are tables themselves, which hold anything but tables."""
     for key, value in content.items():
-        if isinstance(value, Mapping) and value and all(isinstance(each, Mapping) for each in value.values()):
-            yield from ((f"{key}.{name}", each) for name, each in flat_entries(value))
+        if isinstance(value, Mapping) and (not of_tables or (value and all(isinstance(each, Mapping)
+                                                                           for each in value.values()))):
+            yield from ((f"{key}.{name}", each) for name, each in flat_entries(value, of_tables=of_tables))
         else:
             yield key, value
 
