@@ -33,6 +33,8 @@ Complex = NDArray[np.complex128]
 HALF = 0.5 * math.log(2.0)
 #: Relative change of a frequency below which Newton's method has converged: a millihertz of a megahertz.
 CONVERGED = 1e-9
+#: Difference of two levels that rounding makes.
+ROUNDING = 1e-12
 #: Most steps of it; it falls back on bisection, which gains a bit each.
 STEPS = 60
 
@@ -206,7 +208,8 @@ def _inner(neighbour: float, f0: float, step: int) -> float:
 def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
     """The frequency of the least level between ascending `points` (Hz), about the one of index `nearest`.
 
-    The points may be those of a rougher model: its neighbour may be lower.
+    The points may be those of a rougher model: its neighbour may be lower. Newton's method between points that are
+    higher; a step that leaves them, or does not go down, halves the larger part instead.
 
     Raises:
         NoResonance: the level goes down to the first or last point.
@@ -220,7 +223,23 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         if not down:
             break
         nearest += down
-    return _root(level, (low, high), middle, lambda each: (each.slope, each.curvature), rising=True)
+    for _ in range(STEPS):
+        here = level(middle)
+        step = -here.slope / here.curvature if here.curvature > 0.0 else math.inf
+        if abs(step) <= CONVERGED * middle or high - low <= CONVERGED * middle:
+            # The last step squares the error, so that figures of the state are smooth in the numbers.
+            return middle + step if low < middle + step < high else middle
+        further = middle + step
+        if not low < further < high:
+            further = 0.5 * (middle + (high if high - middle > middle - low else low))
+        there = level(further)
+        # To rounding, a flatter place is a lower one.
+        if there.value < here.value or (there.value <= here.value + ROUNDING and abs(there.slope) < abs(here.slope)):
+            low, high = (middle, high) if further > middle else (low, middle)
+            middle = further
+        else:
+            low, high = (low, further) if further > middle else (further, high)
+    return middle
 
 
 def _crossing(
@@ -254,10 +273,9 @@ def _root(
         else:
             low = frequency
         step = -value / derivative if derivative else math.inf
-        following = frequency + step
         if abs(step) <= CONVERGED * frequency:
-            # The last step squares the error, so that figures of the state are smooth in the numbers.
-            return following if low < following < high else frequency
+            return frequency
+        following = frequency + step
         frequency = following if low < following < high else 0.5 * (low + high)
         if high - low <= CONVERGED * frequency:
             break
