@@ -85,8 +85,9 @@ def programme(*texts: str, step: float | None = None, hill: Hill | None = None, 
     """The made-up hill over substrate and sidewall, 0.7 to 0.9 mm and 0.65 to 0.8 mm unless told otherwise."""
     chip = read_chip(CHIPS / "reference_chip.toml")
     lengths = {name: each.value for name, each in chip.dimensions().items()}
-    bounds = tuple(bound for text in texts
-                   for bound in parse_bounds(text, lengths, chip.regions, VoltageDrive(), source="test", field="bound"))
+    own_names = {each: each for each in lengths}
+    bounds = tuple(bound for text in texts for bound in parse_bounds(
+        text, own_names, chip.regions, VoltageDrive(), source="test", field="bound"))
     low, high = ranges.get("substrate", (0.7, 0.9))
     variables = (VariedNumber(SUBSTRATE, 1e-3 * low, 1e-3 * high, step),
                  VariedNumber(SIDEWALL, 0.65e-3, 0.8e-3, step))

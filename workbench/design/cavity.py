@@ -205,19 +205,17 @@ class Polynomials:
     along_s: tuple[Real, ...]
     along_t: tuple[Real, ...]
     back: tuple[Real, Real]
-    weights: Real
 
     @classmethod
     def of(cls, in_s: int, in_t: int) -> Polynomials:
         """The polynomials for `count` coefficients of the pressure."""
-        tables, points, back, weights = [], [], [], []
+        tables, points, back = [], [], []
         for count in (in_s, in_t):
             x, w = leggauss(2 * count - 1)
             points.append(x)
-            weights.append(w)
             tables.append(tuple(derivatives(x, count, order) for order in range(3)))
             back.append((derivatives(x, x.size, 0) * w[:, None]).T * (np.arange(x.size) + 0.5)[:, None])
-        return cls(points[0], tables[0], tables[1], (back[0], back[1]), np.outer(*weights) / 4.0)
+        return cls(points[0], tables[0], tables[1], (back[0], back[1]))
 
     @property
     def counts(self) -> tuple[int, int]:

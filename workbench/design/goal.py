@@ -182,9 +182,9 @@ class Goal:
             raise root.error("variables",
                              'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
         driven = read_drive(head)
-        bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
-                       for bound in parse_bounds(text, chip.dimensions(), chip.regions, driven, source=source,
-                                                 field=f"goal.constraints[{index}]"))
+        first = {name: first_name(chip, name) for name in chip.dimensions()}
+        bounds = tuple(bound for index, text in enumerate(head.texts("constraints", ())) for bound in parse_bounds(
+            text, first, chip.regions, driven, source=source, field=f"goal.constraints[{index}]"))
         within = band_key(head, chip)
         thermal_resistance = read_thermal(root, chip, (), states=(chosen,), band=within, registry=registry)
         self.__dict__.update(
@@ -232,16 +232,6 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     said = {key: value for key, value in head.content.items() if key != "chip"}
     tables: dict[str, Any] = {key: root.content.get(key) for key in ("thermal", "robust", "search")}
     return Goal(chip, root.content.get("variables", {}), **said, **tables, registry=registry, source=root.source)
-
-
-def _by_first_names(bound: Bound, chip: Chip) -> Bound:
-    """A bound of lengths with radii that coincide under one name."""
-    if not bound.of_lengths:
-        return bound
-    weights: dict[str, float] = {}
-    for name, weight in bound.weights.items():
-        weights[first_name(chip, name)] = weights.get(first_name(chip, name), 0.0) + weight
-    return replace(bound, weights=weights)
 
 
 def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:

@@ -21,7 +21,7 @@ import numpy as np
 from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.candidate import Confirmed, RoundedDesign, confirmed
-from workbench.design.choice import ChoiceResult, Keep, search_choice
+from workbench.design.choice import ChoiceResult, ChoiceSearch, Keep
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
 from workbench.design.modelling import ChipSolver, scenario_sample
@@ -106,8 +106,7 @@ def optimise(
     with begin_workers(jobs, executor) as workers:
         for index, selection in enumerate(choices):
             row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
-            searched.append(search_choice(goal, selection, solver, scenarios=spread, workers=workers,
-                                          say=partial(report, row), keep=keep))
+            searched.append(ChoiceSearch(goal, selection, solver, spread, workers, partial(report, row), keep)())
     spent = time.perf_counter() - started
     design = Design(goal, before, None, (), tuple(searched))
     design = (_best if len(goal.objectives) == 1 else _front)(design, solver, partial(report, "confirm"))

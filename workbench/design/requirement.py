@@ -186,18 +186,19 @@ class Bound:
 
 
 def parse_bounds(
-    text: str, lengths: Iterable[str], regions: Iterable[str], drive: Drive, *, source: str, field: str
+    text: str, lengths: Mapping[str, str], regions: Iterable[str], drive: Drive, *, source: str, field: str
 ) -> tuple[Bound, ...]:
-    """The one or two bounds that a text states, of a chip with these `lengths` and `regions`, driven by `drive`.
+    """The one or two bounds that a text states, of a chip with these `regions`, driven by `drive`.
+
+    `lengths` are the names that lengths have in the bound, by name: radii that coincide are one length.
 
     Raises:
         InputError: another sentence, an unknown name, a limit that is no quantity of that kind, or another drive.
     """
-    lengths = set(lengths)
     found = _LENGTHS.fullmatch(text)
     words = re.findall(r"[\w.]+", found["sum"]) if found else []
     # A sum is meant to be one of lengths if it names one, or adds up.
-    if found and (len(words) > 1 or lengths.intersection(words)):
+    if found and (len(words) > 1 or lengths.keys() & words):
         weights = _weights(found["sum"], lengths, source=source, field=field)
         limit = parse_quantity(found["limit"], "length", source=source, field=f'{field} "{text}"')
         # A clearance of zero is given in millimetres.
@@ -215,7 +216,7 @@ def parse_bounds(
     return tuple(Bound({required.figure.name: 1.0}, end, above, scale, text) for end, above in bounded)
 
 
-def _weights(text: str, lengths: set[str], *, source: str, field: str) -> dict[str, float]:
+def _weights(text: str, lengths: Mapping[str, str], *, source: str, field: str) -> dict[str, float]:
     signed = text if text.startswith("-") else f"+{text}"
     terms = _TERM.findall(signed)
     if not terms or _TERM.sub("", signed):
@@ -227,5 +228,5 @@ def _weights(text: str, lengths: set[str], *, source: str, field: str) -> dict[s
             more = "; figures are bounded one by one" if name in FIGURES or name.startswith(LOSS_SHARE) else ""
             raise InputError(source, field, name, "one of " + ", ".join(sorted(lengths)) + more,
                              nearest_names(name, lengths))
-        weights[name] = weights.get(name, 0.0) + (1.0 if sign == "+" else -1.0)
+        weights[lengths[name]] = weights.get(lengths[name], 0.0) + (1.0 if sign == "+" else -1.0)
     return weights
