@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.design.requirement import Requirement, parse_requirement, parse_requirements
+from workbench.design.yields import bound
 from workbench.files.errors import InputError
 from workbench.model.drive import GeneratorDrive, PowerDrive, VoltageDrive
 
@@ -47,8 +48,8 @@ def test_a_drive_is_stated_behind_at(text: str, drive: object) -> None:
 
 def test_a_figure_that_does_not_exist_does_not_meet_anything() -> None:
     values = np.array([0.9, 1.0, math.nan, 1.2])
-    assert parsed("q within 0.15").met(values, 1.0).tolist() == [True, True, False, False]
-    assert parsed("q <= 5").met(values, 1.0).tolist() == [True, True, False, True]
+    assert bound(parsed("q within 0.15"), "q", 1.0).met(values).tolist() == [True, True, False, False]
+    assert bound(parsed("q <= 5"), "q", 1.0).met(values).tolist() == [True, True, False, True]
 
 
 @pytest.mark.parametrize(("text", "words"), [

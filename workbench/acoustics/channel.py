@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.dimension import SAME_LENGTH
 from geometry.measure import Measure
 from workbench.acoustics.basins import find_basins, label_basins
 from workbench.acoustics.fields import Fields
 from workbench.acoustics.focusing import FROM, TO
-from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, way_to_wall
 from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, integrate, interpolate, raster
 from workbench.acoustics.streaming import critical_diameter
 from workbench.results.brief import Brief
@@ -177,7 +177,6 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     wet = weight.sum(axis=1) > 0.0
     potential, force = np.sum(weight * np.nan_to_num(maps), axis=2) / np.where(wet, weight.sum(axis=1), np.nan)
     force[mesh.mirrors.on(x)] = 0.0
-    at_middle = liquid[:, POINTS_UP // 2]
     span = float(np.nanmax(potential) - np.nanmin(potential))
     label = label_basins(potential[:, None], least=LEAST_LINE * span)[:, 0]
     widths = np.gradient(x)
@@ -195,14 +194,8 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
         found.append(FocusLine(
             place=mesh.mirrors.snapped(place), depth=depth, share=float(widths[label == i].sum() / widths.sum()),
             stiffness=stiffness, at_side=bool(at_side), measure=mesh.measure,
-            time=_time(forces, place, 0.5 * (floor + lid), _ends_around(x, at_middle, i), 0.25 * wavelength)))
+            time=_time(forces, place, 0.5 * (floor + lid), 0.25 * wavelength)))
     return tuple(sorted(found, key=lambda line: -line.depth))
-
-
-def _ends_around(x: FloatArray, liquid: NDArray[np.bool_], i: int) -> tuple[float, float]:
-    """The right and the left end of the liquid around the point `i` of `x` (n,)."""
-    dry = np.flatnonzero(~liquid)
-    return (float(x[min(dry[dry > i], default=len(x)) - 1]), float(x[max(dry[dry < i], default=-1) + 1]))
 
 
 def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
@@ -217,17 +210,12 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
     return float(x[i]), stiffness
 
 
-def _time(
-    forces: ParticleForces, place: float, height: float, ends: tuple[float, float], quarter: float
-) -> float | None:
-    """Time (s) to a line, the shorter one of those from its two sides; `ends` (m) are the right and the left end of the
-    liquid at that height."""
-    mesh, found = forces.mesh, []
-    for side, end in zip((1.0, -1.0), ends, strict=True):
-        reach = quarter if mesh.mirrors.on(np.array(end)) else min(quarter, abs(end - place))
-        try:
-            found.append(focus_time_along(forces, 0, across=height, start=place + side * FROM * reach,
-                                          stop=place + side * TO * reach))
-        except ValueError:
-            continue
+def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
+    """Time (s) to a line, the shorter one of those from its two sides."""
+    found = []
+    for side in (1.0, -1.0):
+        reach = side * min(quarter, way_to_wall(forces, place, height, side))
+        with suppress(ValueError):
+            found.append(focus_time_along(forces, 0, across=height, start=place + FROM * reach,
+                                          stop=place + TO * reach))
     return min(found, default=None)

@@ -5,6 +5,7 @@ A force means nothing without the field it was computed in, so every result carr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,9 @@ from workbench.results.brief import Brief
 
 if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
+
+#: Points on the way from a trap to a side wall: one that slopes or is round is as far off as they are apart.
+WAY_POINTS = 257
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,3 +177,15 @@ def focus_time_along(
     weights[[0, -1]] = 1.0
     return float(travel_time(drag_coefficient(forces.particle, forces.fluid), stop - start, net,
                              weights / (3.0 * (points - 1))))
+
+
+def way_to_wall(forces: ParticleForces, place: float, height: float, side: float) -> float:
+    """The way (m) across from a place (m) at a `height` (m) to the wall on the right (`side` 1) or on the left (-1).
+
+    It is infinite to a plane of symmetry, behind which the channel goes on.
+    """
+    mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
+    way = np.linspace(place, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
+    inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, height)], axis=1))[:, 0])
+    last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    return math.inf if mirrors.on(way[last:last + 1]).all() else abs(float(way[last]) - place)

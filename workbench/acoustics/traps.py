@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import legder, legval2d, legvander2d
 from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
 from workbench.acoustics.focusing import FROM, TO, along_stiffest
-from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at, way_to_wall
 from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
@@ -21,8 +21,6 @@ from workbench.results.brief import Brief
 #: Points per wavelength of sound of the raster on which minima and passes of the potential are found. They are 32 per
 #: period of the potential of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
 RASTER_POINTS = 64
-#: Points on the way from a trap to a side wall: one that slopes or is round is as far off as they are apart.
-WAY_POINTS = 257
 #: Degree of the polynomial fitted about a minimum; over half a period its relative error in the curvature is 1e-6.
 FIT_DEGREE = 8
 
@@ -245,7 +243,7 @@ def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
         if axis == 1 and trap.lift is not None and trap.lift < abs(net_weight(forces.particle, forces.fluid)):
             raise ValueError("the field is too weak to hold the particle against its weight")
         begin = (trap.radius, trap.height)[axis]
-        reach = side * min(quarter, math.inf if axis else _to_wall(forces, trap, side))
+        reach = side * min(quarter, math.inf if axis else way_to_wall(forces, trap.radius, trap.height, side))
         return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis], start=begin + FROM * reach,
                                 stop=begin + TO * reach)
 
@@ -253,18 +251,6 @@ def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
         return along_stiffest(trap.measure, (trap.radial_stiffness, trap.axial_stiffness), along)
     except ValueError:
         return None
-
-
-def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:
-    """The way (m) from a trap to the wall beside it; infinite to a plane of symmetry, behind which the channel goes on.
-    """
-    mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
-    way = np.linspace(trap.radius, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
-    inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, trap.height)], axis=1))[:, 0])
-    last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
-    if mirrors.on(way[last:last + 1]).all():
-        return math.inf
-    return abs(float(way[last]) - trap.radius)
 
 
 def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:

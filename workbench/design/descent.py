@@ -48,12 +48,8 @@ CORNERS = 16
 PATIENCE = 12
 
 
-class _OutOfEvaluations(Exception):
-    """The evaluations of a descent are used up."""
-
-
-class _Stalled(Exception):
-    """A round finds nothing better any more."""
+class _Ended(Exception):
+    """The evaluations of a descent are used up, or a round stopped improving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,28 +95,23 @@ def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> 
         for each in reversed(points):
             if np.array_equal(each.x, x):
                 return each
-        if len(points) >= evaluations:
-            raise _OutOfEvaluations
-        if len(points) - max(begun, _last_gain(points)) > PATIENCE:
-            raise _Stalled
+        last_gain = 1 + min(range(len(points)), key=lambda k: points[k].rank, default=-1)
+        if len(points) >= evaluations or len(points) - max(begun, last_gain) > PATIENCE:
+            raise _Ended
         points.append(programme(x))
         return points[-1]
 
     centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
-    try:
-        best = evaluate(centre)
-        while width >= SMALLEST and idle < STALLED and programme.variables:
-            before, begun = best, len(points)
-            with suppress(_Stalled):
-                _follow(programme, evaluate, points, centre, width)
-            best = min(points, key=lambda each: each.rank)
-            if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
-                break
-            idle = 0 if _better(best, before) else idle + 1
-            width, centre = SHRINKING * width, best.x
-    except _OutOfEvaluations:
-        pass
-    best = min(points, key=lambda each: each.rank)
+    best = evaluate(centre)
+    while width >= SMALLEST and idle < STALLED and programme.variables and len(points) < evaluations:
+        before, begun = best, len(points)
+        with suppress(_Ended):
+            _follow(programme, evaluate, points, centre, width)
+        best = min(points, key=lambda each: each.rank)
+        if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
+            break
+        idle = 0 if _better(best, before) else idle + 1
+        width, centre = SHRINKING * width, best.x
     return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
                          tuple((each.objective, each.violation) for each in points))
 
@@ -144,11 +135,6 @@ def evolve(programme: NonlinearProgramme, start: Real, *, population: int, gener
         differential_evolution(objective, [(0.0, 1.0)] * size, x0=start, popsize=math.ceil(population / size),
                                maxiter=generations, seed=seed, init="sobol", polish=False)
     return min(points, key=lambda each: each.rank)
-
-
-def _last_gain(points: list[ProgrammePoint]) -> int:
-    """The number of points up to the best one."""
-    return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
 
 
 def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
@@ -189,21 +175,16 @@ def _follow(
 def multipliers(point: ProgrammePoint) -> Multipliers:
     """The multipliers of the bounds and ends that are active at `point`: none is negative, and they leave as little of
     the slope as possible (non-negative least squares)."""
-    count, size = len(point.margins), len(point.x)
-    nothing = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), math.inf if not point.exists else 0.0)
-    if not point.exists or not size:
-        return nothing
-    bounds = np.flatnonzero(point.margins <= ACTIVE)
-    low, high = np.flatnonzero(point.x <= ACTIVE), np.flatnonzero(point.x >= 1.0 - ACTIVE)
-    unit = np.eye(size)
-    columns = np.concatenate([point.jacobian[bounds], unit[low], -unit[high]]).T
-    found = nnls(columns, point.slope)[0] if columns.shape[1] else np.zeros(0)
-    left = point.slope - columns @ found
-    result = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), float(np.abs(left).max()))
-    for target, indices, part in zip((result.bounds, result.low, result.high), (bounds, low, high),
-                                     np.split(found, np.cumsum([bounds.size, low.size])), strict=True):
-        target[indices] = part
-    return result
+    count, unit = len(point.margins), np.eye(len(point.x))
+    columns = np.concatenate([point.jacobian, unit, -unit])
+    active = np.concatenate([point.margins, point.x, 1.0 - point.x]) <= ACTIVE
+    gains, residual = np.zeros(len(columns)), 0.0 if point.exists else math.inf
+    if point.exists and len(unit):
+        if active.any():
+            gains[active] = nnls(columns[active].T, point.slope)[0]
+        residual = float(np.abs(point.slope - gains @ columns).max())
+    bounds, low, high = np.split(gains, [count, count + len(unit)])
+    return Multipliers(bounds, low, high, residual)
 
 
 def round_to_grid(

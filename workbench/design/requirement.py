@@ -18,9 +18,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from workbench.design.figures import FIGURES, LOSS_SHARE, Figure, figure_named
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
@@ -69,11 +66,6 @@ class Requirement:
                              f"stated has no {self.figure.name}")
         margin = self.margin * (abs(centre) if self.relative else 1.0)
         return centre - margin, centre + margin
-
-    def met(self, values: NDArray[np.float64], nominal: float) -> NDArray[np.bool_]:
-        """Which of the figures `values` (n,) will do; one that does not exist, NaN, will not."""
-        low, high = self.limits(nominal)
-        return (values >= low) & (values <= high)
 
 
 def parse_requirement(

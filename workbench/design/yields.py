@@ -67,7 +67,7 @@ class RequiredRange:
 
     def met(self, values: Real) -> Bools:
         """Which figures (n,) will do; one that does not exist, NaN, will not."""
-        return self.requirement.met(values, self.nominal)
+        return (values >= self.low) & (values <= self.high)
 
 
 def bound(requirement: Requirement, label: str, nominal: float) -> RequiredRange:
