@@ -189,20 +189,18 @@ def find_resonance(
     if below.size and above.size and level[below[-1] : lowest + 2 + above[0]].min() == level[lowest]:
         for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
             ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at))
-            sides.append(_root(level_at, (ends[0], ends[1]),
-                               _crossing(frequency, level, outer, step, half, at, level_at(at).value),
-                               lambda each: (each.value - half, each.slope), rising=step < 0))
+            # The start is where a straight line from one point inwards, or to the resonance, crosses half of the power.
+            inner, low = min((float(frequency[outer + step]), float(level[outer + step])), (at, level_at(at).value),
+                             key=lambda point: step * point[0])
+            start = float(np.interp(half, (low, float(level[outer])), (inner, float(frequency[outer]))))
+            sides.append(_root(level_at, (ends[0], ends[1]), start, lambda each: (each.value - half, each.slope),
+                               rising=step < 0))
     else:
         reason = f"a half-power point of the resonance at {at:.9g} Hz lies outside {bounds}, or beyond a deeper one"
     better = final or model
     state = response.state(better, at, names)
     taken = [(each, response.level(better, response.state(better, each, names), turns)) for each in sides]
     return Resonance(state, response.level(better, state, turns), (taken[0], taken[1]) if taken else None, reason)
-
-
-def _inner(neighbour: float, f0: float, step: int) -> float:
-    """The end next to f0 of the interval of a half-power frequency."""
-    return min(neighbour, f0) if step > 0 else max(neighbour, f0)
 
 
 def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
@@ -240,16 +238,6 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         else:
             low, high = (low, further) if further > middle else (further, high)
     return middle
-
-
-def _crossing(
-    frequency: Real, level: Real, outer: int, step: int, half: float, at: float, least: float
-) -> float:
-    """The place where a straight line from one point inwards crosses `half`."""
-    inner = _inner(float(frequency[outer + step]), at, step)
-    low = least if inner == at else float(level[outer + step])
-    share = (float(level[outer]) - half) / max(float(level[outer]) - low, 1e-300)
-    return float(frequency[outer] + share * (inner - frequency[outer]))
 
 
 def _root(

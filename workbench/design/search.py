@@ -123,22 +123,27 @@ def front(
     if not (first.point.exists and last.point.exists):
         return []
     second = objectives[1]
-    ends = other(first.point.x, gradient=False).objective, last.point.objective
-    shares, bounded = np.linspace(0.0, 1.0, points)[1:], list[NonlinearProgramme]()
-    for level in ends[0] + (ends[1] - ends[0]) * shares:
+    begin, end = other(first.point.x, gradient=False).objective, last.point.objective
+    tasks, bounds = [], []
+    for share in np.linspace(0.0, 1.0, points)[1:]:
+        level = begin + (end - begin) * share
         limit = math.exp(-level if second.maximise else level)
-        bound = Bound({second.figure: 1.0}, limit, second.maximise, limit,
-                      f"{second.figure} {'>=' if second.maximise else '<='} {limit:.6g}")
-        bounded.append(replace(one, bounds=(*one.bounds, bound)))
-    starts = [first.point.x + share * (last.point.x - first.point.x) for share in shares]
-    workers.share(itself, search.evaluations)
-    tasks = [partial(_descended, programme=each, start=start) for each, start in zip(bounded, starts, strict=True)]
-    descents = [first] * len(tasks)
+        bounds.append(Bound({second.figure: 1.0}, limit, second.maximise, limit,
+                            f"{second.figure} {'>=' if second.maximise else '<='} {limit:.6g}"))
+        tasks.append(partial(_descended, bound=bounds[-1], evaluations=search.evaluations,
+                             start=first.point.x + share * (last.point.x - first.point.x)))
+    found = [(one, first)] * points
+    workers.share(itself, one)
     for count, (index, done) in enumerate(workers.completed(enumerate(tasks)), 1):
-        descents[index] = done.result()
+        found[index + 1] = _bounded(one, bounds[index]), done.result()
         say(count / len(tasks))
-    return list(zip((one, *bounded), (first, *descents), strict=True))
+    return found
 
 
-def _descended(evaluations: int, *, programme: NonlinearProgramme, start: Real) -> DesignDescent:
-    return descend(programme, start, evaluations=evaluations)
+def _bounded(programme: NonlinearProgramme, bound: Bound) -> NonlinearProgramme:
+    """The programme with one bound more."""
+    return replace(programme, bounds=(*programme.bounds, bound))
+
+
+def _descended(programme: NonlinearProgramme, *, bound: Bound, start: Real, evaluations: int) -> DesignDescent:
+    return descend(_bounded(programme, bound), start, evaluations=evaluations)
