@@ -13,7 +13,7 @@ from geometry.chip import Chip
 from geometry.shapes import with_shapes
 from materials.kinds import Fluid
 from workbench.acoustics.critical import critical_diameter
-from workbench.design.cavity import OF_FLUID, Cavity, CavityField, NoCavity, Places, cavity_field, cavity_of
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, NoCavity, cavity_field, cavity_of
 from workbench.design.trapping import NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
 from workbench.fem.dual import Dual, dual_derivative
 from workbench.fem.elements import gauss_lobatto
@@ -41,7 +41,7 @@ def cavity(particle: Particle | None = BEAD) -> Cavity:
     """A cavity whose height and radius move."""
     r, z = lines(RADIUS, 8), lines(HEIGHT, 3)
     return Cavity(np.zeros((r.size, z.size), dtype=np.int64),
-                  Places(r, np.outer(r / RADIUS, [1.0, 0.0])), Places(z, np.outer(z / HEIGHT, [0.0, 1.0])), WATER,
+                  Dual(r, np.outer([1.0, 0.0], r / RADIUS)), Dual(z, np.outer([0.0, 1.0], z / HEIGHT)), WATER,
                   particle, ("cavity.radius", "sidewall.thickness"), np.array([RADIUS, HEIGHT]), WAVE)
 
 
@@ -49,7 +49,7 @@ def field(pressure: object, by_radius: object = None, by_height: object = None,
           place: Cavity | None = None) -> CavityField:
     """The field of a pressure p(r, z), with its derivatives by radius and height at points that stay in place."""
     place = place or cavity()
-    r, z = np.meshgrid(place.r.nominal, place.z.nominal, indexing="ij")
+    r, z = np.meshgrid(place.r.value, place.z.value, indexing="ij")
     slopes = np.zeros((*r.shape, 2), dtype=complex)
     for column, each in enumerate((by_radius, by_height)):
         if each is not None:

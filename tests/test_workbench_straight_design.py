@@ -16,7 +16,7 @@ from test_workbench_design_cavity import BEAD, WATER, lines
 from geometry.measure import Measure, Parity, Straight
 from workbench.acoustics.nodal import integrate
 from workbench.acoustics.traps import focus_time
-from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Places, cavity_field
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, cavity_field
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.goal import read_goal
 from workbench.design.model import DesignModel, design_model, full_evaluation
@@ -55,8 +55,8 @@ def standing(
     """A wave across a channel, in its right half or in the whole; the width of the device is a parameter."""
     begin = 0.0 if measure.mirror else -0.5 * width
     x, z = begin + lines(0.5 * width - begin, 4), lines(HEIGHT, 2)
-    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Places(x, (x / width)[:, None]),
-                    Places(z, np.zeros((z.size, 1))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
+    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Dual(x, (x / width)[None]),
+                    Dual(z, np.zeros((1, z.size))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
     pressure = AMPLITUDE * np.outer(shape(math.pi / width * x), np.ones(z.size)).astype(complex)
     nothing = np.zeros(1)
     around = {"frequency": Dual(frequency, nothing), "width": Dual(width, np.ones(1)), "height": Dual(HEIGHT, nothing),

@@ -63,34 +63,17 @@ class NoCavity(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
-    """Positions (n,) in metres that follow lengths: ``nominal`` plus ``slopes`` (n, k) times the change of the k
-    parameters."""
-
-    nominal: Real
-    slopes: Real
-
-    def at(self, change: Real, moving: Real) -> Dual:
-        """The places after a `change` (k,) of the parameters, which have the derivatives `moving` (k, m)."""
-        return Dual(self.nominal + self.slopes @ change, (self.slopes @ moving).T)
-
-    def extent(self, change: Real, moving: Real) -> Dual:
-        """The distance (m) from the first place to the last one; arguments as of :meth:`at`."""
-        places = self.at(change, moving)
-        return places[-1] - places[0]
-
-
-@dataclass(frozen=True, eq=False)
 class Cavity:
     """The cavity of a chip: ``rows`` (n, m) of the unknown pressure at its nodes, -1 where it is zero, the places
     ``r`` (n,) and ``z`` (m,) of these, z from the floor, what fills it, and the particle if there is one.
 
-    ``lengths`` are the parameters that the places follow, of ``start`` (SI); ``measure`` is that of the section.
+    The places (m) are linear in ``lengths``, whose values are ``start`` (SI) at first; ``measure`` is that of the
+    section.
     """
 
     rows: NDArray[np.int64]
-    r: Places
-    z: Places
+    r: Dual
+    z: Dual
     fluid: Fluid
     particle: Particle | None
     lengths: tuple[str, ...]
@@ -99,9 +82,16 @@ class Cavity:
     measure: Measure = ABOUT_AXIS
 
     @cached_property
-    def across(self) -> Places:
+    def across(self) -> Dual:
         """The places across the whole cavity: ``r``, in a straight section mirrored if half of it is meshed."""
-        return Places(self.unfolded(self.r.nominal, -1), self.unfolded(self.r.slopes, -1)) if self.is_half else self.r
+        return Dual(self.unfolded(self.r.value, -1), self.unfolded(self.r.gradient.T, -1).T)
+
+    def lines(self, change: Real, moving: Real) -> tuple[Dual, Dual]:
+        """The places across and up after a `change` of ``lengths``, which have the derivatives `moving` (lengths, k).
+        """
+        across, up = (Dual(each.value + change @ each.gradient, moving.T @ each.gradient)
+                      for each in (self.across, self.z))
+        return across, up
 
     @property
     def is_half(self) -> bool:
@@ -125,7 +115,7 @@ class Cavity:
     @cached_property
     def polynomials(self) -> Polynomials:
         """The polynomials for the cavity as it is on the mesh."""
-        lines = self.across.nominal, self.z.nominal
+        lines = self.across.value, self.z.value
         counts = [min(math.ceil(0.5 * self.wave_number * np.ptp(each)) + BEYOND, (2 * each.size) // 3)
                   for each in lines]
         return Polynomials.of(counts[0], counts[1])
@@ -188,11 +178,9 @@ def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
     return [length for length in lengths if length in found]
 
 
-def _interpolated(places: Real, breaks: Real, slopes: Real) -> Places:
+def _interpolated(places: Real, breaks: Real, slopes: Real) -> Dual:
     """Places between breaks that move by `slopes` (breaks, k)."""
-    if not slopes.shape[1]:
-        return Places(places, np.zeros((places.size, 0)))
-    return Places(places, np.stack([np.interp(places, breaks, each) for each in slopes.T], axis=1))
+    return Dual(places, np.array([np.interp(places, breaks, each) for each in slopes.T]).reshape(-1, places.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +248,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     """
     polynomials = cavity.polynomials
     pressure, slopes = (cavity.unfolded(each, cavity.measure.mirror) for each in (pressure, slopes))
-    lines = [places.at(change, moving) for places in (cavity.across, cavity.z)]
-    xi, eta = ((each - each[0]) / (each[-1] - each[0]) for each in lines)
+    xi, eta = ((each - each[0]) / (each[-1] - each[0]) for each in cavity.lines(change, moving))
     counts = polynomials.counts
     s, by_share, _ = argument(xi.value, cavity.measure.power)
     tables = [(derivatives(x, count, 0), derivatives(x, count, 1))

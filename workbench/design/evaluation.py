@@ -218,18 +218,14 @@ def answer(
             missing.update(dict.fromkeys(question.figures if response == operation.follows else names, error.reason))
             continue
         _of_resonance(resonances[response], response, found, missing)
-    driven, state = operation.frequency, None
-    if operation.follows is not None:
-        driven = resonances[operation.follows].frequency if operation.follows in resonances else None
-    if driven is not None:
-        assert not isinstance(driven, str)
-        if operation.follows is None:
-            state = (final or model).system.linearised(driven, question.keys)
-            follows = question.constant(driven)
-        else:
-            state = resonances[operation.follows].at
-            follows = Dual(driven, resonances[operation.follows].gradients()[0])
-        operating = _Operating(question, state, follows, (final or model).sound)
+    driven, state = question.constant(math.nan), None
+    if operation.follows in resonances:
+        driven, state = resonances[operation.follows].frequency, resonances[operation.follows].at
+    elif isinstance(operation.frequency, int | float):
+        driven = question.constant(operation.frequency)
+        state = (final or model).system.linearised(operation.frequency, question.keys)
+    if state is not None:
+        operating = _Operating(question, state, driven, (final or model).sound)
         for group, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
             wanted_names = [each for each in with_parts(question.figures) if each in group or
                             (group is ELECTRICAL and each.startswith(LOSS_SHARE))]
@@ -242,7 +238,7 @@ def answer(
             missing[name] = next(missing[each] for each in parts if each in missing)
     kept = {name: found[name] for name in question.figures if name in found}
     return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures
-                                         and name not in kept}, math.nan if driven is None else driven, state)
+                                         and name not in kept}, driven.value, state)
 
 
 def _resonance(
@@ -259,7 +255,7 @@ def _resonance(
     found = find_resonance(response, model, rough[1].frequency, response.sampled(*rough), question.keys, question.turns,
                            final)
     if isinstance(response, Impedance) and found.sides is None:
-        raise NoResonance(found.reason, frequency=found.frequency, impedance=math.exp(found.least))
+        raise NoResonance(found.reason, frequency=found.frequency.value, impedance=math.exp(found.least.value))
     return found
 
 
@@ -267,18 +263,15 @@ def _of_resonance(
     resonance: Resonance, response: ResonantQuantity, found: dict[str, Dual], missing: dict[str, str]
 ) -> None:
     """Add the figures of a resonance, f0, Z_min and Q or the peak's frequency and Q."""
-    frequency, least, q = resonance.gradients()
     if isinstance(response, Impedance):
-        z_min = math.exp(resonance.least)
-        values = {"f0": Dual(resonance.frequency, frequency), "z_min": Dual(z_min, z_min * least),
-                  "q": Dual(resonance.q, q)}
+        z_min = math.exp(resonance.least.value)
+        found.update(f0=resonance.frequency, z_min=Dual(z_min, z_min * resonance.least.gradient), q=resonance.q)
     else:
-        values = {"peak_frequency": Dual(resonance.frequency, frequency)}
+        found["peak_frequency"] = resonance.frequency
         if resonance.sides is None:
             missing["peak_q"] = resonance.reason
         else:
-            values["peak_q"] = Dual(resonance.q, q)
-    found.update(values)
+            found["peak_q"] = resonance.q
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,7 +371,7 @@ class _Operating:
         moving = np.array([question.unit(name) for name in cavity.lengths]).reshape(len(cavity.lengths),
                                                                                      len(question.names))
         change = cavity.change(question.values)
-        width, height = (each.extent(change, moving) for each in (cavity.across, cavity.z))
+        width, height = (each[-1] - each[0] for each in cavity.lines(change, moving))
         around = {"frequency": self.frequency, "width": width, "height": height}
         for name in OF_FLUID:
             key, stated = f"{cavity.fluid.name}.{name}", getattr(cavity.fluid, name)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics.sound_energy import SoundEnergy, peaks_of
+from workbench.fem.dual import Dual
 from workbench.fem.level import NO_NUMBERS, Level, drive_level, impedance_level
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.solve import Solution
@@ -124,36 +125,25 @@ class Resonance:
     reason: str = ""
 
     @property
-    def frequency(self) -> float:
+    def frequency(self) -> Dual:
         """Hz."""
-        return self.at.frequency - self.level.slope / self.level.curvature
+        return Dual(self.at.frequency - self.level.slope / self.level.curvature,
+                    -self.level.mixed / self.level.curvature)
 
     @property
-    def least(self) -> float:
+    def least(self) -> Dual:
         """The least level."""
-        return self.level.value - 0.5 * self.level.slope**2 / self.level.curvature
+        return Dual(self.level.value - 0.5 * self.level.slope**2 / self.level.curvature, self.level.by_number)
 
     @property
-    def width(self) -> float:
-        """Width at half power in Hz, NaN without sides."""
+    def q(self) -> Dual:
+        """The frequency over the width at half power, NaN without sides."""
         if self.sides is None:
-            return math.nan
+            return self.frequency * math.nan
         half = self.least + HALF
-        low, high = (frequency - (each.value - half) / each.slope for frequency, each in self.sides)
-        return high - low
-
-    @property
-    def q(self) -> float:
-        """The frequency over the width at half power."""
-        return self.frequency / self.width
-
-    def gradients(self) -> tuple[Real, Real, Real]:
-        """Derivatives (k,) of the frequency, the least level and Q by the numbers."""
-        frequency = -self.level.mixed / self.level.curvature
-        if self.sides is None:
-            return frequency, self.level.by_number, np.full(frequency.size, math.nan)
-        f1, f2 = ((self.level.by_number - each.by_number) / each.slope for _, each in self.sides)
-        return frequency, self.level.by_number, self.q * (frequency / self.frequency - (f2 - f1) / self.width)
+        low, high = ((Dual(each.value, each.by_number) - half) / -each.slope + frequency
+                     for frequency, each in self.sides)
+        return self.frequency / (high - low)
 
 
 def find_resonance(
