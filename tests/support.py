@@ -33,7 +33,7 @@ from workbench.fem.solve import Solution
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import Number
-from workbench.model.particles import compressibility
+from workbench.model.particles import FluidProperties, Particle, compressibility, viscosity
 from workbench.physics.term import Condition, Term
 from workbench.report.page import TextTable
 
@@ -320,3 +320,17 @@ def block_mesh(r_lines: Any, z_lines: Any, order: int) -> NodalMesh:
     low, high = (np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
                  for r, z in ((r_lines[:-1], z_lines[:-1]), (r_lines[1:], z_lines[1:])))
     return mesh_of(low, high, np.zeros(len(low), int), ("cavity",), order=order)
+
+
+def half_wave_focus_time(
+    particle: Particle, fluid: FluidProperties, contrast_factor: float, *, energy_density: float, wavenumber: float,
+    start: float, stop: float,
+) -> float:
+    """Time (s) in which an ideal half wave brings a particle from `start` to `stop`, m from the node of the pressure.
+
+        t = 3 eta / (4 a^2 Phi k^2 E) ln[tan(k start) / tan(k stop)]
+
+    (Bruus, Lab Chip 12, 1014, 2012.) `energy_density` J/m^3 is p0^2 / (4 rho c^2).
+    """
+    rate = 4.0 * particle.radius**2 * contrast_factor * wavenumber**2 * energy_density / (3.0 * viscosity(fluid))
+    return math.log(math.tan(wavenumber * start) / math.tan(wavenumber * stop)) / rate

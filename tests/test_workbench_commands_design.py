@@ -146,6 +146,18 @@ def test_a_front_leaves_a_chip_for_each_of_its_points(tmp_path: Path) -> None:
     assert (out / "front.png").stat().st_size > 1000
 
 
+def test_stock_on_one_model_is_one_start_for_each_size(tmp_path: Path) -> None:
+    text = GOAL.replace("[search]", 'superstrate.thickness = { values = ["0.5 mm", "1 mm"] }\n[search]').replace(
+        "starts = 3", "evolutionary = true")
+    out = tmp_path / "out"
+    assert main(["design", written(tmp_path, text), "-o", str(out), "--jobs", "1", "--no-cad"]) == 0
+    (choice,) = json.loads((out / "design.json").read_text(encoding="utf-8"))["choices"]
+    assert choice["starts"] == 2
+    assert sorted(each["lengths_m"]["superstrate.thickness"] for each in choice["optima"]) == pytest.approx(
+        [0.5e-3, 1e-3])
+    assert read_chip(out / "best.toml").layer("sidewall").thickness.value == pytest.approx(0.74e-3, abs=1e-6)
+
+
 @pytest.mark.parametrize(("options", "words"), [
     (["--jobs", "0"], "--jobs: received 0; expected a whole number, one or more"), (["--accuracy", "7"], "--accuracy")])
 def test_mistakes_in_options_are_named(

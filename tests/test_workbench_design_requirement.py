@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.design.requirement import Requirement, parse_requirement, parse_requirements
+from workbench.design.yields import bound
 from workbench.files.errors import InputError
 from workbench.model.drive import GeneratorDrive, PowerDrive, VoltageDrive
 
@@ -21,6 +22,7 @@ def parsed(text: str) -> Requirement:
 @pytest.mark.parametrize(("text", "nominal", "low", "high"), [
     ("f0 within 5 kHz", 1.02e6, 1.015e6, 1.025e6),
     ("f0 within 5 kHz of 1.03 MHz", 1.02e6, 1.025e6, 1.035e6),
+    ("f0 within [0.95 MHz, 1.1 MHz]", 1.02e6, 0.95e6, 1.1e6),
     ("f0 within 1 %", 1e6, 0.99e6, 1.01e6),
     ("trap_offset within 50 um of 0 um", 3e-6, -50e-6, 50e-6),
     ("z_min <= 10 ohm", 5.0, -math.inf, 10.0),
@@ -46,8 +48,8 @@ def test_a_drive_is_stated_behind_at(text: str, drive: object) -> None:
 
 def test_a_figure_that_does_not_exist_does_not_meet_anything() -> None:
     values = np.array([0.9, 1.0, math.nan, 1.2])
-    assert parsed("q within 0.15").met(values, 1.0).tolist() == [True, True, False, False]
-    assert parsed("q <= 5").met(values, 1.0).tolist() == [True, True, False, True]
+    assert bound(parsed("q within 0.15"), "q", 1.0).met(values).tolist() == [True, True, False, False]
+    assert bound(parsed("q <= 5"), "q", 1.0).met(values).tolist() == [True, True, False, True]
 
 
 @pytest.mark.parametrize(("text", "words"), [
@@ -62,6 +64,7 @@ def test_a_figure_that_does_not_exist_does_not_meet_anything() -> None:
     ("f0 within 5 um", "a frequency in one of Hz, kHz, MHz"),
     ("e_ac >= 20 J/m3", "did you mean 'J/m^3'"),
     ("f0 within -5 kHz", "a margin above zero"),
+    ("f0 within [1.1 MHz, 1 MHz]", "a lower end, then a higher one"),
     ("f0 within 5 kHz of", "a frequency with its unit"),
     ("trap_offset within 5 % of 0 um", "per cents of 0 are 0"),
     ("e_ac >= 20 J/m^3 at 10 V", '"10 Vpp", "3.5 Vrms", "10 Vpp @ 50 ohm", "20 dBm" or "0.1 W"'),

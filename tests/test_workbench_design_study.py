@@ -178,7 +178,7 @@ def test_a_failure_keeps_what_is_finished_and_names_the_point(tmp_path: Path, mo
             raise ZeroDivisionError("no such sound")
         return whole(self, values, **asked)
 
-    said = r"point \d+ of the study \(substrate.thickness = 0\.000\d+, .*no such sound"
+    said = r"point \d+ \(substrate.thickness = 0\.000\d+, .*no such sound"
     with monkeypatch.context() as patched:
         patched.setattr(FormulaModel, "__call__", failing)
         with pytest.raises(RuntimeError, match=said):

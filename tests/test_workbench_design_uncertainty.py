@@ -19,8 +19,13 @@ from materials.kinds import Piezoelectric
 from materials.passivity import smallest_dissipation
 from materials.registry import Registry
 from workbench.design import input_uncertainty
-from workbench.design.centre import centred_chip
-from workbench.design.input_uncertainty import numbers_of, parse_statement, read_statements, stated_uncertainty
+from workbench.design.input_uncertainty import (
+    centred_chip,
+    numbers_of,
+    parse_statement,
+    read_statements,
+    stated_uncertainty,
+)
 from workbench.design.uncertainty import Uncertainty, halved_weights, known_as
 from workbench.files.errors import InputError
 from workbench.model.numbers import CUT, Number, Stated, limits

@@ -13,7 +13,7 @@ from scipy.special import j0, j1
 from support import FluidState, block_mesh, standing_wave
 
 from materials import Fluid
-from workbench.acoustics.forces import ParticleForces, axial_focus_time, force_at, particle_forces
+from workbench.acoustics.forces import ParticleForces, focus_time_along, force_at, particle_forces
 from workbench.acoustics.nodal import gradient, interpolate
 from workbench.acoustics.radiation import (
     acoustic_energy_density,
@@ -337,7 +337,7 @@ def test_axial_focus_time_is_that_of_the_plane_wave() -> None:
     # Neutral buoyancy, so that the closed form holds.
     particle = Particle(name="neutral", radius=5e-6, density=WATER.density, compressibility=KAPPA)
     forces = forces_in(fields, particle)
-    found = axial_focus_time(forces, radius=0.0, start=0.1 * HEIGHT / 2, stop=0.9 * HEIGHT / 2)
+    found = focus_time_along(forces, 1, across=0.0, start=0.1 * HEIGHT / 2, stop=0.9 * HEIGHT / 2)
     closed = standing_wave_focus_time(
         particle, WATER, scattering=forces.scattering, frequency=fields.frequency,
         energy_density=forces.excitation.energy_density, start=0.1 * HEIGHT / 2, stop=0.9 * HEIGHT / 2,
@@ -363,11 +363,11 @@ def test_focus_time_is_counted_to_the_deepest_trap() -> None:
 def test_a_particle_that_does_not_arrive_is_said_so() -> None:
     forces = forces_in(cylinder_mode())
     with pytest.raises(ValueError, match="does not get from z"):
-        axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=0.6 * HEIGHT)
+        focus_time_along(forces, 1, across=0.0, start=0.2 * HEIGHT, stop=0.6 * HEIGHT)
     with pytest.raises(ValueError, match="lies outside region 'cavity'"):
-        axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=1.2 * HEIGHT)
+        focus_time_along(forces, 1, across=0.0, start=0.2 * HEIGHT, stop=1.2 * HEIGHT)
     with pytest.raises(ValueError, match="10 points; expected an odd number"):
-        axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=0.4 * HEIGHT, points=10)
+        focus_time_along(forces, 1, across=0.0, start=0.2 * HEIGHT, stop=0.4 * HEIGHT, points=10)
 
 
 def test_the_plane_wave_has_its_mean_energy_density() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from support import quadratic
+from support import half_wave_focus_time, quadratic
 from test_geometry_straight import CHIP, chip
 
 import geometry
@@ -22,7 +22,7 @@ from geometry.mesh_size import MeshSize
 from geometry.section import Electrode, Rectangle, Section
 from materials.kinds import Fluid
 from workbench.acoustics.captures import Window, capture_statistics, light_curve
-from workbench.acoustics.channel import focus_lines, half_wave_focus_time
+from workbench.acoustics.channel import focus_lines
 from workbench.acoustics.conduction import ThermalConstants, conduction
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.forces import ParticleForces, focus_time_along, particle_forces

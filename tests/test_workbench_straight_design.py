@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import quadratic, with_fields
+from support import half_wave_focus_time, quadratic, with_fields
 from test_geometry_straight import CHIP, chip
 from test_workbench_design_cavity import BEAD, WATER, lines
 
 from geometry.measure import Measure, Parity, Straight
-from workbench.acoustics.channel import half_wave_focus_time
 from workbench.acoustics.nodal import integrate
 from workbench.acoustics.traps import focus_time
-from workbench.design.cavity import Cavity, CavityField, Places, Surroundings, cavity_field
-from workbench.design.dual import Dual
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, cavity_field
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.goal import read_goal
 from workbench.design.model import DesignModel, design_model, full_evaluation
@@ -27,6 +25,7 @@ from workbench.design.parts import ReducedModels, numbers_by_name, parts_of
 from workbench.design.plan import read_study
 from workbench.design.tolerance import tolerance
 from workbench.design.trapping import find_trap, largest_square, trap_focus_time
+from workbench.fem.dual import Dual
 from workbench.jobs.progress import no_progress
 from workbench.model.drive import Drive, PowerDrive, VoltageDrive
 from workbench.model.particles import viscous_scattering
@@ -56,13 +55,12 @@ def standing(
     """A wave across a channel, in its right half or in the whole; the width of the device is a parameter."""
     begin = 0.0 if measure.mirror else -0.5 * width
     x, z = begin + lines(0.5 * width - begin, 4), lines(HEIGHT, 2)
-    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Places(x, (x / width)[:, None]),
-                    Places(z, np.zeros((z.size, 1))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
+    cavity = Cavity(np.zeros((x.size, z.size), dtype=np.int64), Dual(x, (x / width)[None]),
+                    Dual(z, np.zeros((1, z.size))), WATER, BEAD, ("cavity.width",), np.array([width]), WAVE, measure)
     pressure = AMPLITUDE * np.outer(shape(math.pi / width * x), np.ones(z.size)).astype(complex)
     nothing = np.zeros(1)
-    around = Surroundings(Dual(frequency, nothing), Dual(width, np.ones(1)), Dual(HEIGHT, nothing),
-                          {name: Dual(getattr(WATER, name), nothing)
-                           for name in ("density", "sound_speed", "shear_viscosity")})
+    around = {"frequency": Dual(frequency, nothing), "width": Dual(width, np.ones(1)), "height": Dual(HEIGHT, nothing),
+              **{name: Dual(getattr(WATER, name), nothing) for name in OF_FLUID}}
     return cavity_field(cavity, pressure, np.zeros((*pressure.shape, 1)), around, np.zeros(1), np.eye(1))
 
 

@@ -63,7 +63,7 @@ class Peak:
         """ln of frequency, energy and Q by Newton's method on full solves."""
         with one_thread():
             found = find_resonance(self.response, self.model(moved), self.frequency, self.level)
-        return np.array([math.log(found.frequency), -2.0 * found.least, math.log(found.q)])
+        return np.array([math.log(found.frequency.value), -2.0 * found.least.value, math.log(found.q.value)])
 
     def derivatives(self) -> np.ndarray:
         """(names, 3): relative derivatives by relative changes."""
@@ -72,9 +72,9 @@ class Peak:
         with one_thread():
             found = find_resonance(self.response, self.rough, self.frequency, self.level,
                                    tuple(each.key for each in parsed), turns, self.model(self.numbers))
-        by_frequency, by_level, by_q = found.gradients()
         scale = np.array(list(self.numbers.values()))
-        return np.column_stack([by_frequency / found.frequency, -2.0 * by_level, by_q / found.q]) * scale[:, None]
+        return np.column_stack([found.frequency.gradient / found.frequency.value, -2.0 * found.least.gradient,
+                                found.q.gradient / found.q.value]) * scale[:, None]
 
 
 def main() -> None:

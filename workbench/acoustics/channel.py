@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.dimension import SAME_LENGTH
 from geometry.measure import Measure
 from workbench.acoustics.basins import find_basins, label_basins
 from workbench.acoustics.fields import Fields
-from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along
+from workbench.acoustics.focusing import FROM, TO
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, way_to_wall
 from workbench.acoustics.nodal import FloatArray, NodalArray, NodalMesh, integrate, interpolate, raster
 from workbench.acoustics.streaming import critical_diameter
-from workbench.model.particles import FluidProperties, Particle, viscosity
 from workbench.results.brief import Brief
 
 #: Points per wavelength of sound across the channel, and number of points up. With a linear force between two points,
@@ -28,8 +28,6 @@ from workbench.results.brief import Brief
 POINTS_PER_WAVELENGTH, POINTS_UP = 128, 41
 #: Depth of a line, as a share of the span of the potential, below which it may be an artefact of the mesh.
 LEAST_LINE = 1e-2
-#: Shares of a quarter wavelength, or of the distance to a side wall, that limit a focus time; as in `traps.focus_time`.
-COUNTED_FROM, COUNTED_TO = 0.9, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +179,6 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
     wet = weight.sum(axis=1) > 0.0
     potential, force = np.sum(weight * np.nan_to_num(maps), axis=2) / np.where(wet, weight.sum(axis=1), np.nan)
     force[mesh.mirrors.on(x)] = 0.0
-    at_middle = liquid[:, POINTS_UP // 2]
     span = float(np.nanmax(potential) - np.nanmin(potential))
     label = label_basins(potential[:, None], least=LEAST_LINE * span)[:, 0]
     widths = np.gradient(x)
@@ -199,30 +196,8 @@ def focus_lines(forces: ParticleForces) -> tuple[FocusLine, ...]:
         found.append(FocusLine(
             place=mesh.mirrors.snapped(place), depth=depth, share=float(widths[label == i].sum() / widths.sum()),
             stiffness=stiffness, at_side=bool(at_side), measure=mesh.measure,
-            time=_time(forces, place, 0.5 * (floor + lid), _ends_around(x, at_middle, i), 0.25 * wavelength)))
+            time=_time(forces, place, 0.5 * (floor + lid), 0.25 * wavelength)))
     return tuple(sorted(found, key=lambda line: -line.depth))
-
-
-def half_wave_focus_time(
-    particle: Particle, fluid: FluidProperties, contrast_factor: float, *, energy_density: float, wavenumber: float,
-    start: float, stop: float,
-) -> float:
-    """Focus time (s) of a particle in an ideal half wave.
-
-    It moves from `start` to `stop`, in m from the pressure node:
-
-        t = 3 eta / (4 a^2 Phi k^2 E) ln[tan(k start) / tan(k stop)]
-
-    (Bruus, Lab Chip 12, 1014, 2012.) `energy_density` J/m^3 is p0^2 / (4 rho c^2).
-    """
-    rate = 4.0 * particle.radius**2 * contrast_factor * wavenumber**2 * energy_density / (3.0 * viscosity(fluid))
-    return math.log(math.tan(wavenumber * start) / math.tan(wavenumber * stop)) / rate
-
-
-def _ends_around(x: FloatArray, liquid: NDArray[np.bool_], i: int) -> tuple[float, float]:
-    """The right and left ends of the liquid around a point. The point is number `i` of `x` (n,)."""
-    dry = np.flatnonzero(~liquid)
-    return (float(x[min(dry[dry > i], default=len(x)) - 1]), float(x[max(dry[dry < i], default=-1) + 1]))
 
 
 def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
@@ -237,17 +212,12 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
     return float(x[i]), stiffness
 
 
-def _time(
-    forces: ParticleForces, place: float, height: float, ends: tuple[float, float], quarter: float
-) -> float | None:
-    """The shorter time (s) to a line from both sides, or None. `ends` (m) are the right and the left end of the liquid
-    at that height."""
-    mesh, found = forces.mesh, []
-    for side, end in zip((1.0, -1.0), ends, strict=True):
-        reach = quarter if mesh.mirrors.on(np.array(end)) else min(quarter, abs(end - place))
-        try:
-            found.append(focus_time_along(forces, 0, across=height, start=place + side * COUNTED_FROM * reach,
-                                          stop=place + side * COUNTED_TO * reach))
-        except ValueError:
-            continue
+def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
+    """The shorter time (s) to a line from its two sides, or None."""
+    found = []
+    for side in (1.0, -1.0):
+        reach = side * min(quarter, way_to_wall(forces, place, height, side))
+        with suppress(ValueError):
+            found.append(focus_time_along(forces, 0, across=height, start=place + FROM * reach,
+                                          stop=place + TO * reach))
     return min(found, default=None)

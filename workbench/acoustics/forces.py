@@ -5,11 +5,13 @@ A force depends on its field, so every result has an :class:`Excitation`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from workbench.acoustics.focusing import travel_time
 from workbench.acoustics.nodal import FloatArray, NodalMesh, gradient, integrate, interpolate, raised, transfer
 from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
 from workbench.model.particles import (
@@ -24,6 +26,9 @@ from workbench.results.brief import Brief
 
 if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
+
+#: Points on the way from a trap to a side wall: one that slopes or is round is as far off as they are apart.
+WAY_POINTS = 257
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,20 +149,13 @@ def force_at(forces: ParticleForces, points: FloatArray) -> FloatArray:
     return interpolate(forces.mesh, forces.force, points, [forces.region])
 
 
-def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, stop: float, points: int = 2001) -> float:
-    """Time (s) between heights (m) at constant `radius`; see :func:`focus_time_along`."""
-    return focus_time_along(forces, 1, across=radius, start=start, stop=stop, points=points)
-
-
 def focus_time_along(
     forces: ParticleForces, axis: int, *, across: float, start: float, stop: float, points: int = 2001
 ) -> float:
     """Time (s) from `start` to `stop` (m) along one direction.
 
     `axis` is 0 for r or x, 1 for z; the other coordinate is `across` (m). Radiation force, and along z weight, act
-    against drag. Inertia is negligible (the relaxation time of a 10 um bead in water is microseconds), so 6 pi eta a
-    dz/dt = F_z - W and the time is the integral of dz over the speed; it diverges logarithmically at the trap itself.
-    Simpson's rule has an odd number of `points`.
+    against drag. Simpson's rule has an odd number of `points` (`workbench.acoustics.focusing.travel_time`).
 
     Raises:
         ValueError: part of the path is outside the region, the force vanishes or reverses before `stop`, or an even
@@ -177,7 +175,19 @@ def focus_time_along(
     if against.any():
         raise ValueError(f"the particle does not get from {along} = {start:.6g} m to {stop:.6g} m: at "
                          f"{way[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
-    weights = np.full(points, 2.0)
-    weights[1::2], weights[[0, -1]] = 4.0, 1.0
-    step = (stop - start) / (points - 1)
-    return float(drag_coefficient(forces.particle, forces.fluid) * step / 3.0 * np.sum(weights / net))
+    weights = np.tile([2.0, 4.0], points // 2 + 1)[:points]
+    weights[[0, -1]] = 1.0
+    return float(travel_time(drag_coefficient(forces.particle, forces.fluid), stop - start, net,
+                             weights / (3.0 * (points - 1))))
+
+
+def way_to_wall(forces: ParticleForces, place: float, height: float, side: float) -> float:
+    """The distance (m) from a `place` (m) to the wall at a `height` (m).
+
+    The wall is on the right (`side` 1) or on the left (-1). The distance to a plane of symmetry is infinite.
+    """
+    mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
+    way = np.linspace(place, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
+    inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, height)], axis=1))[:, 0])
+    last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+    return math.inf if mirrors.on(way[last:last + 1]).all() else abs(float(way[last]) - place)

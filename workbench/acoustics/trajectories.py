@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics.channel import focus_lines
+from workbench.acoustics.focusing import TO
 from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.motion import Motion
 from workbench.acoustics.nodal import FloatArray, IntArray
@@ -26,9 +27,6 @@ from workbench.jobs.progress import Progress, no_progress
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
 
-#: Distance of an arrival, as a share of a quarter wavelength of sound; that of `traps.focus_time`. Doubled, arrivals
-#: are earlier by ln 2 of the e-folding time.
-ARRIVED = 0.1
 #: Estimated error of one step, as a share of the wavelength of sound: 15 nm at 1 MHz. Halved, no capture fraction of
 #: the shipped chips changes by 0.1 %.
 TOLERANCE = 1e-5
@@ -189,7 +187,7 @@ def follow(
         _check_starts(starts, velocity, walls, radius)
     rest = rest_places(report, velocity, walls)
     motion = Motion(velocity, walls, starts, times, radius=contact, rest=rest,
-                    within=ARRIVED * 0.25 * wavelength, tolerance=tolerance)
+                    within=TO * 0.25 * wavelength, tolerance=tolerance)
     motion.run(progress)
     if 0 in forces.mesh.measure.focusing:
         motion.focused_at[~_on_a_line(motion, forces)] = np.nan
@@ -235,7 +233,7 @@ def rest_places(report: TrapReport, velocity: ParticleVelocity, walls: Walls) ->
             continue
         draws_in = np.trace(slope[0]) < 0.0 < np.linalg.det(slope[0])
         fits = inside[0] >= 0 and walls.nearest(place)[0][0] >= forces.particle.radius
-        taken = np.linalg.norm(found - place, axis=1) < ARRIVED * 0.25 * wavelength
+        taken = np.linalg.norm(found - place, axis=1) < TO * 0.25 * wavelength
         if draws_in and fits and not taken.any():
             found[number] = place[0]
     return found

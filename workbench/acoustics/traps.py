@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
 
 from geometry.measure import ABOUT_AXIS, Measure
 from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
-from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at
+from workbench.acoustics.focusing import FROM, TO, along_stiffest
+from workbench.acoustics.forces import Excitation, ParticleForces, focus_time_along, force_at, way_to_wall
 from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
@@ -19,8 +21,6 @@ from workbench.results.brief import Brief
 #: Raster points per wavelength of sound for minima and passes of the potential. They are 32 per period of the potential
 #: of a standing wave, so the error of a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span.
 RASTER_POINTS = 64
-#: Points between a trap and a side wall; their distance is the error for a sloping or round wall.
-WAY_POINTS = 257
 #: Degree of the polynomial fitted about a minimum; over half a period its relative error in the curvature is 1e-6.
 FIT_DEGREE = 8
 
@@ -128,25 +128,11 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
         radius = mesh.mirrors.snapped(float(place[0]))
         column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
         floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
-        found = landscape.hold(i, j)
         traps.append(Trap(
             radius=radius, height=float(place[1]), above_floor=max(0.0, float(place[1] - floor)), potential=value,
-            depth=highest - value, barrier=found.barrier, axial_barrier=found.axial, radial_barrier=found.radial,
-            lift=found.lift, share=found.share, radial_stiffness=float(curvature[0]),
-            axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]), measure=mesh.measure,
-        ))
+            depth=highest - value, radial_stiffness=float(curvature[0]), axial_stiffness=float(curvature[1]),
+            on_wall=bool(landscape.walls[i, j]), measure=mesh.measure, **landscape.hold(i, j)))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
-
-
-@dataclass(frozen=True)
-class _Barriers:
-    """The barriers around a particle in a trap; see :class:`Trap`."""
-
-    barrier: float | None
-    axial: float | None
-    radial: float | None
-    lift: float | None
-    share: float
 
 
 class _Landscape:
@@ -173,8 +159,8 @@ class _Landscape:
         self.volume = np.where(inside, np.outer(depth * np.diff(edges), heights), 0.0)
         self.used: set[int] = set()
 
-    def hold(self, i: int, j: int) -> _Barriers:
-        """The barriers around the trap at a place of the raster."""
+    def hold(self, i: int, j: int) -> dict[str, Any]:
+        """The barriers around a trap of the raster, by fields of :class:`Trap`."""
         rest = int(self.label[i, j])
         at = divmod(rest, self.total.shape[1])
         lies = bool(self.walls[i, j])
@@ -182,7 +168,7 @@ class _Landscape:
         # At a wall with another direction, another wall supports the particle.
         elsewhere = self.walls[at] and not (lies and float(self.outward[i, j] @ self.outward[at]) >= 0.5)
         if rest in self.used or self.by_sound[at] != self.by_sound[i, j] or elsewhere:
-            return _Barriers(0.0, 0.0, 0.0, lift, 0.0)
+            return {"barrier": 0.0, "axial_barrier": 0.0, "radial_barrier": 0.0, "lift": lift, "share": 0.0}
         self.used.add(rest)
         others = self.walls.copy()
         if lies:
@@ -195,7 +181,8 @@ class _Landscape:
         radial = self._climb(self._along(self.total[:, j], i, mirrored=self.mirrored), at)
         # In a corner, where two walls share one mean direction, a straight path may end sooner.
         ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
-        return _Barriers(min(ways, default=None), axial, radial, lift, share)
+        return {"barrier": min(ways, default=None), "axial_barrier": axial, "radial_barrier": radial, "lift": lift,
+                "share": share}
 
     def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
         return None if level is None else level - float(self.total[at])
@@ -246,29 +233,19 @@ def time_to(report: TrapReport, trap: Trap) -> float | None:
 def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
     forces = report.forces
     quarter = 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
-    stiffness = (trap.radial_stiffness, trap.axial_stiffness)
-    for axis in sorted(trap.measure.focusing, key=lambda axis: -stiffness[axis]):
-        begin = (trap.radius, trap.height)[axis]
+
+    def along(axis: int) -> float:
         if axis == 1 and trap.lift is not None and trap.lift < abs(net_weight(forces.particle, forces.fluid)):
-            continue
-        reach = side * min(quarter, _to_wall(forces, trap, side)) if axis == 0 else side * quarter
-        try:
-            return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis],
-                                    start=begin + 0.9 * reach, stop=begin + 0.1 * reach)
-        except ValueError:
-            continue
-    return None
+            raise ValueError("the field is too weak to hold the particle against its weight")
+        begin = (trap.radius, trap.height)[axis]
+        reach = side * min(quarter, math.inf if axis else way_to_wall(forces, trap.radius, trap.height, side))
+        return focus_time_along(forces, axis, across=(trap.height, trap.radius)[axis], start=begin + FROM * reach,
+                                stop=begin + TO * reach)
 
-
-def _to_wall(forces: ParticleForces, trap: Trap, side: float) -> float:
-    """The distance (m) from a trap to the wall beside it. It is infinite to a mirror line."""
-    mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
-    way = np.linspace(trap.radius, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
-    inside = np.isfinite(force_at(forces, np.stack([way, np.full(way.size, trap.height)], axis=1))[:, 0])
-    last = way.size - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
-    if mirrors.on(way[last:last + 1]).all():
-        return math.inf
-    return abs(float(way[last]) - trap.radius)
+    try:
+        return along_stiffest(trap.measure, (trap.radial_stiffness, trap.axial_stiffness), along)
+    except ValueError:
+        return None
 
 
 def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:

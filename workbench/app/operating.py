@@ -42,12 +42,13 @@ class EnergyPeaks:
                                    wanted.sampled(model, prediction.solution))
         except NoResonance:
             return None
-        at = model.system.linearised(found.frequency).solution
+        frequency = found.frequency.value
+        at = model.system.linearised(frequency).solution
 
         def under(drive: Drive) -> float:
             return float(np.exp(-2.0 * Energy(drive).sampled(model, at)[0]))
 
-        return EnergyPeak(found.frequency, None if found.sides is None else found.q, under(self.drive),
+        return EnergyPeak(frequency, None if found.sides is None else found.q.value, under(self.drive),
                           under(VoltageDrive(1.0)), under(PER_WATT))
 
 

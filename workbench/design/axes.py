@@ -8,8 +8,8 @@ um", "20 um", "50 um"] } "sidewall.thickness" = { tolerance = true }          # 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.dimension import millimetres
 from geometry.names import CAVITY, VACUUM
-from geometry.parts import Layer, State
 from geometry.plausible import check_length
 from geometry.stretch import admissible_range, canonical_names, mesh_limits
 from materials.registry import Registry
-from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber
+from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, flat_entries, read_materials
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
@@ -33,6 +32,8 @@ from workbench.model.problem import fill
 Real = NDArray[np.float64]
 
 _KEYS = ("from", "to", "points", "values", "tolerance", "materials")
+#: Keys that no others of a range go with, in words.
+_RIVALS = {"values": "values, or a range", "tolerance": "a tolerance, or from and to"}
 _EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for what fills a region, '
             '{ materials = [...] }')
 
@@ -45,28 +46,19 @@ def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Reg
         InputError: a name that nothing has, a range that is none, that loses a tolerance nobody stated or that passes
             a neighbouring radius, a material that is unknown or that a state cannot hold.
     """
-    entries = dict(_flat(table))
+    entries = {name: FileTable.of(value, source=table.source, field=table.at(name), expected=_EXAMPLE).only(_KEYS)
+               for name, value in flat_entries(table.content)}
     if not entries:
         raise InputError(table.source, table.field, "nothing", "at least one thing that varies")
-    choices = {name: _choice(name, table.at(name), entry, chip, states, registry)
+    choices = {name: _choice(name, entry, chip, states, registry)
                for name, entry in entries.items() if "materials" in entry or name.endswith(MATERIAL)}
-    numbers = Numbers.of(chip, states, list(choices.values()), registry)
+    common, others = _numbers(chip, states, list(choices.values()), registry)
     axes: list[Variable] = []
     for name, entry in entries.items():
         _check_points(entry, method, ranged="from" in entry or "tolerance" in entry)
-        axes.append(choices[name] if name in choices else _number_axis(name, table.at(name), entry, numbers))
+        axes.append(choices[name] if name in choices else _number_axis(name, entry, chip, common, others))
     _check_lengths(chip, [axis for axis in axes if isinstance(axis, VariedNumber)], table)
     return tuple(axes)
-
-
-def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
-    """The entries by name; without quotes ``substrate.thickness`` is a table in a table, and means the same."""
-    for key in table:
-        inner = FileTable.of(table.content[key], source=table.source, field=table.at(key), expected=_EXAMPLE)
-        if inner.content and all(isinstance(value, Mapping) for value in inner.content.values()):
-            yield from ((f"{key}.{name}", entry) for name, entry in _flat(inner))
-        else:
-            yield key, inner.only(_KEYS)
 
 
 def _check_points(entry: FileTable, method: str, *, ranged: bool) -> None:
@@ -84,81 +76,63 @@ def _check_points(entry: FileTable, method: str, *, ranged: bool) -> None:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """The numbers of a chip that can vary: ``common`` what all its states with all alternatives have, the values by
-    name (SI; several where they differ), ``others`` what only some of these have; ``tolerances`` (m) of lengths;
-    ``unusual`` what the chip says is (`geometry.plausible`)."""
-
-    common: Mapping[str, frozenset[float]]
-    others: frozenset[str]
-    tolerances: Mapping[str, float | None]
-    unusual: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry) -> Numbers:
-        """Those of a chip in its states with all choices of materials."""
-        found: list[dict[str, Number]] = []
-        for state, *chosen in product(states, *(axis.materials for axis in choices)):
-            picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
-            held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
-            found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
-                          if not name.startswith("ports.")})
-        everywhere = set.intersection(*(set(each) for each in found))
-        common = {name: frozenset(each[name].value for each in found) for name in found[0] if name in everywhere}
-        return cls(common, frozenset(set().union(*found) - everywhere),
-                   {name: each.tolerance for name, each in found[0].items() if each.is_dimension}, chip.unusual)
-
-    def full_name(self, written: str) -> str:
-        """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
-        owners = {ParameterName.parse(name).owner for name in {*self.common, *self.others}}
-        full = full_names(written, (owner for owner in owners if "/" in owner))
-        return full[0] if len(full) == 1 else written
+def _numbers(
+    chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry
+) -> tuple[dict[str, list[Number]], set[str]]:
+    """The numbers by name that a chip has in all its states with all alternatives, and the names that only some have.
+    """
+    found: list[dict[str, Number]] = []
+    for state, *chosen in product(states, *(axis.materials for axis in choices)):
+        picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
+        held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
+        found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
+                      if not name.startswith("ports.")})
+    common = {name: [each[name] for each in found] for name in found[0] if all(name in each for each in found)}
+    return common, set().union(*found) - set(common)
 
 
-def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -> VariedNumber:
-    name = numbers.full_name(written)
-    if name in numbers.others:
-        raise InputError(entry.source, field, written, "a number of a material that every state and every alternative "
-                         "holds; what only some of them hold asks for a study of its own")
-    if name not in numbers.common:
-        shown = [known for known in numbers.common if not known.endswith(".loss")]
-        raise InputError(entry.source, field, written, "a length that the spectrum feels or a material's coefficient "
-                         f"(with .loss its imaginary part): {', '.join(shown)}", nearest_names(name, numbers.common))
-    parsed = ParameterName.parse(name)
-    dimension, unit = parsed.quantity, parsed.unit
-    if "values" in entry:
-        axis = VariedNumber.listed(name, _values(entry, dimension))
-        _check_plausible(name, axis.values, entry, numbers)
-        return axis
-    if "tolerance" in entry:
-        low, high = _tolerance(name, entry, dimension, numbers)
+def _number_axis(
+    written: str, entry: FileTable, chip: Chip, common: Mapping[str, Sequence[Number]], others: Collection[str]
+) -> VariedNumber:
+    owners = {ParameterName.parse(name).owner for name in {*common, *others}}
+    # ``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name.
+    full = full_names(written, (owner for owner in owners if "/" in owner))
+    name = full[0] if len(full) == 1 else written
+    if name in others:
+        raise InputError(entry.source, entry.field, written, "a number of a material that every state and every "
+                         "alternative holds; what only some of them hold asks for a study of its own")
+    if name not in common:
+        shown = [known for known in common if not known.endswith(".loss")]
+        raise InputError(entry.source, entry.field, written, "a length that the spectrum feels or a material's "
+                         f"coefficient (with .loss its imaginary part): {', '.join(shown)}",
+                         nearest_names(name, common))
+    kind = next((key for key in _RIVALS if key in entry), "from")
+    for key in ("from", "to", "tolerance"):
+        if kind in _RIVALS and key in entry and key != kind:
+            raise entry.error(key, f"{_RIVALS[kind]}, not both")
+    if kind == "values":
+        found = VariedNumber.listed(name, _values(entry, name))
     else:
-        low, high = (_quantity(entry, key, dimension) for key in ("from", "to"))
-    if not low < high:
-        raise InputError(entry.source, field, f"{low:g} to {high:g} {unit}", "from a lower number to a higher one")
-    _check_plausible(name, (low, high), entry, numbers)
-    points = entry.content.get("points")
-    return VariedNumber(name, low, high, points=points)
+        low, high = _tolerance(name, entry, common[name]) if kind == "tolerance" else (
+            _quantity(entry, key, name) for key in ("from", "to"))
+        if not low < high:
+            raise InputError(entry.source, entry.field, f"{low:g} to {high:g} {ParameterName.parse(name).unit}",
+                             "from a lower number to a higher one")
+        found = VariedNumber(name, low, high, points=entry.content.get("points"))
+    for value in found.values or (found.low, found.high):
+        check_length(name, value, source=entry.source, field=entry.field, unusual=chip.unusual)
+    return found
 
 
-def _check_plausible(name: str, values: Sequence[float], entry: FileTable, numbers: Numbers) -> None:
-    """Refuse lengths that no such part has."""
-    for value in values:
-        check_length(name, value, source=entry.source, field=entry.field, unusual=numbers.unusual)
-
-
-def _quantity(entry: FileTable, key: str, dimension: str) -> float:
+def _quantity(entry: FileTable, key: str, name: str) -> float:
+    dimension = ParameterName.parse(name).quantity
     entry.required(key, f"a {dimension} with its unit; what varies is given as {_EXAMPLE}")
     return entry.quantity(key, dimension)
 
 
-def _values(entry: FileTable, dimension: str) -> tuple[float, ...]:
+def _values(entry: FileTable, name: str) -> tuple[float, ...]:
     """The values of a list."""
-    for key in ("from", "to", "tolerance"):
-        if key in entry:
-            raise entry.error(key, "values, or a range, not both")
-    listed = entry.content["values"]
+    dimension, listed = ParameterName.parse(name).quantity, entry.content["values"]
     if not isinstance(listed, list) or not listed:
         raise entry.error("values", f"a list of {dimension}s with their units")
     found = tuple(parse_quantity(text, dimension, source=entry.source, field=f"{entry.at('values')}[{index}]")
@@ -168,25 +142,22 @@ def _values(entry: FileTable, dimension: str) -> tuple[float, ...]:
     return found
 
 
-def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) -> tuple[float, float]:
-    """The ends of the range that a tolerance leaves about what the chip file or the material says."""
-    for key in ("from", "to"):
-        if key in entry:
-            raise entry.error(key, "a tolerance, or from and to, not both")
-    if len(numbers.common[name]) > 1:
+def _tolerance(name: str, entry: FileTable, numbers: Sequence[Number]) -> tuple[float, float]:
+    """The ends of the range that a tolerance leaves about the number of the chip file or the material."""
+    value, stated = numbers[0].value, entry.content["tolerance"]
+    if any(each.value != value for each in numbers):
         raise entry.error("tolerance", f"from and to: {name} is not the same number in all states")
-    (value,), stated = numbers.common[name], entry.content["tolerance"]
     if stated is True:
-        width = numbers.tolerances.get(name)
+        width = numbers[0].tolerance if numbers[0].is_dimension else None
         if width is None:
             expected = ("a tolerance such as \"20 um\": the chip file states none of this length"
-                        if name in numbers.tolerances else 'a tolerance such as "5 %"; only lengths have one of their '
+                        if numbers[0].is_dimension else 'a tolerance such as "5 %"; only lengths have one of their '
                         "own, in the chip file")
             raise entry.error("tolerance", expected)
     elif isinstance(stated, str) and stated.strip().endswith("%"):
         width = abs(value) * entry.quantity("tolerance", "dimensionless")
     else:
-        width = entry.quantity("tolerance", dimension)
+        width = entry.quantity("tolerance", ParameterName.parse(name).quantity)
     if not width > 0.0:
         raise entry.error("tolerance", f"a tolerance above zero; {name} is {value:g}")
     return value - width, value + width
@@ -242,55 +213,34 @@ def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _choice(
-    name: str, field: str, entry: FileTable, chip: Chip, states: Sequence[str], registry: Registry
-) -> MaterialChoice:
+def _choice(name: str, entry: FileTable, chip: Chip, states: Sequence[str], registry: Registry) -> MaterialChoice:
     region, regions = name.removesuffix(MATERIAL), chip.regions
     if not name.endswith(MATERIAL) or region not in regions:
         known = [f"{each}{MATERIAL}" for each in regions]
-        raise InputError(entry.source, field, name, f"what fills a region: {', '.join(known)}",
+        raise InputError(entry.source, entry.field, name, f"what fills a region: {', '.join(known)}",
                          nearest_names(name, known))
     if "materials" not in entry:
-        raise InputError(entry.source, field, dict(entry.content), "{ materials = [...] }, the names of materials")
-    entry.only(("materials",))
-    written = entry.texts("materials", expected="a list of names of materials")
-    found: list[str] = []
-    for index, text in enumerate(written):
-        place = f"{entry.at('materials')}[{index}]"
-        try:
-            full, _ = registry.find(text)
-        except InputError as error:
-            raise InputError(entry.source, place, text, error.expected, error.nearest) from error
-        if full in found:
-            raise InputError(entry.source, place, text, "every material once")
-        found.append(full)
-    if len(found) < 2:
-        raise entry.error("materials", "two materials at least; one alone belongs in the chip file")
-    for state in states:
+        raise InputError(entry.source, entry.field, dict(entry.content), "{ materials = [...] }, names of materials")
+    found = tuple(read_materials(entry, registry).values())
+    for state, full in product(states, found):
         if region == CAVITY and chip.state(state).cavity in (None, VACUUM):
-            raise InputError(entry.source, field, name, f"states with something in the cavity; {state!r} has nothing "
-                             "there")
-        for full in found:
-            try:
-                fill(with_materials(chip, {region: full}, registry), state, registry)
-            except InputError as error:
-                raise InputError(entry.source, entry.at("materials"), full, f"a material that {region} can be made of: "
-                                 f"{error}") from error
-    return MaterialChoice(region, tuple(found))
+            raise InputError(entry.source, entry.field, name, f"states with something in the cavity; {state!r} has "
+                             "nothing there")
+        try:
+            fill(with_materials(chip, {region: full}, registry), state, registry)
+        except InputError as error:
+            raise InputError(entry.source, entry.at("materials"), full, f"a material that {region} can be made of: "
+                             f"{error}") from error
+    return MaterialChoice(region, found)
 
 
 def with_materials(chip: Chip, chosen: Mapping[str, str], registry: Registry) -> Chip:
     """The chip with other materials by region, full names; one in place of another brings its own density."""
-    def density(layer: Layer, name: str) -> float | None:
-        return layer.density if registry.find(layer.material)[0] == name else None
-
     layers = tuple(
-        layer if (name := chosen.get(layer.region)) is None
-        else replace(layer, material=name, density=density(layer, name)) for layer in chip.layers)
-    return replace(chip, layers=layers, states=tuple(_holding(state, chosen) for state in chip.states))
-
-
-def _holding(state: State, chosen: Mapping[str, str]) -> State:
-    cavity = state.cavity if state.cavity in (None, VACUUM) else chosen.get(CAVITY, state.cavity)
-    return replace(state, cavity=cavity,
-                   materials={region: chosen.get(region, name) for region, name in state.materials.items()})
+        replace(layer, material=name, density=layer.density if registry.find(layer.material)[0] == name else None)
+        if (name := chosen.get(layer.region)) is not None else layer for layer in chip.layers)
+    states = tuple(replace(
+        state, cavity=state.cavity if state.cavity in (None, VACUUM) else chosen.get(CAVITY, state.cavity),
+        materials={region: chosen.get(region, name) for region, name in state.materials.items()})
+        for state in chip.states)
+    return replace(chip, layers=layers, states=states)

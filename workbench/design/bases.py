@@ -150,7 +150,7 @@ class _Sample:
 
 
 def bases_of(
-    made: RangeModel, responses: Sequence[ResonantQuantity], stated: float | None, places: Sequence[Cavity], *,
+    made: RangeModel, responses: Sequence[ResonantQuantity], stated: float | None, cavity: Cavity | None, *,
     tolerance: float, by_place: bool, seed: int, progress: Progress = no_progress,
 ) -> Bases:
     """The bases for the problem of a range model.
@@ -158,7 +158,7 @@ def bases_of(
     Args:
         responses: those at whose resonances states are needed.
         stated: a further frequency (Hz) of states.
-        places: the cavity, if there is one that a figure is of.
+        cavity: that of the figures, None if there is none.
         tolerance: relative error of Z where the chip is driven; the pressure's is :data:`OF_PRESSURE` times as much.
         by_place: whether the operators are to know where losses are.
 
@@ -172,20 +172,26 @@ def bases_of(
     def sound_of(model: ReducedModel) -> SoundEnergy | None:
         return None if whole is None else whole.on(model.basis, moving, own)
 
-    points = _Points(made, qmc.Sobol(len(names), seed=seed), tuple(responses), stated, sound_of(made.compact))
-    moves = np.array([REACH * (high - low) for low, high in made.ranges.values()])
+    sampler, energy = qmc.Sobol(len(names), seed=seed), sound_of(made.compact)
+    low, high = (np.array(ends) for ends in zip(*made.ranges.values(), strict=True))
+    moves = REACH * (high - low)
+
+    def drawn(count: int) -> list[_Sample]:
+        points = low + (high - low) * np.array([sampler.random(1)[0] for _ in range(count)])
+        return list(pool.map(lambda point: _sampled(made, point, responses, stated, energy), points))
+
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        rough = points.drawn(max(FEWEST, SWEPT * len(names)) + CHECKED, pool)
+        rough = drawn(max(FEWEST, SWEPT * len(names)) + CHECKED)
         sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED], sound_of)
         width = min(each.width for each in rough)
         first = [(each, at) for each in rough[: max(LEAST, TAKEN * len(names))] for at in each.driven]
         columns = list(pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), first))
         for turn in range(ROUNDS):
             operating = made.reduced.spanning(np.concatenate(columns, axis=1), smallest_part(tolerance))
-            checked = [(each, at) for each in points.drawn(CHECKED, pool) for at in each.driven]
+            checked = [(each, at) for each in drawn(CHECKED) for at in each.driven]
             fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each[0].values).linearised(each[1]),
                                   checked))
-            error, pressure_error = _errors(operating, places, whole, [each for each, _ in checked], fulls)
+            error, pressure_error = _errors(operating, cavity, whole, [each for each, _ in checked], fulls)
             progress("figures", (turn + 1.0) / ROUNDS)
             if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
                 break
@@ -195,41 +201,27 @@ def bases_of(
     band = made.frequency[-1] - made.frequency[0]
     grid = np.linspace(made.frequency[0], made.frequency[-1], int(np.ceil(ACROSS * band / width)) + 1)
     small = compacted(operating, moving, own, by_place=by_place)
-    rows = places[0].pressure_rows(operating.basis) if places else None
+    rows = None if cavity is None else cavity.pressure_rows(operating.basis)
     return Bases(small.operators, small.sketch, rows, sweeping.operators, grid, error, pressure_error,
                  sound_of(operating), sound_of(sweeping))
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points spread over the ranges of a model, drawn one after the other."""
-
-    made: RangeModel
-    sampler: qmc.Sobol
-    responses: tuple[ResonantQuantity, ...]
-    stated: float | None
-    sound: SoundEnergy | None
-
-    def drawn(self, count: int, pool: ThreadPoolExecutor) -> list[_Sample]:
-        low, high = (np.array(ends) for ends in zip(*self.made.ranges.values(), strict=True))
-        shares = low + (high - low) * np.array([self.sampler.random(1)[0] for _ in range(count)])
-        return list(pool.map(self._sample, shares))
-
-    def _sample(self, point: Real) -> _Sample:
-        numbers = dict(zip(self.made.ranges, map(float, point), strict=True))
-        values = placed(self.made.problem.values, numbers)
-        system = ReducedSystem(self.made.compact.operators, values)
-        sweep = system.sweep(self.made.frequency)
-        model = Responding(system, values, self.sound)
-        # The impedance's resonance counts where nothing is followed, too.
-        level = {each: each.sampled(model, sweep) for each in self.responses or (Impedance(),)}
-        found = [response.deepest(each) for response, each in level.items()]
-        lowest = [int(np.argmin(each)) if index is None else index
-                  for index, each in zip(found, level.values(), strict=True)]
-        driven = [] if self.stated is None else [self.stated]
-        driven += [float(sweep.frequency[index]) for index in lowest] if self.responses else []
-        width = min(_width(sweep.frequency, each, index) for index, each in zip(lowest, level.values(), strict=True))
-        return _Sample(values, sweep, level, tuple(driven), width)
+def _sampled(
+    made: RangeModel, point: Real, responses: Sequence[ResonantQuantity], stated: float | None,
+    sound: SoundEnergy | None,
+) -> _Sample:
+    """The rough spectrum at a point (k,) of the ranges."""
+    values = placed(made.problem.values, dict(zip(made.ranges, map(float, point), strict=True)))
+    system = ReducedSystem(made.compact.operators, values)
+    sweep, model = system.sweep(made.frequency), Responding(system, values, sound)
+    # The impedance's resonance counts where nothing is followed, too.
+    level = {each: each.sampled(model, sweep) for each in responses or (Impedance(),)}
+    lowest = [int(np.argmin(each)) if (index := response.deepest(each)) is None else index
+              for response, each in level.items()]
+    driven = [] if stated is None else [stated]
+    driven += [float(sweep.frequency[index]) for index in lowest] if responses else []
+    width = min(_width(sweep.frequency, each, index) for index, each in zip(lowest, level.values(), strict=True))
+    return _Sample(values, sweep, level, tuple(driven), width)
 
 
 def _width(frequency: Real, level: Real, lowest: int) -> float:
@@ -283,19 +275,19 @@ def _off(model: ReducedModel, checked: Sequence[_Sample], sound: SoundEnergy | N
 
 
 def _errors(
-    operating: ReducedModel, places: Sequence[Cavity], whole: SoundEnergy | None, samples: Sequence[_Sample],
+    operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None, samples: Sequence[_Sample],
     fulls: Sequence[LinearisedState],
 ) -> tuple[float, float]:
     """The largest relative errors of Z and of the pressure (root mean square) against full states."""
-    rows = [place.pressure_rows(operating.basis) for place in places]
+    rows = None if cavity is None else cavity.pressure_rows(operating.basis)
     energy = None if whole is None else whole.on(operating.basis)
     errors, pressures = [0.0], [0.0]
     for sample, full in zip(samples, fulls, strict=True):
         small = ReducedSystem(operating.operators, sample.values).linearised(full.frequency)
         errors.append(abs(small.charge / full.charge - 1.0))
-        for place, row in zip(places, rows, strict=True):
-            exact = np.append(full.state, 0.0)[place.rows]
-            pressures.append(float(np.linalg.norm(row @ small.state - exact) / np.linalg.norm(exact)))
+        if cavity is not None and rows is not None:
+            exact = np.append(full.state, 0.0)[cavity.rows]
+            pressures.append(float(np.linalg.norm(rows @ small.state - exact) / np.linalg.norm(exact)))
         if whole is not None and energy is not None:
             at = np.array([full.frequency])
             exact_energy = whole.density(at, full.state[:, None], sample.values)

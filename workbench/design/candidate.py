@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.chip import Chip
-from workbench.design.bounds import Bound
-from workbench.design.descent import Multipliers
+from workbench.design.descent import DesignDescent, Multipliers, round_to_grid
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import figure_named
 from workbench.design.goal import SIGNED, Goal
-from workbench.design.grid_rounding import round_to_grid
 from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
+from workbench.design.requirement import Bound
 from workbench.design.search import Optimum
-from workbench.design.variables import Selection, VariedNumber, changed
+from workbench.design.variables import Selection, changed
 
 #: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
 #: and largest share of its scale by which a bound may then be missed.
@@ -42,7 +41,7 @@ class RoundedDesign:
     """A chip with its lengths rounded to their grids.
 
     ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
-    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None of an evolutionary search;
+    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None on a front;
     ``active`` are the bounds that hold it.
     """
 
@@ -86,63 +85,50 @@ class Confirmed:
         return self.candidate.chip
 
 
-def rounded_design(
-    goal: Goal, programme: NonlinearProgramme, optimum: Optimum, selection: Selection, evaluations: int
-) -> RoundedDesign:
-    """The chip that an optimum becomes with its lengths on their steps."""
-    held, descent = round_to_grid(programme, optimum.descent, evaluations=evaluations)
-    rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
-    lengths = {each.name: {**held.fixed, **rounded}[each.name] for each in goal.unknowns}
-    return proposed(goal, programme, lengths, selection, optimum)
+def rounded_lengths(programme: NonlinearProgramme, descent: DesignDescent, evaluations: int) -> dict[str, float]:
+    """The lengths (m) of the variables at the end of a descent, on their steps."""
+    held, descent = round_to_grid(programme, descent, evaluations=evaluations)
+    return {**descent.point.lengths, **{each.name: each.round(descent.point.lengths[each.name])
+                                        for each in held.variables}}
 
 
 def proposed(
     goal: Goal, programme: NonlinearProgramme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
 ) -> RoundedDesign:
-    """The chip of these `lengths` (m), one for each of the goal's unknowns."""
-    everything = {**selection.stock, **lengths}
+    """The chip of these `lengths` (m), one for each of the goal's unknowns, that the `optimum` was rounded to."""
+    everything = {**selection.stock, **{each.name: lengths[each.name] for each in goal.unknowns}}
     chip = changed(goal.chip, everything, selection.materials, note=f"by {goal.source}")
     fixed, nothing = programme.holding(lengths), np.zeros(0)
     evaluations = fixed.evaluations(nothing, gradient=False)
     points = [fixed.under(each).point(nothing, evaluations) for each in goal.objectives]
-    point = replace(points[0], x=programme.unknowns(lengths), lengths=dict(lengths))
+    point = replace(points[0], x=programme.unknowns(lengths))
     active = () if optimum is None else active_bounds(goal, programme, optimum.descent.multipliers)
     return RoundedDesign(selection, chip, everything, point, tuple(each.objective for each in points), optimum, active,
                          goal.bounds)
 
 
 def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers) -> tuple[Active, ...]:
-    """The bounds and ends of ranges that hold an optimum, the one of largest gain first."""
+    """The bounds and ends of ranges that are active at an optimum, the one of largest gain first."""
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
-            active.append(Active(_bound_text(bound), *_step(bound, float(gain))))
+            # A hundredth of the scale in the unit of the bound; of two ends the text says which one is meant.
+            figure = None if bound.of_lengths else figure_named(bound.figure)
+            factor, unit = (1e-6, "um") if figure is None else (figure.factor, figure.shown)
+            which = f" ({'lower' if bound.above else 'upper'} end)" if "within" in bound.text else ""
+            active.append(Active(f"{bound.text}{which}", f"{0.01 * bound.scale / factor:.3g} {unit}".strip(),
+                                 0.01 * float(gain)))
+    own = {each.name: each for each in goal.unknowns}
     for each, low, high in zip(programme.variables, found.low, found.high, strict=True):
-        for gain, end, word, value in ((low, each.low, "lowest", _own(goal, each).low),
-                                       (high, each.high, "highest", _own(goal, each).high)):
+        for gain, end, word, value in ((low, each.low, "lowest", own[each.name].low),
+                                       (high, each.high, "highest", own[each.name].high)):
             if gain > 0.0:
                 what = "of its range" if math.isclose(end, value, rel_tol=1e-9) else "that a model covered"
                 step = 0.01 * end
                 active.append(Active(f"{each.name} at its {word} {what}, {1e3 * end:.6g} mm", f"{1e6 * step:.3g} um",
                                      float(gain) * step / (each.high - each.low)))
     return tuple(sorted(active, key=lambda each: -each.gain))
-
-
-def _own(goal: Goal, variable: VariedNumber) -> VariedNumber:
-    return next(each for each in goal.unknowns if each.name == variable.name)
-
-
-def _bound_text(bound: Bound) -> str:
-    """The text of a bound, and which of its two ends is meant where it has two."""
-    return bound.text if "within" not in bound.text else f"{bound.text} ({'lower' if bound.above else 'upper'} end)"
-
-
-def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
-    """A hundredth of a bound's scale in its unit, and the gain for it."""
-    factor, unit = (1e-6, "um") if bound.of_lengths else (figure_named(bound.figure).factor,
-                                                          figure_named(bound.figure).shown)
-    return f"{0.01 * bound.scale / factor:.3g} {unit}".strip(), 0.01 * multiplier
 
 
 def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:

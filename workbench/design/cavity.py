@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
+from numpy.polynomial.legendre import legder, leggauss
 from numpy.typing import NDArray
+from scipy.special import eval_legendre
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
@@ -33,8 +34,7 @@ from geometry.stretch import canonical_names, moved_places
 from materials.kinds import Fluid
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.radiation import gorkov_potential, radiation_force
-from workbench.design.dual import Dual, dual_derivative
-from workbench.design.legendre import derivatives
+from workbench.fem.dual import Dual, dual_derivative
 from workbench.fem.operators import FullOperators
 from workbench.model.particles import Particle, compressibility, viscous_scattering
 
@@ -53,20 +53,13 @@ POTENTIAL, SQUARE, ENERGY = range(3)
 OF_FLUID = ("density", "sound_speed", "shear_viscosity")
 
 
+#: The scalars that squares of the pressure depend on besides, by name: ``frequency`` Hz, ``width`` (of a round cavity
+#: its radius) and ``height`` m, and :data:`OF_FLUID` where known, in kg/m^3, m/s and Pa s.
+Surroundings = Mapping[str, Dual]
+
+
 class NoCavity(ValueError):
     """A chip whose cavity has no field of the kind asked for."""
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Positions (n,) in metres that follow lengths: ``nominal`` plus ``slopes`` (n, k) times the change of the k
-    parameters."""
-
-    nominal: Real
-    slopes: Real
-
-    def at(self, change: Real) -> Real:
-        return self.nominal + self.slopes @ change
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +67,13 @@ class Cavity:
     """The cavity of a chip: ``rows`` (n, m) of the unknown pressure at its nodes, -1 where it is zero, the places
     ``r`` (n,) and ``z`` (m,) of these, z from the floor, what fills it, and the particle if there is one.
 
-    ``lengths`` are the parameters that the places follow, of ``start`` (SI); ``measure`` is that of the section.
+    The places (m) are linear in ``lengths``, whose values are ``start`` (SI) at first; ``measure`` is that of the
+    section.
     """
 
     rows: NDArray[np.int64]
-    r: Places
-    z: Places
+    r: Dual
+    z: Dual
     fluid: Fluid
     particle: Particle | None
     lengths: tuple[str, ...]
@@ -88,9 +82,16 @@ class Cavity:
     measure: Measure = ABOUT_AXIS
 
     @cached_property
-    def across(self) -> Places:
+    def across(self) -> Dual:
         """The places across the whole cavity: ``r``, in a straight section mirrored if half of it is meshed."""
-        return Places(self.unfolded(self.r.nominal, -1), self.unfolded(self.r.slopes, -1)) if self.is_half else self.r
+        return Dual(self.unfolded(self.r.value, -1), self.unfolded(self.r.gradient.T, -1).T)
+
+    def lines(self, change: Real, moving: Real) -> tuple[Dual, Dual]:
+        """The places across and up after a `change` of ``lengths``, which have the derivatives `moving` (lengths, k).
+        """
+        across, up = (Dual(each.value + change @ each.gradient, moving.T @ each.gradient)
+                      for each in (self.across, self.z))
+        return across, up
 
     @property
     def is_half(self) -> bool:
@@ -114,7 +115,7 @@ class Cavity:
     @cached_property
     def polynomials(self) -> Polynomials:
         """The polynomials for the cavity as it is on the mesh."""
-        lines = self.across.nominal, self.z.nominal
+        lines = self.across.value, self.z.value
         counts = [min(math.ceil(0.5 * self.wave_number * np.ptp(each)) + BEYOND, (2 * each.size) // 3)
                   for each in lines]
         return Polynomials.of(counts[0], counts[1])
@@ -177,11 +178,9 @@ def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
     return [length for length in lengths if length in found]
 
 
-def _interpolated(places: Real, breaks: Real, slopes: Real) -> Places:
+def _interpolated(places: Real, breaks: Real, slopes: Real) -> Dual:
     """Places between breaks that move by `slopes` (breaks, k)."""
-    if not slopes.shape[1]:
-        return Places(places, np.zeros((places.size, 0)))
-    return Places(places, np.stack([np.interp(places, breaks, each) for each in slopes.T], axis=1))
+    return Dual(places, np.array([np.interp(places, breaks, each) for each in slopes.T]).reshape(-1, places.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,19 +193,17 @@ class Polynomials:
     along_s: tuple[Real, ...]
     along_t: tuple[Real, ...]
     back: tuple[Real, Real]
-    weights: Real
 
     @classmethod
     def of(cls, in_s: int, in_t: int) -> Polynomials:
         """The polynomials for `count` coefficients of the pressure."""
-        tables, points, back, weights = [], [], [], []
+        tables, points, back = [], [], []
         for count in (in_s, in_t):
             x, w = leggauss(2 * count - 1)
             points.append(x)
-            weights.append(w)
             tables.append(tuple(derivatives(x, count, order) for order in range(3)))
             back.append((derivatives(x, x.size, 0) * w[:, None]).T * (np.arange(x.size) + 0.5)[:, None])
-        return cls(points[0], tables[0], tables[1], (back[0], back[1]), np.outer(*weights) / 4.0)
+        return cls(points[0], tables[0], tables[1], (back[0], back[1]))
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -219,39 +216,23 @@ class Polynomials:
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The scalars that squares of the pressure depend on besides: frequency Hz, ``width`` (of a round cavity its
-    radius) and height m, and ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
-
-    frequency: Dual
-    width: Dual
-    height: Dual
-    fluid: Mapping[str, Dual]
-
-    def numbers(self) -> dict[str, Dual]:
-        return {"frequency": self.frequency, "width": self.width, "height": self.height, **self.fluid}
-
-
-@dataclass(frozen=True, eq=False)
 class CavityField:
     """Squares of the pressure's fields at unit voltage, as polynomials.
 
     ``coefficients`` (f, n, m) of the potential (J), |p|^2 (Pa^2), the energy density (J/m^3) and the forces (N) in the
-    directions that particles focus in (`geometry.measure`), ``gradient`` (f, n, m, k) of these at constant s and t,
-    ``around`` the scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its
-    largest value.
+    directions that particles focus in (`geometry.measure`), with derivatives at constant s and t; ``around`` the
+    scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its largest value.
     """
 
     cavity: Cavity
-    coefficients: Real
-    gradient: Real
+    coefficients: Dual
     around: Surroundings
     unfitted: float
 
     @property
     def mean_energy_density(self) -> Dual:
         """Over the cavity's volume: the coefficient of P_0 P_0, since ds is in proportion to it."""
-        return Dual(float(self.coefficients[ENERGY, 0, 0]), self.gradient[ENERGY, 0, 0])
+        return self.coefficients[ENERGY, 0, 0]
 
 
 def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Surroundings, change: Real,
@@ -267,21 +248,21 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     """
     polynomials = cavity.polynomials
     pressure, slopes = (cavity.unfolded(each, cavity.measure.mirror) for each in (pressure, slopes))
-    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.across, cavity.z))
+    xi, eta = ((each - each[0]) / (each[-1] - each[0]) for each in cavity.lines(change, moving))
     counts = polynomials.counts
-    s, by_share, _ = argument(xi, cavity.measure)
+    s, by_share, _ = argument(xi.value, cavity.measure.power)
     tables = [(derivatives(x, count, 0), derivatives(x, count, 1))
-              for x, count in ((s, counts[0]), (2.0 * eta - 1.0, counts[1]))]
+              for x, count in ((s, counts[0]), (2.0 * eta.value - 1.0, counts[1]))]
     inverse = [np.linalg.pinv(values) for values, _ in tables]
     found = inverse[0] @ pressure @ inverse[1].T
     left = pressure - tables[0][0] @ found @ tables[1][0].T
     by_s = by_share[:, None] * (tables[0][1] @ found @ tables[1][0].T)
     by_t = 2.0 * (tables[0][0] @ found @ tables[1][1].T)
-    fixed = slopes - by_s[:, :, None] * by_xi[:, None, :] - by_t[:, :, None] * by_eta[None, :, :]
-    changes = np.einsum("an,nmk,bm->kab", inverse[0], fixed, inverse[1], optimize=True)
-    scalars = {name: number.value for name, number in around.numbers().items()}
+    fixed = np.moveaxis(slopes, -1, 0) - by_s * xi.gradient[:, :, None] - by_t * eta.gradient[:, None, :]
+    changes = inverse[0] @ fixed @ inverse[1].T
+    scalars = {name: number.value for name, number in around.items()}
     values = squares(cavity, found, scalars)
-    gradient = np.zeros((*values.shape, len(changes)))
+    gradient = np.zeros((len(changes), *values.shape))
     size = np.linalg.norm(found)
     for k, each in enumerate(changes):
         length = np.linalg.norm(each)
@@ -289,29 +270,19 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
             # Of a quadratic form half the difference of its values on both sides is the derivative, exactly.
             step = (size / length) * each
             both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
-            gradient[..., k] = (0.5 * length / size) * both
-    for name, number in around.numbers().items():
+            gradient[k] = (0.5 * length / size) * both
+    for name, number in around.items():
         if number.gradient.any():
             by_scalar = dual_derivative(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
-            gradient += by_scalar[..., None] * number.gradient
-    to_end = np.moveaxis(polynomials.coefficients(np.moveaxis(gradient, -1, 0)), 0, -1)
-    return CavityField(cavity, polynomials.coefficients(values), to_end, around,
+            gradient += np.multiply.outer(number.gradient, by_scalar)
+    return CavityField(cavity, Dual(polynomials.coefficients(values), polynomials.coefficients(gradient)), around,
                        float(np.abs(left).max() / np.abs(pressure).max()))
 
 
-def _scaled(places: Places, change: Real, moving: Real) -> tuple[Real, Real]:
-    """Places as shares of the way from the first to the last one (n,), and their derivatives (n, k)."""
-    at, slopes = places.at(change), places.slopes @ moving
-    at, slopes = at - at[0], slopes - slopes[0]
-    share = at / at[-1]
-    return share, (slopes - share[:, None] * slopes[-1]) / at[-1]
-
-
-def argument(xi: Real, measure: Measure) -> tuple[Real, Real, Real]:
-    """The argument s of the polynomials at shares xi (n,) of the cavity's width, and its two derivatives by these;
-    there is no third one."""
-    q = measure.power
-    return 2.0 * xi**q - 1.0, 2.0 * q * xi ** (q - 1), np.full_like(xi, 2.0 * q * (q - 1))
+def argument(xi: Real, power: int) -> tuple[Real, Real, Real]:
+    """The argument s = 2 xi^power - 1 of the polynomials at shares xi (n,) of the cavity, and its two derivatives by
+    these; for a power of 1 or 2 there is no third one."""
+    return (2.0 * xi**power - 1.0, 2.0 * power * xi ** (power - 1), np.full_like(xi, 2.0 * power * (power - 1)))
 
 
 def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
@@ -321,7 +292,7 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
     (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
     width, height, density = scalars["width"], scalars["height"], scalars["density"]
     xi = (0.5 * (polynomials.s + 1.0)) ** (1.0 / cavity.measure.power)
-    first, second = (each[:, None] for each in argument(xi, cavity.measure)[1:])
+    first, second = (each[:, None] for each in argument(xi, cavity.measure.power)[1:])
     half, mixed = s0 @ found, s1 @ found
     pressure, along_z = half @ t0.T, (2.0 / height) * (half @ t1.T)
     along_r, twice_z = (first / width) * (mixed @ t0.T), (2.0 / height) ** 2 * (half @ t2.T)
@@ -346,3 +317,23 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
             cavity.particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=slopes,
             velocity=velocity, velocity_gradient=to_velocity * curvature)[..., focusing]
     return np.concatenate([np.stack([potential, square, energy]), np.moveaxis(force, -1, 0)])
+
+
+@lru_cache(maxsize=64)
+def _differentiation(count: int, order: int) -> Real:
+    """The derivatives of some order of P_0 ... P_(count - 1) in P_0 ... : (count - order, count)."""
+    return np.asarray(legder(np.eye(count), order))
+
+
+def derivatives(x: Real, count: int, order: int) -> Real:
+    """The derivatives of some `order` of P_0 ... P_(count - 1) at x (n,): (n, count)."""
+    if order >= count:
+        return np.zeros((x.size, count))
+    values = eval_legendre(np.arange(count - order), x[:, None])
+    return np.asarray(values @ _differentiation(count, order) if order else values)
+
+
+def legendre_polynomials(x: Real, count: int) -> Real:
+    """P_0 ... P_(count - 1) at x (n,) with their first three derivatives: (4, n, count)."""
+    values = derivatives(x, count, 0)
+    return np.stack([values, *(values[:, : count - order] @ _differentiation(count, order) for order in (1, 2, 3))])

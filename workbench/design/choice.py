@@ -3,19 +3,18 @@ rounded to the grids of the lengths."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 
 from geometry.chip import Chip
-from workbench.design.boxes import sides_within
-from workbench.design.candidate import RoundedDesign, proposed, rounded_design
-from workbench.design.descent import descend
-from workbench.design.evolution import evolve
+from workbench.design.candidate import RoundedDesign, proposed, rounded_lengths
+from workbench.design.descent import descend, evolve
 from workbench.design.goal import Goal
-from workbench.design.modelling import Modelling, Say, Solver, modelled, present_of, trust_region_of
-from workbench.design.nonlinear_programme import ProgrammePoint
-from workbench.design.scenarios import ScenarioSample
-from workbench.design.search import Attempt, Optimum, attempt, optima, search_all
+from workbench.design.modelling import ChipSolver, Modelling, Say, half_widths_of, modelled, present_of, sides_within
+from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint, ScenarioSample
+from workbench.design.search import Attempt, Optimum, front, optima, search_all
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
 
@@ -30,8 +29,8 @@ RUNNERS_UP = 3
 class ChoiceResult:
     """The result of the search of one choice.
 
-    ``modelling`` is the last model, and ``models`` how many there were; ``attempts`` the starts on it (none of an
-    evolutionary search) and ``optima`` their distinct ends, best first; ``candidates`` rounded chips, best first;
+    ``modelling`` is the last model, and ``models`` how many there were; ``attempts`` the starts on it (none for a front
+    or without slopes) and ``optima`` their distinct ends, best first; ``candidates`` rounded chips, best first;
     ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the optimum
     still lies, since no more models were allowed.
     """
@@ -51,122 +50,122 @@ class ChoiceResult:
         return len(self.optima[0].starts) if self.optima else 0
 
 
-def search_choice(
-    goal: Goal, selection: Selection, solver: Solver, *, scenarios: ScenarioSample | None, workers: Workers, say: Say,
-    keep: Keep | None,
-) -> ChoiceResult:
-    """The best chips of one choice.
+@dataclass(frozen=True, eq=False)
+class ChoiceSearch:
+    """The search of one choice: its ``goal`` and ``selection``, the ``solver`` of its models, and the ``workers``.
 
-    Raises:
-        NotCovered: no model of the lengths is good enough, however narrow.
+    ``say`` is called with progress, ``keep`` with chips that are not confirmed.
     """
-    about: Mapping[str, float] = present_of(goal)
-    reach = trust_region_of(goal)
-    if goal.search.evolutionary:
-        # A population is spread over all of the bounds.
-        reach = replace(reach, half_widths={each.name: each.high - each.low for each in goal.unknowns})
-        return _evolved(goal, selection, modelled(goal, selection, about, reach, solver, say, scenarios), scenarios,
-                        workers, say, keep)
-    open_sides: tuple[str, ...] = ()
-    attempts: list[Attempt] = []
-    for models in range(1, goal.search.moves + 2):
-        modelling = modelled(goal, selection, about, reach, solver, say, scenarios)
-        if not goal.unknowns:
-            only = proposed(goal, modelling.programme, {}, selection)
-            return ChoiceResult(selection, modelling, models, (), (), (only,) if only.point.exists else ())
-        attempts = _attempts(goal, selection, modelling, about, workers, say, keep)
-        about = min((each.best.point for each in attempts), key=lambda each: each.rank).lengths
-        reach = modelling.trust_region
-        open_sides = sides_within(about, modelling.box, goal.unknowns)
-        if not open_sides:
-            break
-    ends = optima(attempts)
-    if scenarios is not None:
-        ends = _robust(goal, modelling, scenarios, ends, say)
-    return ChoiceResult(selection, modelling, models, tuple(attempts), tuple(ends),
-                    _on_steps(goal, modelling, ends, selection, scenarios, say), (), open_sides)
 
+    goal: Goal
+    selection: Selection
+    solver: ChipSolver
+    scenarios: ScenarioSample | None
+    workers: Workers
+    say: Say
+    keep: Keep | None = None
 
-def _attempts(
-    goal: Goal, selection: Selection, modelling: Modelling, about: Mapping[str, float], workers: Workers,
-    say: Say, keep: Keep | None,
-) -> list[Attempt]:
-    """All starts on a model; `keep` gets the chip that each ends at."""
-    programme, ended = modelling.programme, 0
+    def __call__(self) -> ChoiceResult:
+        """The best chips of the choice.
 
-    def finished(one: Attempt) -> None:
-        nonlocal ended
-        ended += 1
-        say("starts", ended / goal.search.starts)
-        _kept(goal, selection, one.best.point.lengths, one.best.point, keep)
+        Raises:
+            NotCovered: no model of the lengths is good enough, however narrow.
+        """
+        goal, stock = self.goal, self.stock
+        about, half_widths = present_of(goal), half_widths_of(goal)
+        open_sides: tuple[str, ...] = ()
+        attempts: list[Attempt] = []
+        for models in range(1, goal.search.moves + 2):
+            modelling = modelled(goal, self.selection, about, half_widths, self.solver, self.say, self.scenarios)
+            # The search is on the nominal chip, but for a front and for tolerances.
+            nominal = modelling.programme
+            programme = replace(nominal, scenarios=self.scenarios)
+            if not goal.unknowns:
+                only = proposed(goal, nominal, {}, self.selection)
+                return ChoiceResult(self.selection, modelling, models, (), (), (only,) if only.point.exists else ())
+            if len(goal.objectives) > 1 or not nominal.sampled:
+                find = self._between if len(goal.objectives) > 1 else self._evolved
+                chips: list[RoundedDesign] = []
+                for each in (each for one in stock for each in find(programme.holding(one))):
+                    chips.append(each)
+                    self._kept(each.point)
+                return ChoiceResult(
+                    self.selection, modelling, models, (), (), tuple(sorted(chips, key=lambda each: each.point.rank)),
+                    tuple(chips) if len(goal.objectives) > 1 else ())
+            self.say("starts", 0.0)
+            attempts = search_all(nominal, goal.search, nominal.unknowns(about), workers=self.workers,
+                                  finished=self._finished, stock=stock if len(stock) > 1 else ())
+            about = dict(min((each.best.point for each in attempts), key=lambda each: each.rank).lengths)
+            half_widths = modelling.half_widths
+            open_sides = sides_within(about, modelling.box, goal.unknowns)
+            if not open_sides:
+                break
+        # Starts on different stock end at different optima.
+        ends = optima(attempts) if len(stock) == 1 else sorted(
+            (Optimum(each.best, (each.number,)) for each in attempts), key=lambda each: each.point.rank)
+        if self.scenarios is not None:
+            ends = self._robust(programme, ends)
+        return ChoiceResult(self.selection, modelling, models, tuple(attempts), tuple(ends),
+                            self._on_steps(programme, ends), (), open_sides)
 
-    say("starts", 0.0)
-    return search_all(programme, goal.search, programme.unknowns(about), workers=workers, finished=finished)
+    @property
+    def stock(self) -> list[dict[str, float]]:
+        """Every combination of the stock lengths (m) that one model covers; one empty combination if there are none."""
+        stock = self.goal.stock if self.goal.search.evolutionary else ()
+        return [dict(zip((each.name for each in stock), values, strict=True))
+                for values in product(*(each.values for each in stock))]
 
+    def _finished(self, one: Attempt, share: float) -> None:
+        self.say("starts", share)
+        self._kept(one.best.point)
 
-def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point: ProgrammePoint,
-          keep: Keep | None) -> None:
-    """Hand the chip of these lengths (m) over, as one that is not confirmed."""
-    if keep is not None:
-        keep(changed(goal.chip, {**selection.stock, **lengths}, selection.materials,
-                     note=f"by {goal.source}, not confirmed"), point)
+    def _kept(self, point: ProgrammePoint) -> None:
+        """Hand the chip of a point over, as one that is not confirmed."""
+        if self.keep is not None:
+            self.keep(changed(self.goal.chip, {**self.selection.stock, **point.lengths}, self.selection.materials,
+                              note=f"by {self.goal.source}, not confirmed"), point)
 
+    def _at(self, programme: NonlinearProgramme, optimum: Optimum) -> NonlinearProgramme:
+        """The programme with the stock lengths of an optimum fixed."""
+        stock = self.goal.stock if self.goal.search.evolutionary else ()
+        return programme.holding({each.name: optimum.point.lengths[each.name] for each in stock})
 
-def _robust(
-    goal: Goal, modelling: Modelling, scenarios: ScenarioSample, ends: Sequence[Optimum], say: Say
-) -> list[Optimum]:
-    """The optima over the scenarios, from the best nominal ones."""
-    programme, found = replace(modelling.programme, scenarios=scenarios), []
-    chosen = ends[:RUNNERS_UP]
-    for index, each in enumerate(chosen):
-        say("robust", index / len(chosen))
-        found.append(Optimum(descend(programme, each.point.x, evaluations=goal.search.evaluations), each.starts))
-    say("robust", 1.0)
-    return sorted(found, key=lambda each: each.point.rank)
+    def _robust(self, programme: NonlinearProgramme, ends: Sequence[Optimum]) -> list[Optimum]:
+        """The optima over the scenarios, from the best nominal ones."""
+        found, chosen = [], ends[:RUNNERS_UP]
+        for index, each in enumerate(chosen):
+            self.say("robust", index / len(chosen))
+            descent = descend(self._at(programme, each), each.point.x, evaluations=self.goal.search.evaluations)
+            found.append(Optimum(descent, each.starts))
+        self.say("robust", 1.0)
+        return sorted(found, key=lambda each: each.point.rank)
 
+    def _on_steps(self, programme: NonlinearProgramme, ends: Sequence[Optimum]) -> tuple[RoundedDesign, ...]:
+        """The optima with their lengths rounded to their grids, best first.
 
-def _on_steps(
-    goal: Goal, modelling: Modelling, ends: Sequence[Optimum], selection: Selection,
-    scenarios: ScenarioSample | None, say: Say,
-) -> tuple[RoundedDesign, ...]:
-    """The optima with their lengths rounded to their grids, best first.
+        An optimum is better than any chip rounded from it, so one that is worse than a chip that was found is left out.
+        """
+        found: list[RoundedDesign] = []
+        for index, each in enumerate(ends):
+            if each.point.exists and all(each.point.rank <= one.point.rank for one in found):
+                self.say("steps", index / len(ends))
+                there = self._at(programme, each)
+                lengths = rounded_lengths(there, each.descent, self.goal.search.evaluations)
+                found.append(proposed(self.goal, there, lengths, self.selection, each))
+        self.say("steps", 1.0)
+        return tuple(sorted(found, key=lambda each: each.point.rank))
 
-    An optimum is better than any chip rounded from it, so one that is worse than a chip that was found is left out.
-    """
-    programme = replace(modelling.programme, scenarios=scenarios)
-    found: list[RoundedDesign] = []
-    for index, each in enumerate(ends):
-        if not each.point.exists or (found and each.point.rank > min(one.point.rank for one in found)):
-            continue
-        say("steps", index / len(ends))
-        found.append(rounded_design(goal, programme, each, selection, goal.search.evaluations))
-    say("steps", 1.0)
-    return tuple(sorted(found, key=lambda each: each.point.rank))
+    def _between(self, programme: NonlinearProgramme) -> Iterator[RoundedDesign]:
+        """The chips of the front between two objectives."""
+        search, present = self.goal.search, programme.unknowns(present_of(self.goal))
+        for each, descent in front(programme, self.goal.objectives, search, present, search.population,
+                                   workers=self.workers, say=partial(self.say, "front")):
+            yield proposed(self.goal, programme, rounded_lengths(each, descent, search.evaluations), self.selection)
 
-
-def _evolved(
-    goal: Goal, selection: Selection, modelling: Modelling, scenarios: ScenarioSample | None, workers: Workers,
-    say: Say, keep: Keep | None,
-) -> ChoiceResult:
-    """An evolutionary search: of one objective its best member, improved by a descent; of two the front."""
-    programme = replace(modelling.programme, scenarios=scenarios)
-    programmes = [programme.under(each) for each in goal.objectives]
-    present, first = programme.unknowns(present_of(goal)), []
-    if not goal.stock and programme.sampled:
-        # The ends of the front, by descents: a population alone comes near them only.
-        for each in programmes:
-            first.append(attempt(each, goal.search, 0, present).best.point.lengths)
-    members = evolve(programmes, goal.stock, goal.search, [present_of(goal), *first], workers=workers,
-                     say=lambda share: say("generations", share),
-                     better=lambda each: _kept(goal, selection, each.lengths, each.points[0], keep))
-    chips = [proposed(goal, programme, each.lengths, selection) for each in members]
-    if len(programmes) > 1:
-        return ChoiceResult(selection, modelling, 1, (), (), tuple(chips), tuple(chips))
-    if not members or not programme.sampled:
-        return ChoiceResult(selection, modelling, 1, (), (), tuple(chips))
-    held = programme.holding({each.name: members[0].lengths[each.name] for each in goal.stock})
-    start = held.unknowns(members[0].lengths)
-    end = Optimum(descend(held, start, evaluations=goal.search.evaluations), (0,))
-    best = min([rounded_design(goal, held, end, selection, goal.search.evaluations), *chips],
-               key=lambda each: each.point.rank)
-    return ChoiceResult(selection, modelling, 1, (), (end,), (best,))
+    def _evolved(self, programme: NonlinearProgramme) -> Iterator[RoundedDesign]:
+        """The chip of the largest tolerances, found without slopes."""
+        search, present = self.goal.search, programme.unknowns(present_of(self.goal))
+        point = evolve(programme, present, population=search.population, generations=search.generations,
+                       seed=search.seed, say=partial(self.say, "generations"))
+        if point.exists:
+            yield proposed(self.goal, programme, point.lengths, self.selection)

@@ -1,5 +1,5 @@
 """A descent from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB 88-28,
-of scipy), and the bounds that hold its end where it is."""
+of scipy), and the active bounds at its end. An objective without slopes has differential evolution instead."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize, nnls
+from scipy.optimize import differential_evolution, minimize, nnls
 
 from workbench.design.nonlinear_programme import KEPT, NonlinearProgramme, ProgrammePoint
 
@@ -36,17 +37,19 @@ STALLED = 2
 #: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
+#: Objective of points that break a bound, less their violation: the logarithm of a figure is far below.
+BROKEN = 1e3
+
+#: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
+#: objective are rounded to the nearest step at first.
+CORNERS = 16
 
 #: Evaluations without anything better after which a round ends: a line search takes ten at most.
 PATIENCE = 12
 
 
-class _OutOfEvaluations(Exception):
-    """The evaluations of a descent are used up."""
-
-
-class _Stalled(Exception):
-    """A round finds nothing better any more."""
+class _Ended(Exception):
+    """The evaluations of a descent are used up, or a round stopped improving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,35 +95,46 @@ def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> 
         for each in reversed(points):
             if np.array_equal(each.x, x):
                 return each
-        if len(points) >= evaluations:
-            raise _OutOfEvaluations
-        if len(points) - max(begun, _last_gain(points)) > PATIENCE:
-            raise _Stalled
+        last_gain = 1 + min(range(len(points)), key=lambda k: points[k].rank, default=-1)
+        if len(points) >= evaluations or len(points) - max(begun, last_gain) > PATIENCE:
+            raise _Ended
         points.append(programme(x))
         return points[-1]
 
     centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
-    try:
-        best = evaluate(centre)
-        while width >= SMALLEST and idle < STALLED and programme.variables:
-            before, begun = best, len(points)
-            with suppress(_Stalled):
-                _follow(programme, evaluate, points, centre, width)
-            best = min(points, key=lambda each: each.rank)
-            if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
-                break
-            idle = 0 if _better(best, before) else idle + 1
-            width, centre = SHRINKING * width, best.x
-    except _OutOfEvaluations:
-        pass
-    best = min(points, key=lambda each: each.rank)
+    best = evaluate(centre)
+    while width >= SMALLEST and idle < STALLED and programme.variables and len(points) < evaluations:
+        before, begun = best, len(points)
+        with suppress(_Ended):
+            _follow(programme, evaluate, points, centre, width)
+        best = min(points, key=lambda each: each.rank)
+        if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
+            break
+        idle = 0 if _better(best, before) else idle + 1
+        width, centre = SHRINKING * width, best.x
     return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
                          tuple((each.objective, each.violation) for each in points))
 
 
-def _last_gain(points: list[ProgrammePoint]) -> int:
-    """The number of points up to the best one."""
-    return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
+def evolve(programme: NonlinearProgramme, start: Real, *, population: int, generations: int, seed: int,
+           say: Callable[[float], None] = lambda share: None) -> ProgrammePoint:
+    """The best point of a differential evolution (Storn and Price 1997, J. Global Optim. 11, 341, of scipy).
+
+    `start` (n,) is a member of the first generation of about `population` points. Lengths are on their steps.
+    """
+    points: list[ProgrammePoint] = []
+
+    def objective(x: Real) -> float:
+        points.append(programme(programme.on_steps(x), gradient=False))
+        say(min(1.0, len(points) / (population * generations)))
+        broken, value = points[-1].rank
+        return min(value, BROKEN) + BROKEN * broken
+
+    objective(start)
+    if size := len(start):
+        differential_evolution(objective, [(0.0, 1.0)] * size, x0=start, popsize=math.ceil(population / size),
+                               maxiter=generations, seed=seed, init="sobol", polish=False)
+    return min(points, key=lambda each: each.rank)
 
 
 def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
@@ -161,18 +175,44 @@ def _follow(
 def multipliers(point: ProgrammePoint) -> Multipliers:
     """The multipliers of the bounds and ends that are active at `point`: none is negative, and they leave as little of
     the slope as possible (non-negative least squares)."""
-    count, size = len(point.margins), len(point.x)
-    nothing = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), math.inf if not point.exists else 0.0)
-    if not point.exists or not size:
-        return nothing
-    bounds = np.flatnonzero(point.margins <= ACTIVE)
-    low, high = np.flatnonzero(point.x <= ACTIVE), np.flatnonzero(point.x >= 1.0 - ACTIVE)
-    unit = np.eye(size)
-    columns = np.concatenate([point.jacobian[bounds], unit[low], -unit[high]]).T
-    found = nnls(columns, point.slope)[0] if columns.shape[1] else np.zeros(0)
-    left = point.slope - columns @ found
-    result = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), float(np.abs(left).max()))
-    for target, indices, part in zip((result.bounds, result.low, result.high), (bounds, low, high),
-                                     np.split(found, np.cumsum([bounds.size, low.size])), strict=True):
-        target[indices] = part
-    return result
+    count, unit = len(point.margins), np.eye(len(point.x))
+    columns = np.concatenate([point.jacobian, unit, -unit])
+    active = np.concatenate([point.margins, point.x, 1.0 - point.x]) <= ACTIVE
+    gains, residual = np.zeros(len(columns)), 0.0 if point.exists else math.inf
+    if point.exists and len(unit):
+        if active.any():
+            gains[active] = nnls(columns[active].T, point.slope)[0]
+        residual = float(np.abs(point.slope - gains @ columns).max())
+    bounds, low, high = np.split(gains, [count, count + len(unit)])
+    return Multipliers(bounds, low, high, residual)
+
+
+def round_to_grid(
+    programme: NonlinearProgramme, found: DesignDescent, *, evaluations: int
+) -> tuple[NonlinearProgramme, DesignDescent]:
+    """The best of the combinations of steps about an optimum, the other lengths optimal for each.
+
+    All roundings up and down are tried, then single steps away from the best one until none is better. Returns the
+    programme with the steps fixed, and the descent in the rest of it.
+    """
+    lengths, tried = found.point.lengths, dict[tuple[float, ...], tuple[NonlinearProgramme, DesignDescent]]()
+    slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
+    leverage = {each: abs(float(slope)) * each.step / extent for each, slope, extent in slopes if each.step is not None}
+    if not leverage:
+        return programme, found
+    # The nearest step, then the other one of the two beside the length.
+    choices = {each: (nearest := each.round(lengths[each.name]), *(
+        value for value in each.beside(lengths[each.name])
+        if value != nearest and abs(value - lengths[each.name]) < (each.step or 0.0))) for each in leverage}
+    for each in sorted(leverage, key=lambda each: leverage[each]):
+        if math.prod(map(len, choices.values())) > CORNERS:
+            choices[each] = choices[each][:1]
+    corners = set(product(*choices.values()))
+    while new := corners - set(tried):
+        for corner in sorted(new):
+            held = programme.holding({each.name: value for each, value in zip(choices, corner, strict=True)})
+            tried[corner] = held, descend(held, held.unknowns(lengths), evaluations=evaluations)
+        best = min(tried, key=lambda corner: tried[corner][1].point.rank)
+        corners = {(*best[:index], value, *best[index + 1:]) for index, each in enumerate(choices)
+                   for value in each.beside(best[index])}
+    return tried[best]

@@ -6,7 +6,7 @@ drive is an operation of its own on the same reduced model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,29 +76,23 @@ class Driven:
         return tuple(each.label for each in self.requested)
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        return merged_evaluations([
-            (mine, replace(self.model, figures=tuple(each.figure.name for each in mine),
-                           operation=replace(self.operation, drive=mine[0].drive))(values, gradient=gradient))
-            for mine in by_drive(self.requested)])
+        return at_drives(self.requested, self.operation, lambda figures, operation: replace(
+            self.model, figures=figures, operation=operation)(values, gradient=gradient))
 
 
-def by_drive(requested: Sequence[DrivenFigure]) -> list[tuple[DrivenFigure, ...]]:
-    """Quantities in groups of one drive."""
-    drives = dict.fromkeys(str(each.drive) for each in requested)
-    return [tuple(each for each in requested if str(each.drive) == drive) for drive in drives]
-
-
-def merged_evaluations(parts: Sequence[tuple[Sequence[DrivenFigure], Evaluation]]) -> Evaluation:
-    """Evaluations of one chip at different drives as one, figures by label."""
-    figures: dict[str, float] = {}
-    missing: dict[str, str] = {}
-    gradient: dict[str, Real] = {}
-    for mine, found in parts:
-        for each in mine:
-            figures[each.label] = found.figures[each.figure.name]
-            if each.figure.name in found.missing:
-                missing[each.label] = found.missing[each.figure.name]
-            if found.gradient is not None:
-                gradient[each.label] = found.gradient[each.figure.name]
-    first = parts[0][1]
-    return replace(first, figures=figures, missing=missing, gradient=None if first.gradient is None else gradient)
+def at_drives(
+    requested: Sequence[DrivenFigure], operation: Operation,
+    evaluate: Callable[[tuple[str, ...], Operation], Evaluation],
+) -> Evaluation:
+    """The figures of one chip by label; `evaluate` gives those called so at an operation, once for each drive."""
+    drives = {str(each.drive): each.drive for each in requested}
+    parts = [([each for each in requested if str(each.drive) == words], drive) for words, drive in drives.items()]
+    found: list[tuple[DrivenFigure, Evaluation]] = []
+    for mine, drive in parts:
+        evaluation = evaluate(tuple(each.figure.name for each in mine), replace(operation, drive=drive))
+        found += [(each, evaluation) for each in mine]
+    named = [(each.label, each.figure.name, evaluation) for each, evaluation in found]
+    return replace(
+        found[0][1], figures={label: one.figures[name] for label, name, one in named},
+        missing={label: one.missing[name] for label, name, one in named if name in one.missing},
+        gradient={label: one.gradient[name] for label, name, one in named if one.gradient is not None} or None)

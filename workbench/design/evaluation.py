@@ -19,12 +19,12 @@ from geometry.chip import Chip
 from geometry.names import parent_place
 from geometry.operating_point import AT_ENERGY, AT_F0
 from workbench.acoustics.sound_energy import SoundEnergy
-from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
-from workbench.design.dual import Dual
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, cavity_field
 from workbench.design.figures import LOSS_SHARE, QUOTIENTS, with_parts
 from workbench.design.resonance import Energy, Impedance, Resonance, ResonantQuantity, Responding, find_resonance
 from workbench.design.trapping import FoundTrap, NoTrap, find_trap, follows_flow, largest_square, trap_focus_time
-from workbench.fem.level import drive_level
+from workbench.fem.dual import Dual
+from workbench.fem.level import Level, drive_level
 from workbench.fem.linearised import LinearisedState, by_frequency, difference_frequencies, slope_columns
 from workbench.fem.solve import Solution
 from workbench.model.drive import Drive, VoltageDrive, wired
@@ -157,6 +157,10 @@ class Question:
         """(k,): one for the number of that name."""
         return np.array([float(each == name) for each in self.names])
 
+    def constant(self, value: float) -> Dual:
+        """A number that the k numbers do not change."""
+        return Dual(value, np.zeros(len(self.names)))
+
 
 @dataclass(frozen=True, eq=False)
 class FigureValues:
@@ -172,10 +176,10 @@ class FigureValues:
         """The evaluation at the numbers asked for, with the estimated error of the state's charge (none: of a full
         solve)."""
         names = self.question.figures
-        nothing = Dual(math.nan, np.full(len(self.question.names), math.nan))
+        nothing = self.question.constant(1.0) * math.nan
         found = {name: self.figures.get(name, nothing) for name in names}
         error = math.nan if self.state is None else 0.0 if estimate is None else estimate(self.state.solution)
-        return Evaluation(dict(values), {name: each.value for name, each in found.items()}, self.missing,
+        return Evaluation(dict(values), {name: float(each.value) for name, each in found.items()}, self.missing,
                           self.frequency, error,
                           {name: each.gradient for name, each in found.items()} if self.question.names else None)
 
@@ -190,63 +194,43 @@ def responses(figures: Collection[str], *operations: Operation) -> tuple[Resonan
     return tuple(dict.fromkeys(found))
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """The levels (n,) of responses at some ascending ``frequency`` (n,) Hz, of a rough model."""
-
-    frequency: Real
-    of: Mapping[ResonantQuantity, Real]
-
-
-#: The levels of a model that is driven at a stated frequency.
-NOWHERE = Levels(np.zeros(0), {})
-
-
-def levels(question: Question, model: Responding, sweep: Callable[[], Solution]) -> Levels:
-    """The levels of the responses of a question; the `sweep` of the model is made if there are any."""
-    wanted = [each for each in responses(question.figures, question.operation)
-              if model.sound is not None or isinstance(each, Impedance)]
-    if not wanted:
-        return NOWHERE
-    solution = sweep()
-    return Levels(solution.frequency, {each: each.sampled(model, solution) for each in wanted})
+#: A rough model and its spectrum over the band, made where a resonance is looked for.
+Sweep = Callable[[], tuple[Responding, Solution]]
 
 
 def answer(
-    question: Question, model: Responding, known: Levels = NOWHERE, final: Responding | None = None
+    question: Question, model: Responding, sweep: Sweep | None = None, final: Responding | None = None
 ) -> FigureValues:
-    """The figures asked for, of a `model` whose rough levels are `known`.
+    """The figures asked for, of a `model` whose resonances lie near those of the `sweep`.
 
     With `final` the model only says where the resonance is, and the states are those of that better model.
     """
     found: dict[str, Dual] = {}
     resonances: dict[ResonantQuantity, Resonance] = {}
     operation, missing = question.operation, dict[str, str]()
-    for response in responses(question.figures, question.operation):
+    wanted = responses(question.figures, operation)
+    rough = sweep() if wanted and sweep is not None else None
+    for response in wanted:
         names: Sequence[str] = OF_RESONANCE if isinstance(response, Impedance) else OF_PEAK
         try:
-            resonances[response] = _resonance(question, response, model, known, final)
+            resonances[response] = _resonance(question, response, model, rough, final)
         except NoResonance as error:
             missing.update(dict.fromkeys(question.figures if response == operation.follows else names, error.reason))
             continue
         _of_resonance(resonances[response], response, found, missing)
-    driven, state = operation.frequency, None
-    if operation.follows is not None:
-        driven = resonances[operation.follows].frequency if operation.follows in resonances else None
-    if driven is not None:
-        assert not isinstance(driven, str)
-        if operation.follows is None:
-            state = (final or model).system.linearised(driven, question.keys)
-            follows = Dual(driven, np.zeros(len(question.names)))
-        else:
-            state = resonances[operation.follows].at
-            follows = Dual(driven, resonances[operation.follows].gradients()[0])
-        operating = _Operating(question, state, follows, (final or model).sound)
+    driven, state = question.constant(math.nan), None
+    if operation.follows in resonances:
+        driven, state = resonances[operation.follows].frequency, resonances[operation.follows].at
+    elif isinstance(operation.frequency, int | float):
+        driven = question.constant(operation.frequency)
+        state = (final or model).system.linearised(operation.frequency, question.keys)
+    if state is not None:
+        operating = _Operating(question, state, driven, (final or model).sound)
         for group, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
-            wanted = [each for each in with_parts(question.figures) if each in group or
-                      (group is ELECTRICAL and each.startswith(LOSS_SHARE))]
-            if wanted:
-                compute(wanted, found, missing)
+            wanted_names = [each for each in with_parts(question.figures) if each in group or
+                            (group is ELECTRICAL and each.startswith(LOSS_SHARE))]
+            if wanted_names:
+                compute(wanted_names, found, missing)
     for name, parts in QUOTIENTS.items():
         if all(each in found for each in parts):
             found[name] = found[parts[0]] / found[parts[1]]
@@ -254,22 +238,24 @@ def answer(
             missing[name] = next(missing[each] for each in parts if each in missing)
     kept = {name: found[name] for name in question.figures if name in found}
     return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures
-                                         and name not in kept}, math.nan if driven is None else driven, state)
+                                         and name not in kept}, driven.value, state)
 
 
 def _resonance(
-    question: Question, response: ResonantQuantity, model: Responding, known: Levels, final: Responding | None
+    question: Question, response: ResonantQuantity, model: Responding, rough: tuple[Responding, Solution] | None,
+    final: Responding | None,
 ) -> Resonance:
     """The resonance of a response.
 
     Raises:
         NoResonance: there is none in the band, or of the impedance not a whole one.
     """
-    if response not in known.of:
+    if rough is None or (rough[0].sound is None and not isinstance(response, Impedance)):
         raise NoResonance("the cavity holds no liquid with sound in it", frequency=math.nan, impedance=math.nan)
-    found = find_resonance(response, model, known.frequency, known.of[response], question.keys, question.turns, final)
+    found = find_resonance(response, model, rough[1].frequency, response.sampled(*rough), question.keys, question.turns,
+                           final)
     if isinstance(response, Impedance) and found.sides is None:
-        raise NoResonance(found.reason, frequency=found.frequency, impedance=math.exp(found.least))
+        raise NoResonance(found.reason, frequency=found.frequency.value, impedance=math.exp(found.least.value))
     return found
 
 
@@ -277,18 +263,15 @@ def _of_resonance(
     resonance: Resonance, response: ResonantQuantity, found: dict[str, Dual], missing: dict[str, str]
 ) -> None:
     """Add the figures of a resonance, f0, Z_min and Q or the peak's frequency and Q."""
-    frequency, least, q = resonance.gradients()
     if isinstance(response, Impedance):
-        z_min = math.exp(resonance.least)
-        values = {"f0": Dual(resonance.frequency, frequency), "z_min": Dual(z_min, z_min * least),
-                  "q": Dual(resonance.q, q)}
+        z_min = math.exp(resonance.least.value)
+        found.update(f0=resonance.frequency, z_min=Dual(z_min, z_min * resonance.least.gradient), q=resonance.q)
     else:
-        values = {"peak_frequency": Dual(resonance.frequency, frequency)}
+        found["peak_frequency"] = resonance.frequency
         if resonance.sides is None:
             missing["peak_q"] = resonance.reason
         else:
-            values["peak_q"] = Dual(resonance.q, q)
-    found.update(values)
+            found["peak_q"] = resonance.q
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,79 +286,63 @@ class _Operating:
 
     @property
     def state_slopes(self) -> Complex:
-        """(size, k): what the numbers change the state by, the frequency following."""
+        """(size, k): the derivatives of the state by the numbers, the frequency following."""
         return (self.state.by_parameter * self.question.turns
                 + np.outer(self.state.by_frequency, self.frequency.gradient))
+
+    def _of_level(self, level: Level) -> Dual:
+        """The response whose logarithm is a level, the frequency following."""
+        value = math.exp(level.value)
+        return Dual(value, value * (level.by_number + level.slope * self.frequency.gradient))
 
     @property
     def square_of_voltage(self) -> Dual:
         """|V|^2 (V^2) of the amplitude at the electrodes."""
-        level = drive_level(self.question.operation.drive.amplitude, self.state, self.question.turns)
-        square = math.exp(level.value)
-        return Dual(square, square * (level.by_number + level.slope * self.frequency.gradient))
+        return self._of_level(drive_level(self.question.operation.drive.amplitude, self.state, self.question.turns))
 
     def electrical(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
         """Voltage, power, heating and shares of the losses."""
         square = self.square_of_voltage
         if "voltage" in names:
-            found["voltage"] = square.sqrt() * 2.0
-        rest = [name for name in names if name != "voltage"]
-        if not rest:
+            found["voltage"] = square**0.5 * 2.0
+        if names == ["voltage"]:
             return
-        by_region = self._losses()
-        total = sum(by_region.values(), Dual(0.0, np.zeros(len(self.question.names))))
+        losses, regions = self._losses()
+        total = np.ones(len(regions)) @ losses
         resistance = self.question.operation.thermal_resistance
-        for name in rest:
+        for name in names:
             if name == "power":
                 found[name] = total * square
+            elif name == "heating" and not resistance:
+                missing[name] = "no thermal resistance is stated"
             elif name == "heating":
-                if not resistance:
-                    missing[name] = "no thermal resistance is stated"
-                    continue
-                warmed = (power * resistance.get(region, resistance.get("", 0.0))
-                          for region, power in by_region.items())
-                found[name] = sum(warmed, Dual(0.0, np.zeros(len(self.question.names)))) * square
-            else:
-                nothing = Dual(0.0, np.zeros(len(self.question.names)))
-                found[name] = by_region.get(name.removeprefix(LOSS_SHARE), nothing) / total
+                found[name] = np.array([resistance.get(each, resistance.get("", 0.0)) for each in regions]
+                                       ) @ losses * square
+            elif name != "voltage":
+                found[name] = np.array([float(LOSS_SHARE + each == name) for each in regions]) @ losses / total
 
-    def _losses(self) -> dict[str, Dual]:
-        """Power (W) lost in every region at 1 V amplitude: -w/2 Im(g_q) x^H A_q x, summed by region."""
-        solution, question = self.state.solution, self.question
-        operators, state = solution.operators, self.state.state
-        omega = 2.0 * math.pi * self.frequency.value
+    def _losses(self) -> tuple[Dual, list[str]]:
+        """Power (n,) W lost in every integral at 1 V amplitude, -w/2 Im(g_q) x^H A_q x, and the regions (n,) of these.
+        """
+        operators, question = self.state.solution.operators, self.question
+        state, moved, frequency = self.state.state, self.state_slopes, self.frequency.value
         forms = operators.quadratic(np.conj(state)[:, None], state[:, None])[0].real
-        moved = self.state_slopes
         both = np.repeat(np.conj(state)[:, None], moved.shape[1], axis=1)
         changes = 2.0 * operators.quadratic(both, moved).real if moved.shape[1] else np.zeros((0, forms.size))
-        value, by_hertz = (each.imag for each in self._coefficients())
-        slopes, _ = slope_columns(operators, self.frequency.value, question.values, question.keys)
-        of_coefficients = (slopes * question.turns).imag + np.outer(by_hertz, self.frequency.gradient)
-        power = -0.5 * omega * value * forms
-        gradient = -0.5 * omega * (of_coefficients * forms[:, None] + value[:, None] * changes.T)
-        gradient += np.outer(power / self.frequency.value, self.frequency.gradient)
-        regions: dict[str, Dual] = {}
-        for q in np.flatnonzero((power != 0.0) | (gradient != 0.0).any(axis=1)):
-            region = parent_place(operators.integrals[q].place)
-            mine = Dual(float(power[q]), gradient[q])
-            regions[region] = regions[region] + mine if region in regions else mine
-        return regions
-
-    def _coefficients(self) -> tuple[Complex, Complex]:
-        """g_q (integrals,) and their derivative per Hz."""
-        operators = self.state.solution.operators
-        at = operators.coefficients(2.0 * np.pi * difference_frequencies(self.frequency.value), self.question.values)
-        value, first, _ = by_frequency(at.T, self.frequency.value)
-        return value, first
+        at = operators.coefficients(2.0 * np.pi * difference_frequencies(frequency), question.values)
+        value, by_hertz, _ = by_frequency(at.T, frequency)
+        slopes, _ = slope_columns(operators, frequency, question.values, question.keys)
+        coefficients = Dual(value.imag, (slopes * question.turns).imag.T
+                            + np.outer(self.frequency.gradient, by_hertz.imag))
+        return (Dual(forms, changes) * coefficients * self.frequency * -math.pi,
+                [parent_place(each.place) for each in operators.integrals])
 
     def of_field(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
         """Figures of the cavity's field and of the trap in it."""
         cavity, square = self.question.cavity, self.square_of_voltage
         if "mean_e_ac" in names and self.sound is not None:
-            level = self.sound.log_level(self.state, self.question.values, self.question.turns)
-            energy = math.exp(level.value)
-            found["mean_e_ac"] = square * Dual(energy, energy * (level.by_number
-                                                                 + level.slope * self.frequency.gradient))
+            found["mean_e_ac"] = square * self._of_level(
+                self.sound.log_level(self.state, self.question.values, self.question.turns))
         rest = [each for each in names if each != "mean_e_ac" or self.sound is None]
         if cavity is None:
             missing.update(dict.fromkeys(rest, self.question.reason))
@@ -385,9 +352,8 @@ class _Operating:
         field_there = self._field(cavity)
         if {"p0", "e_ac"} & set(names):
             largest = largest_square(field_there) * square
-            found["p0"] = largest.sqrt()
-            fluid = field_there.around.fluid
-            found["e_ac"] = largest / (fluid["density"] * fluid["sound_speed"] ** 2.0) / 4.0
+            found["p0"] = largest**0.5
+            found["e_ac"] = largest / (field_there.around["density"] * field_there.around["sound_speed"] ** 2.0) / 4.0
         of_trap = [name for name in names if name in OF_TRAP]
         if of_trap and cavity.particle is None:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
@@ -405,23 +371,20 @@ class _Operating:
         moving = np.array([question.unit(name) for name in cavity.lengths]).reshape(len(cavity.lengths),
                                                                                      len(question.names))
         change = cavity.change(question.values)
-        width, height = (Dual(float(np.ptp(each.at(change))), (each.slopes[-1] - each.slopes[0]) @ moving)
-                         for each in (cavity.across, cavity.z))
-        fluid = {}
+        width, height = (each[-1] - each[0] for each in cavity.lines(change, moving))
+        around = {"frequency": self.frequency, "width": width, "height": height}
         for name in OF_FLUID:
-            key = f"{cavity.fluid.name}.{name}"
-            stated = getattr(cavity.fluid, name)
+            key, stated = f"{cavity.fluid.name}.{name}", getattr(cavity.fluid, name)
             if stated is not None:
-                fluid[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
-        surroundings = Surroundings(self.frequency, width, height, fluid)
-        return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], surroundings, change, moving)
+                around[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
+        return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], around, change, moving)
 
 
 def _trap_figures(
     trap: FoundTrap, square: Dual, found: dict[str, Dual], missing: dict[str, str], beyond: float
 ) -> None:
     found["trap_height"], found["trap_radius"] = trap.height, trap.radius
-    found["trap_offset"] = trap.height - trap.field.around.height * 0.5
+    found["trap_offset"] = trap.height - trap.field.around["height"] * 0.5
     found["trap_depth"] = trap.depth * square
     found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
     circulating = follows_flow(trap)

@@ -32,15 +32,23 @@ from typing import Any
 
 from geometry.chip import Chip, read_chip
 from geometry.operating_point import AT_ENERGY
-from geometry.plausible import check_band, check_length
+from geometry.plausible import check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
-from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.evaluation import Operation
 from workbench.design.figures import FIGURES, LOSS_SHARE, with_parts
-from workbench.design.plan import frequency_key
+from workbench.design.plan import band_key, frequency_key
+from workbench.design.requirement import Bound, parse_bounds
 from workbench.design.thermal import read_thermal
-from workbench.design.variables import MATERIAL, MaterialChoice, Variable, VariedNumber, first_name
+from workbench.design.variables import (
+    MATERIAL,
+    MaterialChoice,
+    Variable,
+    VariedNumber,
+    first_name,
+    flat_entries,
+    read_materials,
+)
 from workbench.files.errors import InputError, choose, expect
 from workbench.files.quantities import ProgramSource, parse_quantity
 from workbench.files.tables import FileTable
@@ -56,10 +64,10 @@ TOLERANCE = "tolerance"
 SIGNED = ("trap_offset", "trap_radius")
 
 #: Most combinations of stock lengths and materials that are searched one by one, each on a model of its own. Twice as
-#: many take twice the time; beyond, stock lengths are left to the evolutionary search, on one model.
+#: many take twice the time; beyond, stock lengths are searched on one model that covers them all.
 ENUMERATED = 12
 
-_VARIABLE_KEYS = ("from", "to", "step", "values", "materials")
+_EXAMPLE = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,8 @@ class SearchOptions:
     ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
     the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model extends
     to either side of its middle, relative to the length there; within wider bounds models are moved, at most ``moves``
-    times. ``relative_error``: of the impedance on them. ``population`` and ``generations`` of the evolutionary search,
-    which ``evolutionary`` asks for.
+    times. ``relative_error``: of the impedance on them. ``evolutionary`` makes one model over all bounds, stock lengths
+    included; ``population`` is the number of chips on a front, and with ``generations`` of an evolution without slopes.
     """
 
     starts: int = 10
@@ -169,15 +177,15 @@ class Goal:
         if "state" in head:
             chosen = head.choice("state", (each.name for each in chip.states))
         options = _search(root.table("search"))
-        unknown = tuple(_variables(root.table("variables"), chip, registry))
+        unknown = tuple(_variables(root.table("variables"), chip, registry or Registry()))
         if not unknown:
             raise root.error("variables",
                              'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
         driven = read_drive(head)
-        bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
-                       for bound in parse_bounds(text, chip.dimensions(), chip.regions, driven, source=source,
-                                                 field=f"goal.constraints[{index}]"))
-        within = _band(head, chip)
+        first = {name: first_name(chip, name) for name in chip.dimensions()}
+        bounds = tuple(bound for index, text in enumerate(head.texts("constraints", ())) for bound in parse_bounds(
+            text, first, chip.regions, driven, source=source, field=f"goal.constraints[{index}]"))
+        within = band_key(head, chip)
         thermal_resistance = read_thermal(root, chip, (), states=(chosen,), band=within, registry=registry)
         self.__dict__.update(
             source=source, chip=chip, state=chosen, variables=unknown, bounds=bounds, search=options,
@@ -193,7 +201,7 @@ class Goal:
 
     @property
     def unknowns(self) -> tuple[VariedNumber, ...]:
-        """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
+        """The lengths that a model is of: the stock lengths too, from end to end, if one model covers all bounds."""
         stock = self.stock if self.search.evolutionary else ()
         return (*self.lengths, *(replace(each, values=()) for each in stock))
 
@@ -226,16 +234,6 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     return Goal(chip, root.content.get("variables", {}), **said, **tables, registry=registry, source=root.source)
 
 
-def _by_first_names(bound: Bound, chip: Chip) -> Bound:
-    """A bound of lengths with radii that coincide under one name."""
-    if not bound.of_lengths:
-        return bound
-    weights: dict[str, float] = {}
-    for name, weight in bound.weights.items():
-        weights[first_name(chip, name)] = weights.get(first_name(chip, name), 0.0) + weight
-    return replace(bound, weights=weights)
-
-
 def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:
     found = []
     known = [*FIGURES, TOLERANCE, *(LOSS_SHARE + region for region in chip.regions)]
@@ -256,49 +254,26 @@ def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:
     return tuple(found)
 
 
-def _band(head: FileTable, chip: Chip) -> tuple[float, float] | None:
-    if "band" not in head:
-        return None
-    low, high = head.quantities("band", "frequency", numbered=True,
-                                expected='two frequencies, such as ["0.9 MHz", "1.1 MHz"]')
-    if not 0.0 < low < high:
-        raise head.error("band", "two frequencies above zero, the lower one first")
-    if "band" not in chip.unusual:
-        check_band(chip.layers, (low, high), head.source, head.at("band"))
-    return low, high
-
-
-def _variables(table: FileTable, chip: Chip, registry: Registry | None) -> Iterator[Variable]:
+def _variables(table: FileTable, chip: Chip, registry: Registry) -> Iterator[Variable]:
     lengths = chip.dimensions()
     known = [*lengths, *(layer.region + MATERIAL for layer in chip.layers)]
     seen: dict[str, str] = {}
-    for name, inner in _flat(table):
+    for name, value in flat_entries(table.content):
+        inner = FileTable.of(value, source=table.source, field=table.at(name), expected=_EXAMPLE)
         choose(name, known, source=table.source, field=table.at(name))
         for alike in moving_together(chip, name) if name in lengths else (name,):
             if alike in seen:
                 raise InputError(table.source, table.at(name), name,
                                  f"one of the two: it coincides with {seen[alike]}, and they change together")
             seen[alike] = name
-        inner.only(_VARIABLE_KEYS)
+        inner.only(("from", "to", "step", "values", "materials"))
         if name.endswith(MATERIAL):
-            yield _material(inner, name, chip, registry)
+            yield MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, tuple(read_materials(inner, registry)))
         else:
             found = _length(inner, first_name(chip, name))
             for each in found.values or (found.low, found.high):
                 check_length(found.name, each, source=inner.source, field=inner.field, unusual=chip.unusual)
             yield found
-
-
-def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
-    """The variables by their whole names, which TOML takes for tables in tables unless they are quoted."""
-    expected = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
-    for name in table:
-        inner = table.table(name, expected=expected)
-        if "." in name or set(inner) & set(_VARIABLE_KEYS):
-            yield name, inner
-            continue
-        for rest in inner:
-            yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
 def _length(table: FileTable, name: str) -> VariedNumber:
@@ -318,19 +293,6 @@ def _length(table: FileTable, name: str) -> VariedNumber:
     if step is not None and not 0.0 < step <= high - low:
         raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
     return VariedNumber(name, low, high, step)
-
-
-def _material(table: FileTable, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
-    table.only(("materials",))
-    names = table.texts("materials", expected='materials such as ["pla", "petg"]')
-    if len(set(names)) < max(2, len(names)):
-        raise table.error("materials", "two or more different materials")
-    for each in names:
-        try:
-            (registry or Registry()).find(each)
-        except InputError as error:
-            raise InputError(table.source, table.at("materials"), each, error.expected, error.nearest) from None
-    return MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, names)
 
 
 def _robust(table: FileTable) -> Robust:

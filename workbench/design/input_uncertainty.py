@@ -14,8 +14,8 @@ of the number itself, ``exact`` leaves it certain, and ``assumed`` gives a lengt
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -24,15 +24,17 @@ import numpy as np
 from geometry.assumed import is_film
 from geometry.chip import Chip
 from geometry.stretch import admissible_range, canonical_names
-from materials.fit import Correlation
-from materials.kinds import Fluid, Material, Solid
+from materials.assumed import with_assumed_loss
+from materials.kinds import Fluid, Material
 from materials.registry import Registry
+from workbench.design.model import all_of_one_length
 from workbench.design.uncertainty import Uncertainty, known_as
+from workbench.design.variables import flat_entries
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable, parse_json
 from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers, full_names
-from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits
+from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits, placed
 from workbench.model.problem import FilledChip, fill
 
 #: Of a fluid, what the model holds as a number of its own; its losses follow from others.
@@ -74,22 +76,12 @@ def read_statements(path: Path) -> tuple[Statement, ...]:
     """
     root = FileTable.read(path).only(("uncertainty",))
     root.required("uncertainty", "a table [uncertainty] of names and amounts")
-    table = root.table("uncertainty")
     found = []
-    for name, amount in _flat(table.content):
+    for name, amount in flat_entries(root.table("uncertainty").content, of_tables=False):
         if not isinstance(amount, str):
             raise InputError(str(path), f"uncertainty.{name}", amount, 'a text, such as "20 um"')
         found.append(Statement(name, amount, str(path), f"uncertainty.{name}"))
     return tuple(found)
-
-
-def _flat(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
-    """Keys without quotation marks, whose dots have made tables of them, as the names that were meant."""
-    for key, value in content.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{key}.")
-        else:
-            yield before + key, value
 
 
 def stated_uncertainty(
@@ -114,19 +106,17 @@ def stated_uncertainty(
     """
     device = fill(chip, state, registry)
     given = [parse_statement(each) if isinstance(each, str) else each for each in statements]
-    known = device_numbers(chip, device.materials.values())
-    found = _of_files(device, known, law)
-    known = {name: each for name, each in known.items() if _is_felt(each, device)}
+    found = _Collected.of_files(device, law)
     for path in posteriors:
-        _posterior(Path(path), device, known, found)
+        found.take_posterior(Path(path))
     for each in given:
-        _say(each, device, known, law, found)
-    said = {_meant(each, device, known) for each in given}
-    for name, number in known.items():
+        found.take_statement(each)
+    said = {found.name_of(each) for each in given}
+    for name, number in found.felt.items():
         if number.stated is None and number.is_dimension and is_film(name) and name not in {*found.inputs, *said}:
             found.notes.append(f"{name} is taken as exact, since the chip file states no tolerance, but "
                                f"{number.known.assumed}: \"{name} = {ASSUMED}\" counts with that")
-    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
+    return found.uncertainty
 
 
 def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertainty:
@@ -135,18 +125,7 @@ def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertaint
     Raises:
         InputError: a tolerance or an uncertainty that cannot be used.
     """
-    found = _of_files(device, device_numbers(device.chip, device.materials.values()), law)
-    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
-
-
-def _of_files(device: FilledChip, numbers: Mapping[str, Number], law: Law) -> _Collected:
-    found = _Collected({}, [], [])
-    for each in numbers.values():
-        if each.is_dimension and each.tolerance:
-            _length(each, device.chip, law, found)
-    for material in {each.name: each for each in device.materials.values()}.values():
-        _coefficients(material, device, numbers, found)
-    return found
+    return _Collected.of_files(device, law).uncertainty
 
 
 def numbers_of(device: FilledChip) -> dict[str, float]:
@@ -169,101 +148,168 @@ def _is_felt(number: Number, device: FilledChip) -> bool:
 
 @dataclass
 class _Collected:
-    """Inputs by name, the correlations between some of them, and notes on numbers left out."""
+    """The uncertain numbers of a ``device``: ``felt`` are all numbers that figures depend on, ``inputs`` those of them
+    that are uncertain, by name. ``law`` is that of a tolerance.
 
-    inputs: dict[str, Number]
-    correlations: list[Correlation]
-    notes: list[str]
+    ``correlations`` are those of pairs of inputs, and ``notes`` name the numbers that are left out.
+    """
 
-    def put(self, new: Number) -> None:
-        """Take an input in the place of the one there was, correlations included."""
-        self.drop(new.name)
-        self.inputs[new.name] = new
+    device: FilledChip
+    law: Law
+    felt: dict[str, Number]
+    inputs: dict[str, Number] = field(default_factory=dict)
+    correlations: dict[tuple[str, str], float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of_files(cls, device: FilledChip, law: Law) -> _Collected:
+        """The tolerances of the chip's file, and the uncertainties of its materials."""
+        numbers = device_numbers(device.chip, device.materials.values())
+        found = cls(device, law, {name: each for name, each in numbers.items() if _is_felt(each, device)})
+        for each in numbers.values():
+            if each.is_dimension and each.tolerance and each.name not in found.felt:
+                found.notes.append(f"{each.name}: no figure depends on it")
+            elif each.is_dimension and each.tolerance:
+                found.put(each, Stated.within(each.half_width, law, origin=each.origin))
+        for material in {each.name: each for each in device.materials.values()}.values():
+            left_out = []
+            for real, value in material.values.items():
+                for key, spread in ((real, value.uncertainty), (real + LOSS, value.loss_uncertainty)):
+                    number = found.felt.get(f"{material.name}.{key}")
+                    if number is not None and number.stated is not None:
+                        found.put(number, number.stated)
+                    elif spread:
+                        left_out.append(key)
+            if left_out:
+                found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number "
+                                   "of the model")
+            if material.fit is not None and material.fit.correlation is not None:
+                stored = material.fit.correlation
+                found.correlate([f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names],
+                                stored.rows)
+        return found
+
+    def put(self, number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> None:
+        """Take a number as uncertain in the place of the input there was, correlations included. Lengths are within
+        `ends` (m), or else where the chip stays one."""
+        self.drop(number.name)
+        if ends is None and number.is_dimension:
+            ends = admissible_range(self.device.chip, number.name)
+        self.inputs[number.name] = known_as(number, stated, ends)
 
     def drop(self, name: str) -> None:
         """Forget an input and its correlations."""
         self.inputs.pop(name, None)
-        self.correlations = [_without(each, name) for each in self.correlations]
+        self.correlations = {pair: each for pair, each in self.correlations.items() if name not in pair}
 
-    def uncertainty(self, materials: Mapping[str, Solid]) -> Uncertainty:
+    def correlate(self, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
+        """Take the correlations between inputs, of a matrix with a row and a column for each name."""
+        self.correlations |= {
+            (one, other): rows[i][j] for i, one in enumerate(names) for j, other in enumerate(names)
+            if i != j and one in self.inputs and other in self.inputs}
+
+    @property
+    def uncertainty(self) -> Uncertainty:
         names = list(self.inputs)
         matrix = np.eye(len(names))
-        for each in self.correlations:
-            at = [names.index(name) for name in each.names]
-            matrix[np.ix_(at, at)] = each.rows
+        for (one, other), each in self.correlations.items():
+            matrix[names.index(one), names.index(other)] = each
         lossy = {ParameterName.parse(name).owner for name in names if name.endswith(LOSS)}
         return Uncertainty(tuple(self.inputs.values()), matrix,
-                           {name: each for name, each in materials.items() if name in lossy},
+                           {each.name: each for each in self.device.materials.values()
+                            if each.name in lossy and not isinstance(each, Fluid)},
                            tuple(dict.fromkeys(self.notes)))
 
+    def take_posterior(self, path: Path) -> None:
+        """The numbers, standard uncertainties and correlations of a fit; those of its bench are averaged over."""
+        table = _read_fit(path)
+        names, rows = _correlation(table)
+        own = table.text("material", ""), table.content.get("saved_as")
+        here = dict.fromkeys(names, "")
+        for each in table.tables("parameters", expected="the parameters of a fit"):
+            stated, mean = each.text("name"), each.optional_number("value")
+            spread = each.optional_number("standard_error")
+            name = "" if stated.startswith(BENCH) else self._name_here(stated, own)
+            if not name:
+                continue
+            if mean is None or spread is None or not spread > 0.0:
+                raise each.error("standard_error", f"a standard uncertainty of {stated}: a fit with intervals, which "
+                                 "those of the paper's algorithms are not")
+            if stated not in names:
+                raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
+            choose(name, self.felt, source=table.source, field=each.field)
+            self.put(_at(self.felt[name], mean), Stated(spread, origin=str(path)))
+            here[stated] = name
+        if not any(here.values()):
+            raise InputError(table.source, "parameters", own[0], "a fit of a material of the chip: "
+                             + ", ".join(sorted({m.name for m in self.device.materials.values()})))
+        self.correlate([here[name] for name in names], rows)
 
-def _without(correlation: Correlation, name: str) -> Correlation:
-    kept = [k for k, other in enumerate(correlation.names) if other != name]
-    return Correlation(tuple(correlation.names[k] for k in kept),
-                       tuple(tuple(correlation.rows[i][j] for j in kept) for i in kept))
+    def _name_here(self, stated: str, own: tuple[str, Any]) -> str:
+        """The name that a number of a fit has on this chip, whose material may be there as it was saved. Empty where
+        the chip has no such number."""
+        parsed, present = ParameterName.parse(stated), {each.name for each in self.device.materials.values()}
+        if parsed.is_dimension:
+            if stated in self.device.chip.dimensions():
+                return canonical_names(self.device.chip).get(stated, stated)
+        elif parsed.owner in present:
+            return stated
+        elif parsed.owner == own[0] and own[1] in present:
+            return f"{own[1]}.{parsed.local}"
+        self.notes.append(f"{stated}: the chip has no such number, it is averaged over")
+        return ""
+
+    def take_statement(self, each: Statement) -> None:
+        """A person's word on a number, in the place of all others."""
+        name = self.name_of(each)
+        known = self.felt[name]
+        number = _at(known, self.inputs.get(name, known).value)
+        match = _AMOUNT.fullmatch(each.amount)
+        assert match is not None
+        amount, word = match["amount"], match["word"] or (self.law if number.is_dimension else "standard")
+        if any(name in pair for pair in self.correlations):
+            self.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
+        if each.amount == "exact":
+            self.drop(name)
+            return
+        if each.amount == ASSUMED:
+            if not number.is_dimension:
+                raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have "
+                                 "one that is assumed by the role of their layer")
+            length = replace(known, stated=None).known
+            self.put(number, assumed_by_role(name, known.value, known.material),
+                     admissible_range(self.device.chip, name, length.low, length.high))
+            return
+        choose(word, _WORDS, source=each.source, field=each.field)
+        relative = amount.endswith("%")
+        spread = parse_quantity(amount, "dimensionless" if relative else number.parsed.quantity, source=each.source,
+                                field=each.field) * (abs(number.value) if relative else 1.0)
+        if not spread > 0.0:
+            raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
+                             + (": the number is 0, give an amount with its unit" if number.value == 0.0 else ""))
+        self.put(number, Stated(spread, origin=each.source) if word == "standard" else Stated.within(
+            spread, "normal" if word == "normal" else "uniform", origin=each.source))
+
+    def name_of(self, each: Statement) -> str:
+        """The number that a statement is about: a material may be named without its source where it is the only one."""
+        name = canonical_names(self.device.chip).get(each.name, each.name)
+        if name in self.felt:
+            return name
+        full = full_names(name, (m.name for m in self.device.materials.values()))
+        if len(full) == 1 and full[0] in self.felt:
+            return full[0]
+        if len(full) > 1:
+            raise InputError(each.source, each.field, each.name, f"one of {', '.join(full)}")
+        short = {one.partition("/")[0] + "." + one.partition(".")[2]: one for one in self.felt if "/" in one}
+        near = nearest_names(each.name, [*self.felt, *short])
+        raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(self.felt),
+                         tuple(dict.fromkeys(short.get(one, one) for one in near)))
 
 
-def _length(number: Number, chip: Chip, law: Law, found: _Collected) -> None:
-    """A length with a tolerance, which a normal `law` reads as three standard deviations."""
-    if number.name.startswith("ports."):
-        found.notes.append(f"{number.name}: no figure depends on it")
-    else:
-        found.put(known_as(number, Stated.within(number.half_width, law, origin=number.origin),
-                           admissible_range(chip, number.name)))
-
-
-def _coefficients(
-    material: Material, device: FilledChip, numbers: Mapping[str, Number], found: _Collected
-) -> None:
-    """The uncertainties of a registry entry, with the correlation that a fit left among its numbers."""
-    left_out = []
-    for field, value in material.values.items():
-        for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
-            number = numbers.get(f"{material.name}.{key}")
-            if number is not None and number.stated is not None and _is_felt(number, device):
-                found.put(known_as(number, number.stated))
-            elif spread:
-                left_out.append(key)
-    if left_out:
-        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number of the "
-                           "model")
-    if material.fit is not None and material.fit.correlation is not None:
-        stored = material.fit.correlation
-        names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)
-        known = Correlation(names, stored.rows)
-        for name in names:
-            if name not in found.inputs:
-                known = _without(known, name)
-        found.correlations.append(known)
-
-
-def _posterior(path: Path, device: FilledChip, known: Mapping[str, Number], found: _Collected) -> None:
-    """The numbers, standard uncertainties and correlations of a fit; what belongs to its bench is averaged over."""
-    table = _read_fit(path)
-    names, rows = _correlation(table)
-    own = table.text("material", ""), table.content.get("saved_as")
-    kept: list[tuple[int, str]] = []
-    for each in table.tables("parameters", expected="the parameters of a fit"):
-        stated, mean, spread = each.text("name"), each.optional_number("value"), each.optional_number("standard_error")
-        if stated.startswith(BENCH):
-            continue
-        name = _name_here(stated, own, device, found)
-        if not name:
-            continue
-        if mean is None or spread is None or not spread > 0.0:
-            raise each.error("standard_error", f"a standard uncertainty of {stated}: a fit with intervals, which those "
-                             "of the paper's algorithms are not")
-        if stated not in names:
-            raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
-        choose(name, known, source=table.source, field=each.field)
-        ends = admissible_range(device.chip, name) if known[name].is_dimension else None
-        found.put(known_as(_at(known[name], mean), Stated(spread, origin=str(path)), ends))
-        kept.append((names.index(stated), name))
-    if not kept:
-        raise InputError(table.source, "parameters", own[0], "a fit of a material of the chip: "
-                         + ", ".join(sorted({m.name for m in device.materials.values()})))
-    matrix = tuple(tuple(rows[i][j] for j, _ in kept) for i, _ in kept)
-    found.correlations.append(Correlation(tuple(name for _, name in kept), matrix))
+def _at(number: Number, value: float) -> Number:
+    """A number with another value."""
+    low, high = limits(number.name, value)
+    return replace(number, value=value, low=low, high=high)
 
 
 def _read_fit(path: Path) -> FileTable:
@@ -294,72 +340,36 @@ def _correlation(table: FileTable) -> tuple[tuple[str, ...], list[list[float]]]:
     return names, matrix.tolist()
 
 
-def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Collected) -> str:
-    """The name that a number of a fit has on this chip, whose material may be there as it was saved. Empty where the
-    chip has no such number."""
-    parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
-    if parsed.is_dimension:
-        first = canonical_names(device.chip)
-        if stated in device.chip.dimensions():
-            return first.get(stated, stated)
-    elif parsed.owner in present:
-        return stated
-    elif parsed.owner == own[0] and own[1] in present:
-        return f"{own[1]}.{parsed.local}"
-    found.notes.append(f"{stated}: the chip has no such number, it is averaged over")
-    return ""
+@dataclass(frozen=True)
+class CentredRegistry(Registry):
+    """A registry whose materials have other ``numbers`` (SI, by parameter name) than their entries."""
+
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
+        """The material called `name`, with the numbers that are stated of it in the place of its own."""
+        material = super().load(name, temperature=temperature, notes=notes)
+        if self.assumed_losses:  # the numbers are those of the ceramic as it is simulated
+            material, _ = with_assumed_loss(material)
+        mine = {key: number for key, number in self.numbers.items() if ParameterName.parse(key).owner == material.name}
+        before = {f"{material.name}.{key}": value for key, value in material.parameters().items()}
+        after = placed(before, mine)
+        changed: dict[str, Any] = {}
+        for key, value in after.items():
+            if value != before[key]:
+                coefficient = key.removeprefix(f"{material.name}.")
+                kept_real = isinstance(getattr(material, coefficient), float)
+                changed[coefficient] = value.real if kept_real else value
+        return replace(material, **changed) if changed else material
 
 
-def _at(number: Number, value: float) -> Number:
-    """A number with another value."""
-    low, high = limits(number.name, value)
-    return replace(number, value=value, low=low, high=high)
-
-
-def _say(each: Statement, device: FilledChip, known: Mapping[str, Number], law: Law, found: _Collected) -> None:
-    name = _meant(each, device, known)
-    number = _at(known[name], found.inputs[name].value if name in found.inputs else known[name].value)
-    match = _AMOUNT.fullmatch(each.amount)
-    assert match is not None
-    amount, word = match["amount"], match["word"] or (law if number.is_dimension else "standard")
-    if any(name in known_to.names and len(known_to.names) > 1 for known_to in found.correlations):
-        found.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
-    if each.amount == "exact":
-        found.drop(name)
-        return
-    if each.amount == ASSUMED:
-        if not number.is_dimension:
-            raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have one "
-                             "that is assumed by the role of their layer")
-        length = replace(known[name], stated=None).known
-        found.put(known_as(number, assumed_by_role(name, known[name].value, known[name].material),
-                           admissible_range(device.chip, name, length.low, length.high)))
-        return
-    choose(word, _WORDS, source=each.source, field=each.field)
-    if amount.endswith("%"):
-        spread = parse_quantity(amount, "dimensionless", source=each.source, field=each.field) * abs(number.value)
-    else:
-        spread = parse_quantity(amount, number.parsed.quantity, source=each.source, field=each.field)
-    if not spread > 0.0:
-        raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
-                         + (": the number is 0, give an amount with its unit" if number.value == 0.0 else ""))
-    stated = Stated(spread, origin=each.source) if word == "standard" else Stated.within(
-        spread, "normal" if word == "normal" else "uniform", origin=each.source)
-    found.put(known_as(number, stated, admissible_range(device.chip, name) if number.is_dimension else None))
-
-
-def _meant(each: Statement, device: FilledChip, known: Mapping[str, Number]) -> str:
-    """The number that a statement is about: a material may be named without its source where it is the only one."""
-    first = canonical_names(device.chip)
-    name = first.get(each.name, each.name)
-    if name in known:
-        return name
-    full = full_names(name, (m.name for m in device.materials.values()))
-    if len(full) == 1 and full[0] in known:
-        return full[0]
-    if len(full) > 1:
-        raise InputError(each.source, each.field, each.name, f"one of {', '.join(full)}")
-    short = {one.partition("/")[0] + "." + one.partition(".")[2]: one for one in known if "/" in one}
-    near = nearest_names(each.name, [*known, *short])
-    raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),
-                     tuple(dict.fromkeys(short.get(one, one) for one in near)))
+def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, float]) -> tuple[Chip, Registry]:
+    """`chip` and `registry` with `numbers` (SI, by parameter name) in the place of their own."""
+    known = chip.dimensions()
+    lengths = {name: number for name, number in numbers.items()
+               if ParameterName.parse(name).is_dimension and number != known[name].value}
+    others = {name: number for name,
+              number in numbers.items() if not ParameterName.parse(name).is_dimension}
+    moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
+    registry = registry or Registry()
+    return moved, CentredRegistry(registry.folders, registry.assumed_losses, registry.inviscid, others)

@@ -33,7 +33,6 @@ from workbench.design.evaluation import (
     Operation,
     Question,
     answer,
-    levels,
     responses,
 )
 from workbench.design.figures import LOSS_SHARE, check_figures, with_parts
@@ -133,10 +132,9 @@ class DesignModel(Brief):
                             self.cavity, self.reason, bases.pressure)
         with one_thread():
             rough = ReducedSystem(bases.sweeping, there)
-            known = levels(question, Responding(rough, there, bases.sweeping_sound),
-                           lambda: rough.sweep(bases.frequency))
             model = Responding(ReducedSystem(bases.operating, there), there, bases.sound)
-            return answer(question, model, known).evaluation(numbers, bases.estimate)
+            return answer(question, model, lambda: (Responding(rough, there, bases.sweeping_sound),
+                                                    rough.sweep(bases.frequency))).evaluation(numbers, bases.estimate)
 
     def save(self, path: Path) -> None:
         """Keep the model in a file, to be read by :func:`load_design_model` with the chip it is of.
@@ -227,7 +225,7 @@ def of_range_model(
     followed = responses(wanted, *(replace(operation, drive=each) for each in (operation.drive, *drives)))
     stated = operation.frequency if isinstance(operation.frequency, float) else None
     bases = bases_of(made, followed if device.is_wet else [Impedance()] * bool(followed), stated,
-                     [] if cavity is None else [cavity], tolerance=relative_error, by_place=_by_place(wanted),
+                     cavity, tolerance=relative_error, by_place=_by_place(wanted),
                      seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)
@@ -355,7 +353,7 @@ def _evaluated(
             whole = sound_energy(operators)
             model = Responding(ReducedSystem(small.operators, problem.values), problem.values,
                                None if whole is None else whole.on(small.basis))
-            found = answer(question, model, levels(question, model, lambda: sweep),
+            found = answer(question, model, lambda: (model, sweep),
                            Responding(FullSystem(operators, problem.values), problem.values, whole))
     except NotConverged as error:  # an undamped resonance: this chip has no figures, others have
         found = FigureValues(question, {}, dict.fromkeys(figures, str(error)), error.frequency, None)

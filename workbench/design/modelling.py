@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -13,15 +12,13 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.design.boxes import Box, TrustRegion, middle, variables_in_box
 from workbench.design.evaluation import OF_FIELD, Evaluation
 from workbench.design.figures import with_parts
 from workbench.design.goal import TOLERANCE, Goal, Robust
 from workbench.design.input_uncertainty import stated_uncertainty
-from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
-from workbench.design.nonlinear_programme import NonlinearProgramme
-from workbench.design.scenarios import ScenarioSample
-from workbench.design.variables import Selection, changed, first_name
+from workbench.design.model import DesignModel, design_model, full_evaluation
+from workbench.design.nonlinear_programme import NonlinearProgramme, ScenarioSample
+from workbench.design.variables import GRAIN, Selection, VariedNumber, changed, first_name
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress
@@ -35,6 +32,9 @@ from workbench.simulation.run import Snapshot, snapshot
 
 #: Called with what is done within one row, and the share of it that is done.
 Say = Callable[[str, float], None]
+#: The lowest and highest length (m) by name that a model is made for, and half the extent of it.
+Box = Mapping[str, tuple[float, float]]
+HalfWidths = Mapping[str, float]
 
 #: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
 SOLVES = 250
@@ -42,36 +42,26 @@ SOLVES = 250
 #: A box may be halved so often before a model of it is given up.
 HALVED = 4
 
+#: Distance (share of the box's width) from a side of its box within which an optimum lies on it.
+ON_SIDE = 1e-3
+
 #: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
 DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
-class Solver(Protocol):
-    """Models of boxes of chips, and full solves of single chips."""
-
-    def model(self, chip: Chip, ranges: Box, progress: Progress) -> Evaluator:
-        """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
-
-        Raises:
-            NotCovered: the ranges are too wide.
-        """
-
-    def full(self, chip: Chip) -> Evaluation:
-        """The figures of `chip` by full solves on its own mesh."""
-
-
 @dataclass(frozen=True)
 class ChipSolver:
-    """The :class:`Solver` of `workbench.design.model` for a goal."""
+    """Models of boxes of chips, and full solves of single chips, for a goal (`workbench.design.model`)."""
 
     goal: Goal
     registry: Registry | None
     accuracy: float | Discretisation
 
     def model(self, chip: Chip, ranges: Box, progress: Progress) -> DesignModel:
-        """The model of a box; see :class:`Solver`.
+        """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
 
         Raises:
+            NotCovered: the ranges are too wide.
             InputError: the goal has figures of fields, and no chip with these lengths has any.
         """
         goal = self.goal
@@ -85,6 +75,7 @@ class ChipSolver:
         return made
 
     def full(self, chip: Chip) -> Evaluation:
+        """The figures of `chip` by full solves on its own mesh."""
         goal = self.goal
         return full_evaluation(chip, goal.state, {}, figures=goal.figures, operation=goal.operation,
                                registry=self.registry, band=goal.band, accuracy=self.accuracy)
@@ -120,23 +111,19 @@ class Known:
         return tuple(self.evaluation.figures)
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        if values:
-            raise KeyError(f"nothing varies, not even {', '.join(values)}")
-        nothing = {name: np.zeros(0) for name in self.figures}
-        return replace(self.evaluation, values={}, gradient=nothing if gradient else None)
+        return replace(self.evaluation, values={}, gradient={name: np.zeros(0) for name in self.figures})
 
 
 @dataclass(frozen=True, eq=False)
 class Modelling:
     """A model and the programme on it.
 
-    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``trust_region`` the extent of boxes;
-    ``seconds`` the time to make the model.
+    ``box`` (m) is that of the unknowns, ``half_widths`` (m) the extent of boxes; ``seconds`` the time to make the
+    model.
     """
 
-    chip: Chip
     box: Box
-    trust_region: TrustRegion
+    half_widths: HalfWidths
     programme: NonlinearProgramme
     seconds: float
 
@@ -150,11 +137,32 @@ class Modelling:
         return {"rank": float(made.rank), "full_solves": float(made.reduced.solves), "error": model.error}
 
 
+def box_about(middle: Mapping[str, float], half_widths: HalfWidths, variables: Sequence[VariedNumber]) -> Box:
+    """The box about a `middle` (m), moved inwards where it crosses the bounds of the variables."""
+    found = {}
+    for each in variables:
+        width = min(2.0 * half_widths[each.name], each.high - each.low)
+        low = min(max(middle[each.name] - 0.5 * width, each.low), each.high - width)
+        found[each.name] = (low, low + width)
+    return found
+
+
+def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[VariedNumber]) -> tuple[str, ...]:
+    """The variables that lie on a side of the box that is no bound of theirs: beyond it may be better ones."""
+    found = []
+    for each in variables:
+        (low, high), value = box[each.name], lengths[each.name]
+        near = ON_SIDE * (high - low)
+        if (value < low + near and low > each.low + GRAIN) or (value > high - near and high < each.high - GRAIN):
+            found.append(each.name)
+    return tuple(found)
+
+
 def modelled(
-    goal: Goal, selection: Selection, about: Mapping[str, float], trust_region: TrustRegion, solver: Solver, say: Say,
+    goal: Goal, selection: Selection, about: Mapping[str, float], half_widths: HalfWidths, solver: ChipSolver, say: Say,
     scenarios: ScenarioSample | None = None,
 ) -> Modelling:
-    """The programme of a goal on a model about the lengths `about` (m), as wide as the trust region and the bounds let
+    """The programme of a goal on a model about the lengths `about` (m), as wide as `half_widths` (m) and the bounds let
     it.
 
     With `scenarios` the model covers those too; the programme is still that of the nominal chip.
@@ -165,23 +173,22 @@ def modelled(
     started = time.perf_counter()
     chosen = changed(goal.chip, selection.stock, selection.materials)
     for turn in range(HALVED + 1):
-        box = trust_region.about(about, goal.unknowns)
-        chip = changed(chosen, middle(box))
+        box = box_about(about, half_widths, goal.unknowns)
+        chip = changed(chosen, {name: 0.5 * (low + high) for name, (low, high) in box.items()})
         ranges = _with_scenarios(box, chip, scenarios)
         say("model", 0.0)
         try:
             model = (solver.model(chip, ranges, lambda _text, share: say("model", share)) if ranges
                      else Known(solver.full(chip)))
+            break
         except NotCovered:
             if turn == HALVED:
                 raise
-            trust_region = trust_region.halved()
-            continue
-        lengths = {name: each.value for name, each in chip.dimensions().items()}
-        variables = variables_in_box(goal.unknowns, box)
-        programme = NonlinearProgramme(model, variables, goal.objectives[0], goal.bounds, lengths)
-        return Modelling(chip, box, trust_region, programme, time.perf_counter() - started)
-    raise AssertionError("unreachable")
+            half_widths = {name: 0.5 * width for name, width in half_widths.items()}
+    lengths = {name: each.value for name, each in chip.dimensions().items()}
+    variables = tuple(replace(each, low=box[each.name][0], high=box[each.name][1]) for each in goal.unknowns)
+    programme = NonlinearProgramme(model, variables, goal.objectives[0], goal.bounds, lengths)
+    return Modelling(box, half_widths, programme, time.perf_counter() - started)
 
 
 def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> Box:
@@ -220,10 +227,14 @@ def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSam
                         for point in points), robust.quantile, stated.covariance)
 
 
-def trust_region_of(goal: Goal) -> TrustRegion:
-    """The first trust region of the models of a goal: a share of the present lengths, or of the nearest within bounds.
+def half_widths_of(goal: Goal) -> HalfWidths:
+    """Half the extent (m) of the first model of a goal: a share of the present lengths, or of the nearest in bounds.
+
+    The one model of an evolutionary search covers all bounds.
     """
-    return TrustRegion.relative(present_of(goal), goal.search.reach)
+    if goal.search.evolutionary:
+        return {each.name: each.high - each.low for each in goal.unknowns}
+    return {name: goal.search.reach * value for name, value in present_of(goal).items()}
 
 
 def present_of(goal: Goal) -> dict[str, float]:

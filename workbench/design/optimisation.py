@@ -13,16 +13,18 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+
+import numpy as np
 
 from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.candidate import Confirmed, RoundedDesign, confirmed
-from workbench.design.choice import ChoiceResult, Keep, search_choice
+from workbench.design.choice import ChoiceResult, ChoiceSearch, Keep
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
-from workbench.design.modelling import ChipSolver, Solver, scenario_sample
+from workbench.design.modelling import ChipSolver, scenario_sample
 from workbench.design.nonlinear_programme import ProgrammePoint
 from workbench.design.variables import selections
 from workbench.files.errors import expect
@@ -71,7 +73,7 @@ class Design(Brief):
 def optimise(
     goal: Goal, *, registry: Registry | None = None, accuracy: float | Discretisation = ACCURACY,
     jobs: int | None = None, executor: Executor | None = None, progress: Progress = no_progress,
-    keep: Keep | None = None, solver: Solver | None = None,
+    keep: Keep | None = None, solver: ChipSolver | None = None,
 ) -> Design:
     """The best chip for a goal.
 
@@ -104,13 +106,12 @@ def optimise(
     with begin_workers(jobs, executor) as workers:
         for index, selection in enumerate(choices):
             row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
-            searched.append(search_choice(goal, selection, solver, scenarios=spread, workers=workers,
-                                          say=partial(report, row), keep=keep))
+            searched.append(ChoiceSearch(goal, selection, solver, spread, workers, partial(report, row), keep)())
     spent = time.perf_counter() - started
-    found = (_best if len(goal.objectives) == 1 else _front)(goal, searched, solver, partial(report, "confirm"))
+    design = Design(goal, before, None, (), tuple(searched))
+    design = (_best if len(goal.objectives) == 1 else _front)(design, solver, partial(report, "confirm"))
     total = time.perf_counter() - started
-    return Design(goal, before, found.best, found.rejected, tuple(searched), found.front, found.why_not,
-                  {"search": spent, "confirmation": total - spent, "total": total})
+    return replace(design, seconds={"search": spent, "confirmation": total - spent, "total": total})
 
 
 def _improving(keep: Keep) -> Keep:
@@ -126,58 +127,47 @@ def _improving(keep: Keep) -> Keep:
     return offered
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    """The verdicts of full solves on the candidates."""
-
-    best: Confirmed | None
-    rejected: tuple[Confirmed, ...]
-    front: tuple[Confirmed | RoundedDesign, ...]
-    why_not: str
-
-
-def _best(goal: Goal, searched: Sequence[ChoiceResult], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
-    """The best candidate that a full solve confirms."""
-    candidates = sorted((each for one in searched for each in one.candidates), key=lambda each: each.point.rank)
+def _best(design: Design, solver: ChipSolver, say: Callable[[str, float], None]) -> Design:
+    """`design` with the best candidate that a full solve confirms."""
+    candidates = sorted((each for one in design.searched for each in one.candidates), key=lambda each: each.point.rank)
     kept = [each for each in candidates if each.holds][:CONFIRMED_AT_MOST]
     rejected: list[Confirmed] = []
     for each in kept:
         say("full solve", len(rejected) / len(kept))
-        checked = confirmed(goal, each, solver.full(each.chip))
+        checked = confirmed(design.goal, each, solver.full(each.chip))
         if checked.accepted:
             say("full solve", 1.0)
-            return _Outcome(checked, tuple(rejected), (), "")
+            return replace(design, best=checked, rejected=tuple(rejected))
         rejected.append(checked)
-    if rejected:
-        return _Outcome(None, tuple(rejected), (), rejected[0].statement)
-    return _Outcome(None, (), (), _why_not(candidates))
+    why_not = rejected[0].statement if rejected else _why_not(candidates)
+    return replace(design, rejected=tuple(rejected), why_not=why_not)
 
 
-def _front(goal: Goal, searched: Sequence[ChoiceResult], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
-    """The front between two objectives over all choices, confirmed at its ends and at its knee, which is the best.
+def _front(design: Design, solver: ChipSolver, say: Callable[[str, float], None]) -> Design:
+    """`design` with the front between two objectives over all choices, confirmed at its ends and at its knee, the best.
 
     The knee is nearest to having both objectives at their best, each counted over its extent on the front.
     """
-    members = [each for one in searched for each in one.front]
-    front = [each for each in sorted(members, key=lambda one: one.objectives) if each.holds]
-    front = [each for k, each in enumerate(front) if not any(
-        other.objectives[1] <= each.objectives[1] for other in front[:k])]
+    members = sorted((each for one in design.searched for each in one.front), key=lambda one: one.objectives)
+    front: list[RoundedDesign] = []
+    for each in members:
+        if each.holds and not (front and front[-1].objectives[1] <= each.objectives[1]):
+            front.append(each)
     if not front:
-        return _Outcome(None, (), (), _why_not([each for one in searched for each in one.candidates]))
-    extent = [max(abs(front[0].objectives[k] - front[-1].objectives[k]), 1e-12) for k in (0, 1)]
-    knee = min(range(len(front)), key=lambda k: math.hypot(
-        (front[k].objectives[0] - front[0].objectives[0]) / extent[0],
-        (front[k].objectives[1] - front[-1].objectives[1]) / extent[1]))
+        return replace(design, why_not=_why_not([each for one in design.searched for each in one.candidates]))
+    values = np.array([each.objectives for each in front])
+    off = (values - values.min(axis=0)) / np.maximum(np.ptp(values, axis=0), 1e-12)
+    knee = int(np.argmin(np.linalg.norm(off, axis=1)))
     checked: dict[int, Confirmed] = {}
     chosen = dict.fromkeys((0, knee, len(front) - 1))
     for index in chosen:
         say("full solve", len(checked) / len(chosen))
-        checked[index] = confirmed(goal, front[index], solver.full(front[index].chip))
+        checked[index] = confirmed(design.goal, front[index], solver.full(front[index].chip))
     say("full solve", 1.0)
-    rejected = tuple(each for each in checked.values() if not each.accepted)
     best = checked[knee] if checked[knee].accepted else None
-    return _Outcome(best, rejected, tuple(checked.get(k, each) for k, each in enumerate(front)),
-                    "" if best else checked[knee].statement)
+    return replace(design, best=best, rejected=tuple(each for each in checked.values() if not each.accepted),
+                   front=tuple(checked.get(k, each) for k, each in enumerate(front)),
+                   why_not="" if best else checked[knee].statement)
 
 
 def _why_not(candidates: Sequence[RoundedDesign]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,12 +14,15 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.model import Evaluator
 from workbench.design.uncertainty import Uncertainty
 from workbench.fem.solve import one_thread
+from workbench.jobs.memory import is_shortage
 from workbench.jobs.progress import Progress, no_progress
-from workbench.jobs.workers import Workers, itself
+from workbench.jobs.workers import Task, Workers, itself
 
 Real = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
-#: Points that a worker does at a time, up to a second's work. Half as many would double what sending them takes.
+#: Points that a worker does at a time, about a second's work, which a kill loses at most for each worker. Half as many
+#: would double the share of the time that goes into sending models, some 2 %.
 PARCEL = 50
 
 
@@ -48,15 +51,14 @@ def evaluate(
     """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`, by `workers` or by this process."""
     labels, workers = tuple(evaluator.figures), workers or Workers()
     workers.share(itself, evaluator)
-    parcels = [points[at:at + PARCEL] for at in range(0, len(points), PARCEL)]
-    found: list[list[Evaluation]] = [[]] * len(parcels)
+    found: list[Evaluation | None] = [None] * len(points)
     finished = 0
-    for index, done in workers.completed(
-            (index, partial(_evaluated, uncertainty=uncertainty, points=part)) for index, part in enumerate(parcels)):
-        found[index] = done.result()
-        finished += len(found[index])
+    for rows, done in workers.completed(parcels(np.arange(len(points)), points, uncertainty.names)):
+        for row, each in zip(rows, done.result(), strict=True):
+            found[row] = each
+        finished += len(rows)
         progress("samples", finished / len(points))
-    every = [each for parcel in found for each in parcel]
+    every = [each for each in found if each is not None]
     values = np.array([[each.figures[label] for label in labels] for each in every]).reshape(len(points), len(labels))
     missing: dict[str, Counter[str]] = {}
     for each in every:
@@ -65,6 +67,22 @@ def evaluate(
     return Outcomes(labels, points, values, missing, float(np.fmax.reduce([each.error for each in every], initial=0.0)))
 
 
-def _evaluated(evaluator: Evaluator, *, uncertainty: Uncertainty, points: Real) -> list[Evaluation]:
+def parcels(rows: Indices, points: Real, names: Sequence[str]) -> Iterator[tuple[Indices, Task[list[Evaluation]]]]:
+    """Tasks of a shared evaluator, each with its `rows`: the figures at their `points` (n, numbers called `names`)."""
+    for at in np.split(np.arange(len(rows)), range(PARCEL, len(rows), PARCEL)):
+        yield rows[at], partial(_evaluated, names=tuple(names), rows=rows[at], points=points[at])
+
+
+def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, points: Real) -> list[Evaluation]:
+    found = []
     with one_thread():
-        return [evaluator(uncertainty.values(point)) for point in points]
+        for row, point in zip(rows, points, strict=True):
+            try:
+                # By place: of radii that coincide the model has another name.
+                found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
+            except Exception as error:
+                if is_shortage(error):
+                    raise  # through no fault of this point
+                where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
+                raise RuntimeError(f"point {row} ({where}): {error!r}") from error
+    return found

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from workbench.design.axes import centred_in_ranges, with_materials
 from workbench.design.evaluation import Evaluation
-from workbench.design.model import SWEEP, Evaluator, full_evaluation, load_design_model, of_range_model
+from workbench.design.model import SWEEP, DesignModel, Evaluator, full_evaluation, load_design_model, of_range_model
 from workbench.design.plan import Study
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress
@@ -24,7 +24,7 @@ from workbench.reduced.ranges import RangeModel, Ranges, load_range_model, range
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
-M = TypeVar("M")
+M = TypeVar("M", RangeModel, DesignModel)
 
 #: Frequencies of the band in which resonances are first looked for.
 FREQUENCIES = 161
@@ -105,20 +105,23 @@ class ReducedModels:
             NotCovered: more full solves are needed for the spectra than the study allows.
             NotConfirmed: full solves found figures that are further off than the study's tolerance.
         """
-        found = _kept(path, _read_model, study, part)
-        if found is None:
-            rough = path.with_suffix(SPECTRA)
-            spectra = _kept(rough, _read_spectra, study, part)
-            if spectra is None:
-                range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
-                            points=FREQUENCIES, relative_error=SWEEP, limit=study.limit, accuracy=study.accuracy,
-                            progress=lambda text, share: progress(text, 0.5 * share)).save(rough)
-                spectra = _read_spectra(rough, study, part)
-            of_range_model(
-                spectra, part.chip, part.state, figures=study.figures, operation=study.operation,
-                registry=study.registry, relative_error=study.relative_error,
-                progress=lambda text, share: progress(text, 0.5 + 0.5 * share)).save(path)
-            found = _read_model(path, study, part)
+        chip, state, ranges, registry = part.chip, part.state, ranges_of(study, part), study.registry
+
+        def spectra() -> RangeModel:
+            return range_model(chip, state, ranges, registry=registry, band=study.band, points=FREQUENCIES,
+                               relative_error=SWEEP, limit=study.limit, accuracy=study.accuracy,
+                               progress=lambda text, share: progress(text, 0.5 * share))
+
+        def made() -> DesignModel:
+            rough = _kept(path.with_suffix(SPECTRA), spectra, lambda there: load_range_model(
+                there, chip, state, registry=registry, accuracy=study.accuracy))
+            return of_range_model(rough, chip, state, figures=study.figures, operation=study.operation,
+                                  registry=registry, relative_error=study.relative_error,
+                                  progress=lambda text, share: progress(text, 0.5 + 0.5 * share))
+
+        found = _kept(path, made, lambda there: load_design_model(
+            there, chip, state, ranges, figures=study.figures, operation=study.operation, registry=registry,
+            accuracy=study.accuracy))
         progress("model", 1.0)
         return found
 
@@ -129,27 +132,17 @@ class ReducedModels:
             registry=study.registry, band=study.band, accuracy=study.accuracy)
 
 
-def _read_model(path: Path, study: Study, part: StudyPart) -> Evaluator:
-    return load_design_model(
-        path, part.chip, part.state, ranges_of(study, part), figures=study.figures, operation=study.operation,
-        registry=study.registry, accuracy=study.accuracy)
-
-
-def _read_spectra(path: Path, study: Study, part: StudyPart) -> RangeModel:
-    return load_range_model(path, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
-
-
-def _kept(path: Path, read: Callable[[Path, Study, StudyPart], M], study: Study, part: StudyPart) -> M | None:
-    """The model in a file; None, with a warning, if the file is damaged, and None if there is no file."""
-    if not path.exists():
-        return None
-    try:
-        return read(path, study, part)
-    except InputError as error:
-        if error.source != str(path):
-            raise
-        warnings.warn(f"{path} cannot be used ({error.field}: {error.value}): it is made again", stacklevel=2)
-        return None
+def _kept(path: Path, make: Callable[[], M], read: Callable[[Path], M]) -> M:
+    """The model in a file; it is made if there is none, and with a warning if the file is damaged."""
+    if path.exists():
+        try:
+            return read(path)
+        except InputError as error:
+            if error.source != str(path):
+                raise
+            warnings.warn(f"{path} cannot be used ({error.field}: {error.value}): it is made again", stacklevel=2)
+    make().save(path)
+    return read(path)
 
 
 def numbers_by_name(study: Study, point: Sequence[float] | Real) -> dict[str, float]:

@@ -27,6 +27,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -43,7 +44,6 @@ from materials.registry import Registry, user_registry
 from workbench.design.axes import read_axes
 from workbench.design.evaluation import Operation
 from workbench.design.figures import check_figures
-from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
 from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose, expect
@@ -59,8 +59,23 @@ Real = NDArray[np.float64]
 #: Relative error of the reduced model's impedance unless stated otherwise, and points solved in full at the end.
 RELATIVE_ERROR, CONFIRMED = 1e-3, 5
 
+GRID, LIST, SOBOL, LATIN_HYPERCUBE = "grid", "list", "sobol", "latin hypercube"
+METHODS = (GRID, LIST, SOBOL, LATIN_HYPERCUBE)
+
+#: Most points of a study: a million take a day on two cores.
+MOST = 1_000_000
+
 _KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "band", "relative_error", "accuracy",
          "limit", "confirm")
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """``method`` is one of :data:`METHODS`; ``points`` and ``seed`` those of a Sobol sequence or a Latin hypercube."""
+
+    method: str = GRID
+    points: int = 0
+    seed: int = 0
 
 
 @dataclass(frozen=True, init=False)
@@ -131,22 +146,28 @@ class Study:
                                chip.regions, source=source, field=head.at("figures"))
         if not wanted:
             raise head.error("figures", "one figure at least")
-        within = _band(head, chip)
+        within = band_key(head, chip) or chip.band
         thermal_resistance = read_thermal(table, chip, wanted, states=chosen, band=within, registry=registry)
         operation = Operation(read_drive(head), frequency_key(head, within), thermal_resistance)
         sampling = read_sampling(table.table("sample", expected="a table [sample]"))
         axes = read_axes(table.table("vary", expected="a table [vary]"), chip, chosen, registry, method=sampling.method)
         self.__dict__.update(
             name=chip.name if name is None else name, chip=chip, states=chosen, figures=wanted, axes=axes,
-            sampling=sampling, operation=operation, band=within, relative_error=_relative_error(head),
-            accuracy=_accuracy(head), limit=head.whole("limit", low=1, high=100_000),
-            confirmed=head.whole("confirm", low=0, high=1000), registry=registry, file=source)
+            sampling=sampling, operation=operation, band=within, accuracy=head.quantity("accuracy", "share", ACCURACY),
+            relative_error=head.quantity("relative_error", "share", RELATIVE_ERROR), registry=registry, file=source,
+            limit=head.whole("limit", low=1, high=100_000), confirmed=head.whole("confirm", low=0, high=1000))
+        if not 0.0 < self.relative_error < 1.0:
+            raise head.error("relative_error", 'a relative error between 0 and 1, such as "0.1 %"')
+        try:
+            discretisation(self.accuracy)
+        except InputError as error:
+            raise head.error("accuracy", error.expected) from None
         # So that a mistake is answered where the study is made, not where its points are first asked for.
         _ = self.sample
 
     @cached_property
     def sample(self) -> Real:
-        """The points (n, len(axes)) of one state, see `workbench.design.sampling.sample_points`."""
+        """The points (n, len(axes)) of one state, see :func:`sample_points`."""
         return sample_points(self.axes, self.sampling, source=self.file)
 
     @property
@@ -204,12 +225,18 @@ def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:
     return found
 
 
-def _band(head: FileTable, chip: Chip) -> tuple[float, float]:
+def band_key(head: FileTable, chip: Chip) -> tuple[float, float] | None:
+    """The key ``band`` (Hz) of a table, None if absent.
+
+    Raises:
+        InputError: no two frequencies, or a band in which no chip of this size resonates.
+    """
     if "band" not in head:
-        return chip.band
-    band = head.quantities("band", "frequency", expected="two frequencies with their units")
+        return None
+    band = head.quantities("band", "frequency", numbered=True,
+                           expected='two frequencies with their units, such as ["0.9 MHz", "1.1 MHz"]')
     if not 0.0 < band[0] < band[1]:
-        raise head.error("band", "a lower and a higher frequency")
+        raise head.error("band", "a lower and a higher frequency, both above zero")
     if "band" not in chip.unusual:
         check_band(chip.layers, band, head.source, head.at("band"))
     return band
@@ -233,17 +260,56 @@ def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | N
     return found
 
 
-def _relative_error(head: FileTable) -> float:
-    value = head.quantity("relative_error", "share", RELATIVE_ERROR)
-    if not 0.0 < value < 1.0:
-        raise head.error("relative_error", 'a relative error between 0 and 1, such as "0.1 %"')
-    return value
+def read_sampling(table: FileTable) -> Sampling:
+    """The sampling that the table [sample] states; a grid where there is none.
+
+    Raises:
+        InputError: an unknown method, or points of a grid or a list.
+    """
+    table.only(("method", "points", "seed"))
+    method = table.choice("method", METHODS, GRID)
+    seed = table.whole("seed", 0, low=0, high=2**32 - 1)
+    if method in (GRID, LIST):
+        if "points" in table:
+            raise table.error("points", f"none: [vary] says how many points a {method} has")
+        return Sampling(method, 0, seed)
+    table.required("points", f"how many points a sample by {method!r} has")
+    return Sampling(method, table.whole("points", low=1, high=MOST), seed)
 
 
-def _accuracy(head: FileTable) -> float:
-    value = head.quantity("accuracy", "share", ACCURACY)
-    try:
-        discretisation(value)
-    except InputError as error:
-        raise head.error("accuracy", error.expected) from None
-    return value
+def sample_points(axes: Sequence[Variable], sampling: Sampling, *, source: str) -> Real:
+    """The points (n, len(axes)): numbers in SI, materials by their place in the list of alternatives.
+
+    On a grid the last axis changes fastest. The first points of a Sobol sequence are the same however many there are.
+
+    Raises:
+        InputError: columns of a list that are not equally long, or more than :data:`MOST` points.
+    """
+    if sampling.method == GRID:
+        levels = [axis.levels() for axis in axes]
+        count = math.prod(map(len, levels))
+        if count > MOST:
+            raise InputError(source, "vary", f"{count} points", f"a grid of at most {MOST} points, or a sample: "
+                             '[sample] with method = "sobol" and points')
+        return np.stack([each.ravel() for each in np.meshgrid(*levels, indexing="ij")], axis=1)
+    if sampling.method == LIST:
+        levels = [axis.levels() for axis in axes]
+        for axis, each in zip(axes, levels, strict=True):
+            if len(each) != len(levels[0]):
+                what = "values" if isinstance(axis, VariedNumber) else "materials"
+                raise InputError(source, f"vary.{axis.name}.{what}", f"{len(each)} of them",
+                                 f"{len(levels[0])}, as many as {axes[0].name} has: a list is taken row by row")
+        return np.stack(levels, axis=1)
+    shares = _shares(len(axes), sampling)
+    return np.stack([axis.at(column) for axis, column in zip(axes, shares.T, strict=True)], axis=1)
+
+
+def _shares(count: int, sampling: Sampling) -> Real:
+    """Points (n, count) spread over the unit cube."""
+    from scipy.stats import qmc
+
+    if sampling.method == LATIN_HYPERCUBE:
+        return np.asarray(qmc.LatinHypercube(count, seed=sampling.seed).random(sampling.points))
+    # A whole number of powers of two keeps its balance; what is left of it is the beginning of the same sequence.
+    power = math.ceil(math.log2(sampling.points))
+    return np.asarray(qmc.Sobol(count, seed=sampling.seed).random_base2(power)[: sampling.points])

@@ -1,7 +1,10 @@
 """A requirement on a chip, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
 
     <figure> within <margin> [of <centre>] [at <drive>]
+    <figure> within [<low>, <high>] [at <drive>]
     <figure> >= <number> [at <drive>]          or <=
+
+A design keeps to bounds: requirements, or limits of sums of lengths, ``substrate.radius - cavity.radius >= 0.8 mm``.
 
 Figures are those of `workbench.design.figures`, in capitals or not. Without a centre, a margin is about what the chip
 as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.model.drive.parse_drive`.
@@ -11,11 +14,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from workbench.design.figures import FIGURES, LOSS_SHARE, Figure, figure_named
 from workbench.files.errors import InputError, nearest_names
@@ -29,6 +30,9 @@ _SENTENCE = re.compile(r"\s*(?P<name>[\w./]+)(?![\w./])\s*(?P<verb>[<>=!~]+|\w+)
                        re.IGNORECASE)
 _DRIVEN = re.compile(r"(?P<what>.*?)\s+at\b\s*(?P<drive>.*)", re.IGNORECASE)
 _CENTRED = re.compile(r"(?P<margin>.*?)\s+of\b\s*(?P<centre>.*)", re.IGNORECASE)
+_ENDS = re.compile(r"\[(?P<low>[^,\]]+),(?P<high>[^,\]]+)\]\s*")
+_LENGTHS = re.compile(r"\s*(?P<sum>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<limit>[^<>=]+?)\s*")
+_TERM = re.compile(r"\s*([+-])\s*([\w.]+)\s*")
 
 
 @dataclass(frozen=True)
@@ -63,11 +67,6 @@ class Requirement:
         margin = self.margin * (abs(centre) if self.relative else 1.0)
         return centre - margin, centre + margin
 
-    def met(self, values: NDArray[np.float64], nominal: float) -> NDArray[np.bool_]:
-        """Which of the figures `values` (n,) will do; one that does not exist, NaN, will not."""
-        low, high = self.limits(nominal)
-        return (values >= low) & (values <= high)
-
 
 def parse_requirement(
     text: str, regions: Iterable[str], *, source: str = "command line", field: str = "--require"
@@ -77,53 +76,47 @@ def parse_requirement(
     Raises:
         InputError: it is none: no known figure, no comparison, a number of another dimension, an unknown drive.
     """
-    found = _SENTENCE.fullmatch(text) if isinstance(text, str) else None
+    found, place = _SENTENCE.fullmatch(text) if isinstance(text, str) else None, f'{field} "{text}"'
     if found is None:
         raise InputError(source, field, text, f"a requirement {EXPECTED}")
-    named = _figure(found["name"], regions, text, source, field)
+    known = {each.casefold(): each for each in (*FIGURES, *(LOSS_SHARE + region for region in regions))}
+    if found["name"].casefold() not in known:
+        raise InputError(source, place, found["name"], "a figure: " + ", ".join(known.values()),
+                         nearest_names(found["name"], known.values()))
+    figure = figure_named(known[found["name"].casefold()])
     what, drive = found["rest"], None
     driven = _DRIVEN.fullmatch(what)
     if driven is not None:
-        what, drive = driven["what"], parse_drive(driven["drive"], source=source, field=f'{field} "{text}"')
+        what, drive = driven["what"], parse_drive(driven["drive"], source=source, field=place)
 
-    def number(part: str, dimension: str = named.dimension) -> float:
-        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
+    def number(part: str, dimension: str = figure.dimension) -> float:
+        return parse_quantity(part, dimension, source=source, field=place)
 
-    match found["verb"].casefold():
-        case "within":
-            return _within(text, named, drive, what, source, field)
-        case ">=" | ">":
-            return Requirement(text, named, drive, low=number(what))
-        case "<=" | "<":
-            return Requirement(text, named, drive, high=number(what))
-    raise InputError(source, f'{field} "{text}"', found["verb"], "within, >= or <= behind the figure",
-                     nearest_names(found["verb"], ("within", ">=", "<=")))
-
-
-def _within(text: str, named: Figure, drive: Drive | None, what: str, source: str, field: str) -> Requirement:
-    def number(part: str, dimension: str) -> float:
-        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
-
+    verb = found["verb"].casefold()
+    if verb in (">=", ">"):
+        return Requirement(text, figure, drive, low=number(what))
+    if verb in ("<=", "<"):
+        return Requirement(text, figure, drive, high=number(what))
+    if verb != "within":
+        raise InputError(source, place, found["verb"], "within, >= or <= behind the figure",
+                         nearest_names(found["verb"], ("within", ">=", "<=")))
+    if ends := _ENDS.fullmatch(what):
+        low, high = number(ends["low"]), number(ends["high"])
+        if not low < high:
+            raise InputError(source, place, what, "a lower end, then a higher one")
+        return Requirement(text, figure, drive, low=low, high=high)
     centred = _CENTRED.fullmatch(what)
     written = what if centred is None else centred["margin"]
     # A figure in per cent has its margin in per cent.
-    relative = written.rstrip().endswith("%") and named.shown != "%"
-    margin = number(written, "dimensionless" if relative else named.dimension)
-    centre = None if centred is None else number(centred["centre"], named.dimension)
+    relative = written.rstrip().endswith("%") and figure.shown != "%"
+    margin = number(written, "dimensionless" if relative else figure.dimension)
+    centre = None if centred is None else number(centred["centre"])
     if not margin > 0.0:
-        raise InputError(source, f'{field} "{text}"', written, "a margin above zero")
+        raise InputError(source, place, written, "a margin above zero")
     if relative and centre == 0.0:
-        raise InputError(source, f'{field} "{text}"', written, f"a margin with its unit, such as \"1 "
-                         f"{named.shown or '1'}\": per cents of 0 are 0")
-    return Requirement(text, named, drive, margin=margin, centre=centre, relative=relative)
-
-
-def _figure(name: str, regions: Iterable[str], text: str, source: str, field: str) -> Figure:
-    known = {each.casefold(): each for each in (*FIGURES, *(LOSS_SHARE + region for region in regions))}
-    if name.casefold() not in known:
-        raise InputError(source, f'{field} "{text}"', name, "a figure: " + ", ".join(known.values()),
-                         nearest_names(name, known.values()))
-    return figure_named(known[name.casefold()])
+        raise InputError(source, place, written, f"a margin with its unit, such as \"1 {figure.shown or '1'}\": per "
+                         "cents of 0 are 0")
+    return Requirement(text, figure, drive, margin=margin, centre=centre, relative=relative)
 
 
 def parse_requirements(
@@ -143,3 +136,89 @@ def parse_requirements(
             raise InputError(source, field, text, "every requirement once")
         found.append(each)
     return tuple(found)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Bounds of a design.
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit of a figure, or of a sum of lengths.
+
+    ``weights`` by name of the figure or the lengths, whose weighted sum (SI) is limited; ``limit`` in SI; ``above``:
+    the sum stays above it; ``scale`` (SI, above zero) is the unit of distances to it: the size of a limit, half the
+    distance of two ends. ``text`` is the sentence as written.
+    """
+
+    weights: Mapping[str, float]
+    limit: float
+    above: bool
+    scale: float
+    text: str
+    of_lengths: bool = False
+
+    @property
+    def figure(self) -> str:
+        """The name of the figure.
+
+        Raises:
+            ValueError: it is a bound of lengths.
+        """
+        if self.of_lengths:
+            raise ValueError(f"{self.text!r} is of lengths")
+        return next(iter(self.weights))
+
+    def margin(self, values: Mapping[str, Any]) -> Any:
+        """The distance, in scales, of the sum of `values` (SI, by name; numbers or `workbench.fem.dual.Dual`) from the
+        limit, positive where it is kept; NaN where a value is."""
+        first, *others = (values[name] * weight for name, weight in self.weights.items())
+        total = sum(others, first)
+        return (total - self.limit if self.above else total * -1.0 + self.limit) / self.scale
+
+
+def parse_bounds(
+    text: str, lengths: Mapping[str, str], regions: Iterable[str], drive: Drive, *, source: str, field: str
+) -> tuple[Bound, ...]:
+    """The one or two bounds that a text states, of a chip with these `regions`, driven by `drive`.
+
+    `lengths` are the names that lengths have in the bound, by name: radii that coincide are one length.
+
+    Raises:
+        InputError: another sentence, an unknown name, a limit that is no quantity of that kind, or another drive.
+    """
+    found = _LENGTHS.fullmatch(text)
+    words = re.findall(r"[\w.]+", found["sum"]) if found else []
+    # A sum is meant to be one of lengths if it names one, or adds up.
+    if found and (len(words) > 1 or lengths.keys() & words):
+        weights = _weights(found["sum"], lengths, source=source, field=field)
+        limit = parse_quantity(found["limit"], "length", source=source, field=f'{field} "{text}"')
+        # A clearance of zero is given in millimetres.
+        return (Bound(weights, limit, found["sign"] == ">=", abs(limit) or 1e-3, text, True),)
+    required = parse_requirement(text, regions, source=source, field=field)
+    if required.drive is not None and required.drive != drive:
+        raise InputError(source, field, text, f"the drive of the goal, {drive}: an optimum is of one drive")
+    if required.margin is not None and required.centre is None:
+        raise InputError(source, field, text, 'a centre, "within ... of ...": what the chip does changes here')
+    low, high = required.limits(math.nan)
+    bounded = [(end, above) for end, above in ((low, True), (high, False)) if math.isfinite(end)]
+    scale = 0.5 * (high - low) if len(bounded) == 2 else abs(bounded[0][0])
+    if scale == 0.0:
+        raise InputError(source, field, text, 'a limit other than zero, or a margin about it: "within 50 um of 0 um"')
+    return tuple(Bound({required.figure.name: 1.0}, end, above, scale, text) for end, above in bounded)
+
+
+def _weights(text: str, lengths: Mapping[str, str], *, source: str, field: str) -> dict[str, float]:
+    signed = text if text.startswith("-") else f"+{text}"
+    terms = _TERM.findall(signed)
+    if not terms or _TERM.sub("", signed):
+        raise InputError(source, field, text, 'lengths with + or - between them, such as "substrate.radius - '
+                         'cavity.radius"')
+    weights: dict[str, float] = {}
+    for sign, name in terms:
+        if name not in lengths:
+            more = "; figures are bounded one by one" if name in FIGURES or name.startswith(LOSS_SHARE) else ""
+            raise InputError(source, field, name, "one of " + ", ".join(sorted(lengths)) + more,
+                             nearest_names(name, lengths))
+        weights[lengths[name]] = weights.get(lengths[name], 0.0) + (1.0 if sign == "+" else -1.0)
+    return weights

@@ -15,14 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics.sound_energy import SoundEnergy, peaks_of
+from workbench.fem.dual import Dual
 from workbench.fem.level import NO_NUMBERS, Level, drive_level, impedance_level
-from workbench.fem.linearised import LinearisedState
+from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.solve import Solution
 from workbench.model.drive import Drive
 from workbench.results.merit import NoResonance
@@ -40,67 +40,51 @@ ROUNDING = 1e-12
 STEPS = 60
 
 
-class Linearisable(Protocol):
-    """A model with its parameter values in place."""
-
-    def linearised(self, frequency: float, names: tuple[str, ...] = (), *, twice: bool = False) -> LinearisedState:
-        """The state at a frequency (Hz) with its derivatives by frequency and by complex parameters, also second ones
-        if `twice` is set."""
-
-
 @dataclass(frozen=True, eq=False)
 class Responding:
     """A model to be driven: the ``system`` that is solved, its parameter ``values``, and the energy of its ``sound``,
     None where the cavity holds no fluid."""
 
-    system: Linearisable
+    system: FullSystem | ReducedSystem
     values: Mapping[str, complex]
     sound: SoundEnergy | None = None
 
 
-class ResonantQuantity(Protocol):
-    """A figure of a state over frequency, as a level that is least at a resonance and ln(2)/2 higher at half power."""
+@dataclass(frozen=True)
+class Impedance:
+    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`).
+
+    A response is a level of a state over frequency that is least at a resonance and ln(2)/2 higher at half power.
+    """
 
     def sampled(self, model: Responding, solution: Solution) -> Real:
         """The level (n,) of the states of a solution."""
-
-    def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
-
-    def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
-        """The level of a state and its derivatives."""
-
-    def deepest(self, level: Real) -> int | None:
-        """The index of the resonance among levels (n,), None where there is none."""
-
-    def words(self, level: float) -> str:
-        """A level in words."""
-
-
-@dataclass(frozen=True)
-class Impedance:
-    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`)."""
-
-    def sampled(self, model: Responding, solution: Solution) -> Real:
         return -np.log(solution.omega * np.abs(solution.charge))
 
     def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
         return model.system.linearised(frequency, names)
 
     def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
+        """The level of a state and its derivatives."""
         return impedance_level(state, turns)
 
     def deepest(self, level: Real) -> int | None:
+        """The index of the resonance among levels (n,), None where there is none."""
         lowest = int(np.argmin(level))
         return None if lowest in (0, level.size - 1) else lowest
 
     def words(self, level: float) -> str:
+        """A level in words."""
         return f"smallest |Z|, {math.exp(level):.4g} ohm,"
 
 
 @dataclass(frozen=True)
 class Energy:
-    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2."""
+    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2.
+
+    Methods are those of :class:`Impedance`.
+    """
 
     drive: Drive
 
@@ -124,6 +108,9 @@ class Energy:
         return f"largest energy of the sound in the cavity, {math.exp(-2.0 * level):.4g} J/m^3 under {self.drive},"
 
 
+ResonantQuantity = Impedance | Energy
+
+
 @dataclass(frozen=True, eq=False)
 class Resonance:
     """A resonance of a response: the state ``at`` about its frequency, and the levels there and about the two
@@ -138,36 +125,25 @@ class Resonance:
     reason: str = ""
 
     @property
-    def frequency(self) -> float:
+    def frequency(self) -> Dual:
         """Hz."""
-        return self.at.frequency - self.level.slope / self.level.curvature
+        return Dual(self.at.frequency - self.level.slope / self.level.curvature,
+                    -self.level.mixed / self.level.curvature)
 
     @property
-    def least(self) -> float:
+    def least(self) -> Dual:
         """The least level."""
-        return self.level.value - 0.5 * self.level.slope**2 / self.level.curvature
+        return Dual(self.level.value - 0.5 * self.level.slope**2 / self.level.curvature, self.level.by_number)
 
     @property
-    def width(self) -> float:
-        """Width at half power in Hz, NaN without sides."""
+    def q(self) -> Dual:
+        """The frequency over the width at half power, NaN without sides."""
         if self.sides is None:
-            return math.nan
+            return self.frequency * math.nan
         half = self.least + HALF
-        low, high = (frequency - (each.value - half) / each.slope for frequency, each in self.sides)
-        return high - low
-
-    @property
-    def q(self) -> float:
-        """The frequency over the width at half power."""
-        return self.frequency / self.width
-
-    def gradients(self) -> tuple[Real, Real, Real]:
-        """Derivatives (k,) of the frequency, the least level and Q by the numbers."""
-        frequency = -self.level.mixed / self.level.curvature
-        if self.sides is None:
-            return frequency, self.level.by_number, np.full(frequency.size, math.nan)
-        f1, f2 = ((self.level.by_number - each.by_number) / each.slope for _, each in self.sides)
-        return frequency, self.level.by_number, self.q * (frequency / self.frequency - (f2 - f1) / self.width)
+        low, high = ((Dual(each.value, each.by_number) - half) / -each.slope + frequency
+                     for frequency, each in self.sides)
+        return self.frequency / (high - low)
 
 
 def find_resonance(
@@ -203,20 +179,18 @@ def find_resonance(
     if below.size and above.size and level[below[-1] : lowest + 2 + above[0]].min() == level[lowest]:
         for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
             ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at))
-            sides.append(_root(level_at, (ends[0], ends[1]),
-                               _crossing(frequency, level, outer, step, half, at, level_at(at).value),
-                               lambda each: (each.value - half, each.slope), rising=step < 0))
+            # The start is where a straight line from one point inwards, or to the resonance, crosses half of the power.
+            inner, low = min((float(frequency[outer + step]), float(level[outer + step])), (at, level_at(at).value),
+                             key=lambda point: step * point[0])
+            start = float(np.interp(half, (low, float(level[outer])), (inner, float(frequency[outer]))))
+            sides.append(_root(level_at, (ends[0], ends[1]), start, lambda each: (each.value - half, each.slope),
+                               rising=step < 0))
     else:
         reason = f"a half-power point of the resonance at {at:.9g} Hz lies outside {bounds}, or beyond a deeper one"
     better = final or model
     state = response.state(better, at, names)
     taken = [(each, response.level(better, response.state(better, each, names), turns)) for each in sides]
     return Resonance(state, response.level(better, state, turns), (taken[0], taken[1]) if taken else None, reason)
-
-
-def _inner(neighbour: float, f0: float, step: int) -> float:
-    """The end next to f0 of the interval of a half-power frequency."""
-    return min(neighbour, f0) if step > 0 else max(neighbour, f0)
 
 
 def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
@@ -254,16 +228,6 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         else:
             low, high = (low, further) if further > middle else (further, high)
     return middle
-
-
-def _crossing(
-    frequency: Real, level: Real, outer: int, step: int, half: float, at: float, least: float
-) -> float:
-    """The place where a straight line from one point inwards crosses `half`."""
-    inner = _inner(float(frequency[outer + step]), at, step)
-    low = least if inner == at else float(level[outer + step])
-    share = (float(level[outer]) - half) / max(float(level[outer]) - low, 1e-300)
-    return float(frequency[outer] + share * (inner - frequency[outer]))
 
 
 def _root(

@@ -1,4 +1,4 @@
-"""Many starts of one search, and which of their ends are the same optimum.
+"""Many starts of one search, which of their ends are the same optimum, and fronts between two objectives.
 
 A start looks at points of its own, spread evenly (Sobol), and descends from the best of them; no start knows of
 another. So how many of them end at the best optimum says how surely it is the best one within the ranges.
@@ -6,17 +6,20 @@ another. So how many of them end at the best optimum says how surely it is the b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from workbench.design.descent import DesignDescent, descend
-from workbench.design.goal import SearchOptions
+from workbench.design.goal import DesignObjective, SearchOptions
 from workbench.design.nonlinear_programme import NonlinearProgramme, ProgrammePoint
+from workbench.design.requirement import Bound
 from workbench.jobs.workers import Workers, itself
 from workbench.search.optimum import distinct, is_same_optimum
 
@@ -50,14 +53,19 @@ class Attempt:
         return self.descents[0]
 
 
-def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
-    """The start of that number; with `present` (n,) that point is descended from too."""
+def attempt(
+    programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None,
+    stock: Mapping[str, float] = MappingProxyType({}),
+) -> Attempt:
+    """The start of that number with the `stock` lengths (m) fixed; with `present` (n,) also from that point."""
+    free = [each.name not in stock for each in programme.variables]
+    programme = programme.holding(stock)
     size = len(programme.variables)
-    sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
     # A power of two, as Sobol points are even in; what is beyond is not looked at.
-    drawn = sampler.random_base2(int(np.ceil(np.log2(search.looked_at))))[: search.looked_at]
+    drawn = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number])).random_base2(
+        math.ceil(math.log2(search.looked_at)))[: search.looked_at] if size else ()
     looked_at = sorted((programme(x, gradient=False) for x in drawn), key=lambda each: each.rank)
-    starts = [] if present is None else [present]
+    starts = [] if present is None else [present[free]]
     for point in looked_at:
         if len(starts) < search.descended and not any(np.all(np.abs(point.x - x) < BESIDE) for x in starts):
             starts.append(point.x)
@@ -67,18 +75,21 @@ def attempt(programme: NonlinearProgramme, search: SearchOptions, number: int, p
 
 def search_all(
     programme: NonlinearProgramme, search: SearchOptions, present: Real, *, workers: Workers,
-    finished: Callable[[Attempt], None] | None = None,
+    finished: Callable[[Attempt, float], None] | None = None, stock: Sequence[Mapping[str, float]] = (),
 ) -> list[Attempt]:
-    """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
-    found = []
+    """All starts in the order of their numbers; of `stock` lengths (m), one start for each choice.
+
+    `finished` is called with each start as it ends, in any order, and the share that has ended.
+    """
+    starts = [partial(attempt, search=search, number=number, present=present if number == 0 or stock else None,
+                      stock=each) for number, each in enumerate(stock or [{}] * search.starts)]
+    attempts: list[Attempt] = []
     workers.share(itself, programme)
-    for _, done in workers.completed(
-            (number, partial(attempt, search=search, number=number, present=present if number == 0 else None))
-            for number in range(search.starts)):
-        found.append(done.result())
+    for _, done in workers.completed(enumerate(starts)):
+        attempts.append(done.result())
         if finished is not None:
-            finished(found[-1])
-    return sorted(found, key=lambda each: each.number)
+            finished(attempts[-1], len(attempts) / len(starts))
+    return sorted(attempts, key=lambda each: each.number)
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
@@ -98,6 +109,41 @@ def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
-def feasible(found: Iterable[Optimum]) -> list[Optimum]:
-    """The optima that keep all bounds."""
-    return [each for each in found if each.descent.feasible]
+def front(
+    programme: NonlinearProgramme, objectives: Sequence[DesignObjective], search: SearchOptions, present: Real,
+    points: int, *, workers: Workers, say: Callable[[float], None] = lambda share: None,
+) -> list[tuple[NonlinearProgramme, DesignDescent]]:
+    """Descents to `points` points from the optimum of the first objective to that of the second, with their programmes.
+
+    One objective is optimised, the other one bounded (epsilon-constraint method); the bound goes in equal steps of its
+    logarithm. No point if a figure does not exist.
+    """
+    one, other = (programme.under(each) for each in objectives)
+    first, last = (attempt(each, search, 0, present).best for each in (one, other))
+    if not (first.point.exists and last.point.exists):
+        return []
+    second = objectives[1]
+    begin, end = other(first.point.x, gradient=False).objective, last.point.objective
+    tasks, bounds = [], []
+    for share in np.linspace(0.0, 1.0, points)[1:]:
+        level = begin + (end - begin) * share
+        limit = math.exp(-level if second.maximise else level)
+        bounds.append(Bound({second.figure: 1.0}, limit, second.maximise, limit,
+                            f"{second.figure} {'>=' if second.maximise else '<='} {limit:.6g}"))
+        tasks.append(partial(_descended, bound=bounds[-1], evaluations=search.evaluations,
+                             start=first.point.x + share * (last.point.x - first.point.x)))
+    found = [(one, first)] * points
+    workers.share(itself, one)
+    for count, (index, done) in enumerate(workers.completed(enumerate(tasks)), 1):
+        found[index + 1] = _bounded(one, bounds[index]), done.result()
+        say(count / len(tasks))
+    return found
+
+
+def _bounded(programme: NonlinearProgramme, bound: Bound) -> NonlinearProgramme:
+    """The programme with one bound more."""
+    return replace(programme, bounds=(*programme.bounds, bound))
+
+
+def _descended(programme: NonlinearProgramme, *, bound: Bound, start: Real, evaluations: int) -> DesignDescent:
+    return descend(_bounded(programme, bound), start, evaluations=evaluations)

@@ -135,26 +135,20 @@ def sobol(
 
     check_sobol(uncertainty, count, source="sobol", field="count")
     size, asked, seen = len(uncertainty.inputs), tuple(evaluator.figures), list[Real]()
-    whole = count * (2 + size)
 
     def outcome(points: Real) -> Real:
         # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
-        before = sum(map(len, seen))
-
-        def show(_text: str, share: float) -> None:
-            progress("Sobol indices", (before + share * points.shape[1]) / whole)
-
-        seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=show).values)
+        before, whole = sum(map(len, seen)), count * (2 + size)
+        seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=lambda _text, share: progress(
+            "Sobol indices", (before + share * points.shape[1]) / whole)).values)
         return seen[-1].T
 
-    generator = np.random.default_rng(seed)
     # An index that is the same in every resample has no interval, which is what the warning says.
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = sobol_indices(func=outcome, n=count, dists=[_distribution(each) for each in uncertainty.inputs],
-                              rng=generator)
+                              rng=np.random.default_rng(seed))
         spread = found.bootstrap(confidence_level=CONFIDENCE)
-
     values = np.concatenate(seen)
     # Of these scipy says 0.
     unknown = ~np.isfinite(values).all(axis=0) | (np.ptp(values, axis=0) == 0.0)
@@ -162,11 +156,13 @@ def sobol(
     def rows(indices: object) -> Real:
         return np.where(unknown[:, None], np.nan, np.asarray(indices, dtype=float).reshape(len(asked), size))
 
-    first, total = rows(found.first_order), rows(found.total_order)
-    ends = [np.where(np.isnan(end), index, end) for index, kind in ((first, spread.first_order),
-                                                                    (total, spread.total_order))
-            for end in map(rows, (kind.confidence_interval.low, kind.confidence_interval.high))]
-    return SobolIndices(asked, uncertainty.names, first, ends[0], ends[1], total, ends[2], ends[3], len(values))
+    tables: dict[str, Real] = {}
+    for name in ("first", "total"):
+        tables[name] = rows(getattr(found, f"{name}_order"))
+        interval = getattr(spread, f"{name}_order").confidence_interval
+        for end, each in (("low", rows(interval.low)), ("high", rows(interval.high))):
+            tables[f"{name}_{end}"] = np.where(np.isnan(each), tables[name], each)
+    return SobolIndices(asked, uncertainty.names, evaluations=len(values), **tables)
 
 
 def _distribution(each: Number) -> Any:

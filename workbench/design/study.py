@@ -12,36 +12,23 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workbench.design.evaluation import Evaluation
-from workbench.design.model import Evaluator
+from workbench.design.outcomes import parcels
 from workbench.design.parts import Models, ReducedModels, StudyPart, parts_of
 from workbench.design.plan import Study
-from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
+from workbench.design.study_folder import FULL, FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
-from workbench.fem.solve import one_thread
 from workbench.files.errors import expect
 from workbench.files.output import OutputFolder
-from workbench.jobs.memory import is_shortage
 from workbench.jobs.process import WorkerEnded
-from workbench.jobs.progress import PartProgress, Progress, by_part, no_progress
-from workbench.jobs.workers import Task, Workers, begin_workers, check_jobs
-
-Real = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-#: Points that a worker does at a time, about a second's work, which a kill loses at most for each worker. Half as many
-#: would double the share of the time that goes into sending models, some 2 %.
-CHUNK = 50
+from workbench.jobs.progress import Progress, by_part, no_progress
+from workbench.jobs.workers import Workers, begin_workers, check_jobs
 
 #: Tasks given to each worker: one waits while one is done.
 AHEAD = 2
@@ -83,93 +70,50 @@ def study(
         kept.clear_damaged()
         try:
             with begin_workers(jobs, executor) as workers:
-                run = _Run(plan, kept, workers, show)
                 for part in parts:
-                    run.points_of(part, models)
-                run.full_solves(parts, models)
+                    _points_of(plan, part, models, kept, workers, partial(show, part.label))
+                _full_solves(plan, parts, models, kept, workers, partial(show, "confirmed", "full solves"))
         except WorkerEnded as error:
             left = plan.size - len(kept.rows().index)
             raise RuntimeError(f"{error}; what was finished is on the disk, {left} of {plan.size} points remain: the "
                                "same study in the same folder goes on from there") from error
-        found = StudyResult(plan, kept.rows(), kept.full_rows())
+        found = StudyResult(plan, kept.rows(), kept.rows(FULL))
         found.write(kept.path)
     return found
 
 
-#: A function of the result of a piece of work, and the work.
-Then = tuple[Callable[[Any], None], Task[Any]]
+def _points_of(
+    plan: Study, part: StudyPart, models: Models, kept: StudyFolder, workers: Workers,
+    show: Callable[[str, float], None],
+) -> None:
+    """All points of a part that are not finished yet."""
+    left = np.flatnonzero(~np.isin(part.rows, kept.rows().index))
+    if left.size:
+        show("model", 0.0)
+        model = models.model(plan, part, kept.model(part), lambda _text, share: show("model", share))
+        # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
+        workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
+        finished = len(part.rows) - left.size
+        show("points", finished / len(part.rows))
+        for rows, done in workers.completed(
+                parcels(part.rows[left], part.points[left], [axis.name for axis in plan.numbers]), ahead=AHEAD):
+            kept.keep(FinishedPoints.of(rows, done.result(), plan.figures))
+            finished += len(rows)
+            show("points", finished / len(part.rows))
+    show("points", 1.0)
 
 
-@dataclass(frozen=True)
-class _Run:
-    """The run of a study: its plan, its folder, and who does its tasks."""
-
-    plan: Study
-    kept: StudyFolder
-    workers: Workers
-    show: PartProgress
-
-    def points_of(self, part: StudyPart, models: Models) -> None:
-        """All points of a part that are not finished yet."""
-        left = np.flatnonzero(~np.isin(part.rows, self.kept.rows().index))
-        if left.size:
-            self.show(part.label, "model", 0.0)
-            model = models.model(self.plan, part, self.kept.model(part),
-                                 lambda _text, share: self.show(part.label, "model", share))
-            # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
-            self.workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
-            self._work(self._point_tasks(part, left))
-        self.show(part.label, "points", 1.0)
-
-    def _point_tasks(self, part: StudyPart, left: Indices) -> Iterator[Then]:
-        names, finished = [axis.name for axis in self.plan.numbers], len(part.rows) - left.size
-
-        def keep(rows: FinishedPoints) -> None:
-            nonlocal finished
-            self.kept.keep(rows)
-            finished += len(rows.index)
-            self.show(part.label, "points", finished / len(part.rows))
-
-        self.show(part.label, "points", finished / len(part.rows))
-        for at in np.split(left, range(CHUNK, left.size, CHUNK)):
-            yield keep, partial(_evaluated, names=names, rows=part.rows[at], points=part.points[at],
-                                figures=self.plan.figures)
-
-    def full_solves(self, parts: Sequence[StudyPart], models: Models) -> None:
-        """Full solves of some points of the table, drawn by the seed of the sample."""
-        count = min(self.plan.confirmed, self.plan.size)
-        drawn = np.random.default_rng(self.plan.sampling.seed).choice(self.plan.size, count, replace=False)
-        left = np.setdiff1d(drawn, self.kept.full_rows().index)
-        finished = count - left.size
-
-        def keep(row: int, found: Evaluation) -> None:
-            nonlocal finished
-            self.kept.keep_full(FinishedPoints.of([row], [found], self.plan.figures))
-            finished += 1
-            self.show("confirmed", "full solves", finished / count)
-
-        self.workers.share(None)
-        self._work((partial(keep, int(part.rows[at])), partial(models.confirmed, self.plan, part, part.points[at]))
-                   for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
-
-    def _work(self, tasks: Iterable[Then]) -> None:
-        """Do all tasks, and the step that follows each as soon as its result is there."""
-        for then, done in self.workers.completed(tasks, ahead=AHEAD):
-            then(done.result())
-
-
-def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, points: Real,
-               figures: tuple[str, ...]) -> FinishedPoints:
-    """The figures at `points` (k, numbers), which are `rows` (k,) of the study's table."""
-    found = []
-    with one_thread():
-        for row, point in zip(rows, points, strict=True):
-            try:
-                # By place: of radii that coincide the model has another name than the study.
-                found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
-            except Exception as error:
-                if is_shortage(error):
-                    raise  # through no fault of this point
-                where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
-                raise RuntimeError(f"point {row} of the study ({where}): {error!r}") from error
-    return FinishedPoints.of(rows, found, figures)
+def _full_solves(
+    plan: Study, parts: Sequence[StudyPart], models: Models, kept: StudyFolder, workers: Workers,
+    show: Callable[[float], None],
+) -> None:
+    """Full solves of some points of the table, drawn by the seed of the sample."""
+    count = min(plan.confirmed, plan.size)
+    drawn = np.random.default_rng(plan.sampling.seed).choice(plan.size, count, replace=False)
+    left = np.setdiff1d(drawn, kept.rows(FULL).index)
+    workers.share(None)
+    tasks = ((int(part.rows[at]), partial(models.confirmed, plan, part, part.points[at]))
+             for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
+    for finished, (row, done) in enumerate(workers.completed(tasks, ahead=AHEAD), count - left.size + 1):
+        kept.keep(FinishedPoints.of([row], [done.result()], plan.figures), FULL)
+        show(finished / count)

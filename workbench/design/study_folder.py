@@ -21,7 +21,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +41,10 @@ Real = NDArray[np.float64]
 #: Number of the layout at the head of begun.json; raise it where the layout changes.
 FORMAT = 2
 
-_BEGUN, _MODELS, _POINTS, _FULL = "begun.json", "models", "points", "full."
+_BEGUN, _MODELS, _POINTS = "begun.json", "models", "points"
 
-#: Patterns of the names of files of finished points, and of points solved in full.
-_ROWS, _FULL_ROWS = "[0-9]*.npz", f"{_FULL}*.npz"
+#: Beginning of the names of files of points solved in full.
+FULL = "full."
 
 #: Key of begun.json: the digest of the others.
 _SELF = "digest"
@@ -105,25 +104,18 @@ class StudyFolder:
         """The file of the model of a part."""
         return self.path / _MODELS / f"{part.number}.npz"
 
-    def keep(self, rows: FinishedPoints) -> None:
-        """Put finished points on the disk; they are there when this returns."""
-        write_arrays(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
+    def keep(self, rows: FinishedPoints, kind: str = "") -> None:
+        """Put finished points on the disk, or with the `kind` :data:`FULL` the full solve of a point; they are there
+        when this returns."""
+        write_arrays(self.path / _POINTS / f"{kind}{rows.index[0]:08d}.npz", vars(rows))
 
-    def keep_full(self, rows: FinishedPoints) -> None:
-        """Put the full solve of one point on the disk."""
-        write_arrays(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
-
-    def rows(self) -> FinishedPoints:
-        """All finished points."""
-        return self._read(_ROWS)
-
-    def full_rows(self) -> FinishedPoints:
-        """All points solved in full."""
-        return self._read(_FULL_ROWS)
+    def rows(self, kind: str = "") -> FinishedPoints:
+        """All finished points, or with the `kind` :data:`FULL` all points solved in full."""
+        return FinishedPoints.joined([_unpacked(path, len(self.figures)) for path in self._files(kind)], self.figures)
 
     def clear_damaged(self) -> None:
         """Remove files of points that are damaged, each with a warning that names it."""
-        for path in (*self._files(_ROWS), *self._files(_FULL_ROWS)):
+        for path in (*self._files(""), *self._files(FULL)):
             try:
                 _unpacked(path, len(self.figures))
             except InputError as error:
@@ -133,12 +125,8 @@ class StudyFolder:
                               stacklevel=2)
                 path.unlink()
 
-    def _files(self, pattern: str) -> list[Path]:
-        return sorted((self.path / _POINTS).glob(pattern))
-
-    def _read(self, pattern: str) -> FinishedPoints:
-        return FinishedPoints.joined([_unpacked(path, len(self.figures)) for path in self._files(pattern)],
-                                     self.figures)
+    def _files(self, kind: str) -> list[Path]:
+        return sorted((self.path / _POINTS).glob(f"{kind}[0-9]*.npz"))
 
 
 def study_outputs(study: Study, folder: Path) -> Outputs:
@@ -248,10 +236,6 @@ def _described(axis: VariedNumber) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def _packed(rows: FinishedPoints) -> dict[str, NDArray[Any]]:
-    return {column.name: getattr(rows, column.name) for column in fields(rows)}
 
 
 def _unpacked(path: Path, figures: int) -> FinishedPoints:

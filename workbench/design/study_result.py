@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.figures import figure_named
-from workbench.design.plan import Study
-from workbench.design.sampling import GRID
+from workbench.design.plan import GRID, Study
 from workbench.design.study_folder import FinishedPoints
 from workbench.design.variables import Variable, VariedNumber
 from workbench.files.writing import replacing, write_json
@@ -30,6 +29,8 @@ Real = NDArray[np.float64]
 
 #: Columns of the table that are neither a parameter nor a figure.
 STATE, FREQUENCY, ERROR, MISSING = "state", "frequency", "error", "missing"
+
+_WORDS = {FREQUENCY: "frequency driven at", ERROR: "estimated relative error of Z there"}
 
 #: Quantiles that a statistic states besides the median.
 LOW, HIGH = 0.05, 0.95
@@ -105,12 +106,10 @@ class StudyResult(Shown):
     @cached_property
     def confirmations(self) -> tuple[Confirmation, ...]:
         """Every figure that the reduced model or the full solve has, at every point solved in full."""
-        found = []
-        for row, solved in zip(map(int, self.full.index), self.full.figures, strict=True):
-            for name, reduced, full in zip(self.study.figures, self.rows.figures[row], solved, strict=True):
-                if not (math.isnan(reduced) and math.isnan(full)):
-                    found.append(Confirmation(row, name, float(reduced), float(full)))
-        return tuple(found)
+        return tuple(Confirmation(row, name, float(reduced), float(full))
+                     for row, solved in zip(map(int, self.full.index), self.full.figures, strict=True)
+                     for name, reduced, full in zip(self.study.figures, self.rows.figures[row], solved, strict=True)
+                     if not (math.isnan(reduced) and math.isnan(full)))
 
     def summary(self) -> Summary:
         """Lowest, median and highest of every figure, for a notebook."""
@@ -143,7 +142,8 @@ class StudyResult(Shown):
                                              told if isinstance(axis, VariedNumber) else list(told), attributes)
         data: dict[str, Any] = {}
         for name in (*plan.figures, FREQUENCY, ERROR):
-            attributes = {"units": self.units[name], "long_name": _words(name)}
+            words = _WORDS[name] if name in _WORDS else figure_named(name).words
+            attributes = {"units": self.units[name], "long_name": words}
             data[name] = ((STATE, *inner), self.columns[name].reshape(len(plan.states), *shape), attributes)
         missing = self.columns[MISSING].astype(object).reshape(len(plan.states), *shape)
         data[MISSING] = ((STATE, *inner), missing, {"long_name": "why figures are missing"})
@@ -194,16 +194,6 @@ class StudyResult(Shown):
 def _formatted(axis: Variable, column: Real) -> NDArray[Any]:
     """A column of the sample as it is shown: numbers, or names of materials."""
     return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
-
-
-def _words(name: str) -> str:
-    match name:
-        case "frequency":
-            return "frequency driven at"
-        case "error":
-            return "estimated relative error of Z there"
-        case _:
-            return figure_named(name).words
 
 
 def _statistic(state: str, name: str, rows: NDArray[np.int64], values: Real) -> Statistic:

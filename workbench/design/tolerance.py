@@ -15,6 +15,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,10 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.operating_point import AT_ENERGY
 from materials.registry import Registry
-from workbench.design.centre import centred_chip
-from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
+from workbench.design.drives import Driven, DrivenFigure, at_drives, driven_figures, label_of
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
-from workbench.design.input_uncertainty import Statement, numbers_of, stated_uncertainty
+from workbench.design.input_uncertainty import Statement, centred_chip, numbers_of, stated_uncertainty
 from workbench.design.model import design_model, full_evaluation
 from workbench.design.outcomes import PARCEL, Outcomes, evaluate
 from workbench.design.requirement import Requirement, parse_requirements
@@ -200,18 +200,28 @@ def tolerance(
     # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
     there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(drive, at, thermal_resistance or {}).of(device)
-    full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)
+    solved = partial(full_evaluation, there, device.state.name, registry=with_means, band=band, accuracy=accuracy)
     if not tracking and operation.follows is not None:
-        full = replace(full, operation=replace(operation, frequency=full.resonance(known.nominal())))
-    names = names_to_ask(known, list(numbers_of(device)), every=every)
-    nominal = full.evaluation({**{name: numbers_of(device)[name] for name in names}, **known.nominal()}, gradient=True)
+        figure = "peak_frequency" if operation.frequency == AT_ENERGY else "f0"
+        operation = replace(operation, frequency=_resonance(figure, solved(
+            known.nominal(), figures=(figure,), operation=operation), chip))
+    own = numbers_of(device)
+    numbers = {**{name: own[name] for name in names_to_ask(known, list(own), every=every)}, **known.nominal()}
+    nominal = at_drives(asked, operation, lambda names, driven: solved(
+        numbers, figures=names, operation=driven, gradient=True))
     bounds = tuple(_bound(each, asked, drive, nominal, chip) for each in required)
-    assert full.operation.frequency is not None
-    found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
+    assert operation.frequency is not None
+    found = Tolerance(chip, device.state.name, known, asked, drive, operation.frequency,
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
-        found = _sampled(found, full, samples if bounds else 0, sobol_points, relative_error, jobs, executor, say,
-                         known.ranges(numbers_of(fill(there, state, with_means))))
+        making = time.perf_counter()
+        made = design_model(
+            there, device.state.name, known.ranges(numbers_of(fill(there, state, with_means))),
+            figures=tuple(dict.fromkeys(each.figure.name for each in asked)), operation=operation, registry=with_means,
+            band=band, relative_error=relative_error, accuracy=accuracy, seed=seed,
+            progress=lambda _text, share: say("range model", share), drives=[each.drive for each in asked])
+        found = _sampled(found, Driven(made, asked, operation), time.perf_counter() - making,
+                         samples if bounds else 0, sobol_points, jobs, executor, say)
     return replace(found, seconds=time.perf_counter() - started)
 
 
@@ -239,38 +249,16 @@ def check_tolerance_request(
         check_sobol(known, sobol_points, source=source, field=names[1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Full:
-    """Full solves of one chip at the drives of the requested figures."""
+def _resonance(figure: str, found: Evaluation, chip: Chip) -> float:
+    """The frequency (Hz) of the resonance that the drive follows, a `figure` of an evaluation.
 
-    chip: Chip
-    state: str
-    requested: tuple[DrivenFigure, ...]
-    operation: Operation
-    registry: Registry | None
-    band: tuple[float, float] | None
-    accuracy: float | Discretisation
-
-    def evaluation(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        """The figures by label."""
-        return merged_evaluations([(mine, full_evaluation(
-            self.chip, self.state, values, figures=[each.figure.name for each in mine],
-            operation=replace(self.operation, drive=mine[0].drive), registry=self.registry, band=self.band,
-            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.requested)])
-
-    def resonance(self, values: Mapping[str, float]) -> float:
-        """The frequency (Hz) of the resonance that the drive follows.
-
-        Raises:
-            InputError: there is none.
-        """
-        figure = "peak_frequency" if self.operation.frequency == AT_ENERGY else "f0"
-        found = full_evaluation(self.chip, self.state, values, figures=(figure,), operation=self.operation,
-                                registry=self.registry, band=self.band, accuracy=self.accuracy)
-        if not math.isfinite(found.figures[figure]):
-            raise InputError(self.chip.file, figure, found.missing.get(figure, "none"), "a chip that resonates in the "
-                             "band, so that it can be driven there")
-        return found.figures[figure]
+    Raises:
+        InputError: there is none.
+    """
+    if not math.isfinite(found.figures[figure]):
+        raise InputError(chip.file, figure, found.missing.get(figure, "none"), "a chip that resonates in the band, so "
+                         "that it can be driven there")
+    return found.figures[figure]
 
 
 def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
@@ -283,29 +271,19 @@ def _bound(each: Requirement, requested: Sequence[DrivenFigure], drive: Drive, n
 
 
 def _sampled(
-    found: Tolerance, full: _Full, samples: int, sobol_points: int, relative_error: float, jobs: int,
-    executor: Executor | None, say: Progress, ranges: Mapping[str, tuple[float, float]],
+    found: Tolerance, model: Driven, seconds: float, samples: int, sobol_points: int, jobs: int,
+    executor: Executor | None, say: Progress,
 ) -> Tolerance:
-    """`found` with samples and yields, and with Sobol indices if asked for."""
-    known = found.uncertainty
-    names = tuple(dict.fromkeys(each.figure.name for each in found.requested))
-    started = time.perf_counter()
-    made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
-                        band=full.band, relative_error=relative_error, accuracy=full.accuracy, seed=found.seed,
-                        progress=lambda _text, share: say("range model", share),
-                        drives=[each.drive for each in found.requested])
-    spent = time.perf_counter() - started
-    model = Driven(made, found.requested, full.operation)
+    """`found` with samples and yields on a `model` made in so many `seconds`, and with Sobol indices if requested."""
+    known, nominal = found.uncertainty, found.sensitivities.figures
     there = model(known.nominal()).figures
-    nominal = found.sensitivities.figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}
-    found = replace(found, model=ModelFacts(made.bases.operating.size, made.error, spent, off))
+    found = replace(found, model=ModelFacts(model.model.bases.operating.size, model.model.error, seconds, off))
     parcels = math.ceil(max(samples, sobol_points * (2 + len(known.inputs))) / PARCEL)
     with begin_workers(min(jobs, parcels), executor) as workers:
         if samples:
             drawn = known.draw(samples, found.seed)
-            outcomes = evaluate(model, known, drawn.points, workers=workers,
-                                progress=say)
+            outcomes = evaluate(model, known, drawn.points, workers=workers, progress=say)
             at = [found.sensitivities.names.index(name) for name in known.names]
             linear = LinearModel(known.means, nominal,
                                  {label: slopes[at] for label, slopes in found.sensitivities.gradient.items()})

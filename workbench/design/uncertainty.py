@@ -116,29 +116,25 @@ class Uncertainty:
             InputError: hardly any draw is admissible (:data:`LEAST_ACCEPTED`).
         """
         generator = np.random.default_rng(seed)
-        root = _root(self.correlation)
+        # A matrix whose product with its transpose is the correlation, which may be singular.
+        variances, axes = np.linalg.eigh(self.correlation)
+        root = axes * np.sqrt(np.maximum(variances, 0.0))
         found = np.empty((0, len(self.inputs)))
         drawn = 0
         while len(found) < count:
-            scores = generator.standard_normal((count, len(self.inputs))) @ root.T
-            points = self._from_scores(scores, generator)
-            good = points[self._admissible(points)]
+            points = self.means + self.deviations * (generator.standard_normal((count, len(self.inputs))) @ root.T)
+            for k, each in enumerate(self.inputs):
+                if each.law == "uniform":
+                    points[:, k] = each.value + each.half_width * generator.uniform(-1.0, 1.0, count)
+            good = np.flatnonzero(self._admissible(points))
             # Draws beyond the last one that is needed do not count.
             needed = count - len(found)
-            drawn += count if len(good) <= needed else 1 + int(np.flatnonzero(self._admissible(points))[needed - 1])
-            found = np.concatenate([found, good[:needed]])
+            drawn += count if len(good) <= needed else 1 + int(good[needed - 1])
+            found = np.concatenate([found, points[good[:needed]]])
             if drawn > 2 * count and len(found) < LEAST_ACCEPTED * drawn:
                 raise InputError("uncertainty", "laws", f"{len(found)} of {drawn} draws are admissible",
                                  "uncertainties that leave the chip a chip and its materials passive: smaller ones")
         return Samples(found, drawn - count)
-
-    def _from_scores(self, scores: Real, generator: np.random.Generator) -> Real:
-        """Samples (n, k) of normal `scores` (n, k); uniform laws draw their own."""
-        points = self.means + self.deviations * scores
-        for k, each in enumerate(self.inputs):
-            if each.law == "uniform":
-                points[:, k] = each.value + each.half_width * generator.uniform(-1.0, 1.0, len(points))
-        return points
 
     def _admissible(self, points: Real) -> Bools:
         low, high = (np.array([getattr(each, end) for each in self.inputs]) for end in ("low", "high"))
@@ -153,12 +149,6 @@ class Uncertainty:
                 changed["density"] = changed["density"].real
                 inside[row] = smallest_dissipation(replace(material, **changed)) >= floor
         return inside
-
-
-def _root(correlation: Real) -> Real:
-    """A matrix whose product with its transpose is `correlation`, which may be singular."""
-    values, vectors = np.linalg.eigh(correlation)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> Number:

@@ -6,12 +6,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.stretch import canonical_names, moving_together
+from materials.registry import Registry
+from workbench.files.errors import InputError
+from workbench.files.tables import FileTable
 from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
@@ -104,6 +108,39 @@ class MaterialChoice:
 
 
 Variable = VariedNumber | MaterialChoice
+
+
+def flat_entries(content: Mapping[str, Any], *, of_tables: bool = True) -> Iterator[tuple[str, Any]]:
+    """The entries of a table by their full names: TOML reads ``substrate.thickness`` without quotes as a table in a
+    table. Entries `of_tables` are tables themselves, which hold anything but tables."""
+    for key, value in content.items():
+        if isinstance(value, Mapping) and (not of_tables or (value and all(isinstance(each, Mapping)
+                                                                           for each in value.values()))):
+            yield from ((f"{key}.{name}", each) for name, each in flat_entries(value, of_tables=of_tables))
+        else:
+            yield key, value
+
+
+def read_materials(entry: FileTable, registry: Registry) -> dict[str, str]:
+    """The alternatives of a variable, ``materials = [...]``: their full names by the names as written.
+
+    Raises:
+        InputError: other keys, an unknown material, one twice, or only one.
+    """
+    entry.only(("materials",))
+    found: dict[str, str] = {}
+    for index, text in enumerate(entry.texts("materials", expected='materials such as ["pla", "petg"]')):
+        place = f"{entry.at('materials')}[{index}]"
+        try:
+            full, _ = registry.find(text)
+        except InputError as error:
+            raise InputError(entry.source, place, text, error.expected, error.nearest) from error
+        if full in found.values():
+            raise InputError(entry.source, place, text, "every material once")
+        found[text] = full
+    if len(found) < 2:
+        raise entry.error("materials", "two materials at least; one alone belongs in the chip file")
+    return found
 
 
 def _index(share: Real, count: int) -> NDArray[np.int64]:

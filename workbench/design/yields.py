@@ -67,7 +67,7 @@ class RequiredRange:
 
     def met(self, values: Real) -> Bools:
         """Which figures (n,) will do; one that does not exist, NaN, will not."""
-        return self.requirement.met(values, self.nominal)
+        return (values >= self.low) & (values <= self.high)
 
 
 def bound(requirement: Requirement, label: str, nominal: float) -> RequiredRange:
@@ -153,12 +153,15 @@ def yields(
     many = uncertainty.draw(LINEAR_SAMPLES, seed + 1).points
     each_met = [_Met(each.met(values[each.label]), each.met(linear.values(points, each.label)),
                      each.met(linear.values(many, each.label)), np.isnan(values[each.label])) for each in bounds]
-    found = [_compared(each, met) for each, met in zip(bounds, each_met, strict=True)]
-    all_met = _Met(np.all([met.model for met in each_met], axis=0), np.all([met.linear for met in each_met], axis=0),
-                   np.all([met.many for met in each_met], axis=0), np.any([met.missing for met in each_met], axis=0))
-    together = _compared(None, all_met)
+    by_model, by_slopes, of_many = (np.all([getattr(met, name) for met in each_met], axis=0)
+                                    for name in ("model", "linear", "many"))
+    all_met = _Met(by_model, by_slopes, of_many, np.any([met.missing for met in each_met], axis=0))
+    found = [RequirementYield(
+        bound, passed_share(met.model), float(met.many.mean()), float(met.off.mean()),
+        float(met.off.std() / math.sqrt(met.off.size)), int(met.missing.sum()))
+        for bound, met in ((None, all_met), *zip(bounds, each_met, strict=True))]
     tightened = [_tightened(k, uncertainty, points, many, all_met) for k in range(len(uncertainty.inputs))]
-    return Yields(tuple(found), together, tuple(sorted(tightened, key=lambda each: -each.gain)))
+    return Yields(tuple(found[1:]), found[0], tuple(sorted(tightened, key=lambda each: -each.gain)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +178,6 @@ class _Met:
     def off(self) -> Real:
         """The model's verdict less the one of its linearisation (n,): 1, 0 or -1."""
         return self.model.astype(float) - self.linear
-
-
-def _compared(of: RequiredRange | None, met: _Met) -> RequirementYield:
-    return RequirementYield(of, passed_share(met.model), float(met.many.mean()), float(met.off.mean()),
-                            float(met.off.std() / math.sqrt(met.off.size)), int(met.missing.sum()))
 
 
 def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: _Met) -> Tightening:

@@ -36,9 +36,9 @@ from workbench.campaign.observation import (
     Observation,
 )
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
-from workbench.design.dual import Dual, dual_derivative
 from workbench.design.evaluation import Operation, Question, answer
 from workbench.design.resonance import Responding
+from workbench.fem.dual import Dual, dual_derivative
 from workbench.fem.linearised import FullSystem, ReducedSystem
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import solve_full

@@ -126,5 +126,5 @@ class AxisOfOrder(Term):
 
 
 def terms_of_order(terms: tuple[Term, ...], *, is_first: bool) -> tuple[Term, ...]:
-    """The terms of a model for the first order, or a higher one."""
+    """The terms of a model, for the first order or higher ones."""
     return (AxisOfOrder(is_first), *map(OfOrder, terms))
