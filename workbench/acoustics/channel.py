@@ -213,7 +213,7 @@ def _zero(x: FloatArray, force: FloatArray, i: int) -> tuple[float, float]:
 
 
 def _time(forces: ParticleForces, place: float, height: float, quarter: float) -> float | None:
-    """The shorter time (s) to a line from its two sides, or None."""
+    """The shorter time (s) to a line from either side, or None."""
     found = []
     for side in (1.0, -1.0):
         reach = side * min(quarter, way_to_wall(forces, place, height, side))

@@ -182,9 +182,10 @@ def focus_time_along(
 
 
 def way_to_wall(forces: ParticleForces, place: float, height: float, side: float) -> float:
-    """The distance (m) from a `place` (m) to the wall at a `height` (m).
+    """The distance (m) from a `place` to the wall at a `height`.
 
-    The wall is on the right (`side` 1) or on the left (-1). The distance to a plane of symmetry is infinite.
+    Both are in m. The wall is on the right (`side` 1) or on the left (-1). The distance to a plane of symmetry is
+    infinite.
     """
     mirrors, across = forces.mesh.mirrors, forces.mesh.points[:, 0]
     way = np.linspace(place, float(across.max() if side > 0.0 else across.min()), WAY_POINTS)
