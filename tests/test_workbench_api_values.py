@@ -143,7 +143,7 @@ def test_a_campaign_from_values_is_that_of_a_file(chip: Chip, tmp_path: Path) ->
                "bench.series_resistance": 0.05}, name="small chip")
     assert made.known == pytest.approx(read.known)
     assert made.offsets == pytest.approx(read.offsets)
-    same(read, made, "states", "known", "offsets", "taken", "file")
+    same(read, made, "states", "known", "offsets", "uncertain", "file")
     for one, other in zip(made.states, read.states, strict=True):
         assert (one.name, one.device.state, one.stated) == (other.name, other.device.state, other.stated)
         assert np.array_equal(one.measured.impedance, other.measured.impedance)

@@ -154,7 +154,7 @@ def test_a_hint_is_no_excluded_hypothesis() -> None:
     """A hypothesis that the held-out states refute may have larger odds than the hint."""
     hint = diagnosis("below_detection", log_odds={"leads": math.log(5.0), GLASS.name: 9.0},
                      remaining=(Evidence("leads", math.log(5.0), ("leads",)),))
-    assert "leads most likely, at odds of 5:" in hint.headline.lower()
+    assert "leads most likely, with odds of 5:" in hint.headline.lower()
     assert [each.hypothesis.name for each, _ in hint.alive] == ["nothing", "leads"]
 
 

@@ -93,7 +93,7 @@ def test_every_command_refuses(
 ) -> None:
     monkeypatch.setenv(job_size.MEMORY_VARIABLE, "20 MB")
     assert main([*command, str(tmp_path / "out")]) == 2
-    assert "20 MB, the memory that WORKBENCH_MEMORY states" in " ".join(capsys.readouterr().err.split())
+    assert "20 MB, the memory in WORKBENCH_MEMORY" in " ".join(capsys.readouterr().err.split())
     assert not list((tmp_path / "out").rglob("*.csv"))
 
 
@@ -107,7 +107,7 @@ def test_points_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_memory_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1e6 < free_memory().size < 1e15
     monkeypatch.setenv(job_size.MEMORY_VARIABLE, "12 GB")
-    assert memory_to_use() == Room(12e9, "the memory that WORKBENCH_MEMORY states")
+    assert memory_to_use() == Room(12e9, "the memory in WORKBENCH_MEMORY")
     for wrong in ("12", "-1 GB", "much"):
         monkeypatch.setenv(job_size.MEMORY_VARIABLE, wrong)
         with pytest.raises(InputError, match=job_size.MEMORY_VARIABLE):

@@ -187,8 +187,8 @@ def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkey
     assert 0.0 < run.mesh_error.rms < 5e-3
     worse = replace(run.mesh_error, log_impedance=run.mesh_error.log_impedance * 6e-3 / run.mesh_error.rms)
     monkeypatch.setattr("workbench.simulation.run.mesh_error", lambda *_arguments: worse)
-    with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % that it was made for; "
-                      r"--accuracy \"0\.1 %\" \(in Python accuracy=0\.001\)"):
+    with pytest.warns(MeshTooCoarse, match=r"estimated error of 0\.6 % rms in Z, above the 0\.5 % that it was made "
+                      r"for; --accuracy \"0\.1 %\" \(in Python accuracy=0\.001\)"):
         simulate(disc, points=13, accuracy=5e-3)
     # Whoever gives a discretisation has asked for no accuracy.
     assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS)).mesh_error is worse

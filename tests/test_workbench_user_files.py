@@ -256,7 +256,7 @@ def test_materials_are_exported_over_an_export_only(here: Path, capsys: pytest.C
     shutil.copy(next(package.glob("*.toml")), folder / "mine.toml")
     words = ["materials", "export", "glue/mine", "--materials", str(here / "registry"), "-o"]
     assert main([*words, str(path)]) == 2
-    assert "a file of exported materials" in " ".join(capsys.readouterr().err.split())
+    assert "file of exported materials" in " ".join(capsys.readouterr().err.split())
     assert path.read_text() == '{"mine": 1}'
     glue = here / "glue.json"
     assert main([*words, str(glue)]) == main([*words, str(glue)]) == 0

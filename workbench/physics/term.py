@@ -90,7 +90,7 @@ Kind = tuple[int, int, int]
 
 
 def _kind(part: Part, *, radially: bool) -> Kind:
-    taken = part[1].removesuffix(OPPOSITE)
+    taken = part[1].removesuffix(OPPOSITE).removeprefix("less_")
     return int(taken == "d_z"), int(radially and taken == "d_r"), int(radially and taken == "over_r")
 
 
