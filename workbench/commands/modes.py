@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,8 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
     orders = [_order(each) for each in options.orders.split(",") if each.strip()]
     wavelengths = [parse_quantity(each, "length", source="command line", field="--wavelengths")
                    for each in options.wavelengths.split(",") if each.strip()]
+    if options.draw < 0:
+        raise InputError("command line", "--draw", options.draw, "a number of pictures, 0 or more")
     folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=model.band, least_q=options.least_q,
@@ -62,4 +65,5 @@ def _drawn(found: ChipModes, most: int, folder: Path) -> Iterator[Path]:
     """Pictures of the modes with most coupling, or energy in the liquid."""
     leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
     for mode in sorted(leading, key=lambda mode: mode.frequency):
-        yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz.png")
+        kind = f"{1e3 * mode.wavelength:.6g}_mm" if math.isfinite(mode.wavelength) else f"order_{mode.order}"
+        yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz_{kind}.png")

@@ -49,8 +49,9 @@ STEP = 0.01
 #: Most rounds of extensions of the basis, and most Newton steps of a mode, which converge quadratically.
 ROUNDS, NEWTON = 8, 12
 
-#: Relative difference of frequencies below which two searches may have found one mode.
-SAME = 1e-9
+#: Relative difference of frequencies below which two searches may have found one mode. A tenth of it ends Newton's
+#: method: the rounding of stiff modes limits those of low frequency.
+SAME = 1e-8
 
 #: Part of the states outside a basis that is left out: an eigenfrequency is off by its square.
 DEPENDENT = 1e-5
@@ -58,6 +59,12 @@ DEPENDENT = 1e-5
 #: Least share of a circle's radius that lies on the band for the modes that are wanted. Where it is less, more modes
 #: are sought about that frequency.
 COVERED = 0.5
+
+#: Largest half width of a circle over its frequency: coefficients are continued over an octave.
+WIDEST = 0.3
+
+#: Loss over frequency that is rounding.
+ROUNDING = 1e-13
 
 #: Smallest quality factor of the modes sought by default. Modes of less are no peaks of a spectrum.
 LEAST_Q = 20.0
@@ -114,42 +121,31 @@ def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LE
     NotConverged : the model is singular at a frequency of the band.
     ModesNotConverged : a mode still moves after the last round.
     """
-    low, high = band
-    model = _Continued.of(system, (0.6 * 2.0 * np.pi * low, 1.4 * 2.0 * np.pi * high))
-    middle = 0.5 * (low + high)
     with one_thread():
-        parts, half = [], 0.0
-        below = above = middle
-        for centre, part, half in _windows(model, middle, (low, high), least_q):
-            parts.append(part)
-            below, above = min(below, centre - half), max(above, centre + half)
+        parts = list(_windows(system, band, least_q))
     omega = np.concatenate([part.omega for part in parts])
     order = np.argsort(omega.real)
     return Eigenmodes(system.operators, omega[order], np.hstack([part.states for part in parts])[:, order],
                       np.concatenate([part.changes for part in parts])[order])
 
 
-def _windows(
-    model: _Continued, middle: float, band: tuple[float, float], least_q: float
-) -> Iterator[tuple[float, Eigenmodes, float]]:
-    """Modes about several frequencies, each mode once, until they cover the band.
-
-    Yields (centre, modes, half width covered), in Hz.
-    """
-    low, high = band
-    factor, starts, first = _starts(model.system, middle, least_q)
-    yield middle, _refined(model, factor, starts, (max(low, middle - first), min(high, middle + first)), least_q), first
-    for direction in (-1.0, 1.0):
-        edge, half = middle + direction * first, first
-        while (edge < high) if direction > 0.0 else (edge > low):
-            # The circle ends at the edge of the band, or begins at the one before it.
-            centre = edge + direction * min(0.9 * half, 0.6 * abs((high if direction > 0.0 else low) - edge))
-            factor, starts, half = _starts(model.system, centre, least_q)
-            further = centre + direction * half
-            own = tuple(sorted((edge, min(high, further) if direction > 0.0 else max(low, further))))
-            if (further - edge) * direction > 0.0:
-                yield centre, _refined(model, factor, starts, (own[0], own[1]), least_q), half
-                edge = further
+def _windows(system: System, band: tuple[float, float], least_q: float) -> Iterator[Eigenmodes]:
+    """Modes about several frequencies, each mode once, until they cover the band."""
+    edge, high = band
+    # A circle begins at the edge of the one before it.
+    half = 0.2 * (high - edge)
+    while edge < high:
+        centre = edge + min(0.9 * half, WIDEST * edge, 0.5 * (high - edge))
+        factor, starts, reached = _starts(system, centre, least_q)
+        half = min(reached, WIDEST * centre)
+        if centre - half > edge:
+            # It does not reach back: the next attempt is nearer.
+            half = 0.7 * (centre - edge)
+            continue
+        end = min(high, centre + half)
+        model = _Continued.of(system, (np.pi * centre, 3.0 * np.pi * centre))
+        yield _refined(model, factor, starts, (edge, end), least_q)
+        edge = end
 
 
 def _starts(system: System, frequency: float, least_q: float) -> tuple[Factor, Pairs, float]:
@@ -282,7 +278,7 @@ class _Projected:
             change = -complex(left @ state) / complex(left @ step)
             state = np.asarray(step / np.linalg.norm(step), dtype=np.complex128)
             omega += change
-            if abs(change) <= 1e-13 * abs(omega):
+            if abs(change) <= 0.1 * SAME * abs(omega):
                 return omega, state
         return None
 
@@ -298,14 +294,16 @@ class _Projected:
             if not any(abs(mode[0] / omega - 1.0) < SAME and abs(state @ slope @ other) > abs(mode[0])
                        for omega, other in found):
                 found.append((mode[0], state))
-        return (np.array([omega for omega, _ in found], dtype=complex), np.stack([state for _, state in found], axis=1))
+        states = [state for _, state in found] or [np.zeros((0, len(self.matrices[0])), dtype=complex)]
+        return (np.array([omega for omega, _ in found], dtype=complex),
+                np.stack(states, axis=1) if found else states[0].T)
 
 
 def _quality(omega: NDArray[np.complexfloating] | complex) -> Real:
     """Quality factors of complex angular frequencies, e^{-i w t}; infinite without loss."""
     omega = np.asarray(omega)
     loss = -2.0 * omega.imag
-    return np.divide(omega.real, loss, out=np.full(loss.shape, np.inf), where=loss > 0.0)
+    return np.divide(omega.real, loss, out=np.full(loss.shape, np.inf), where=loss > ROUNDING * np.abs(omega.real))
 
 
 def _parts(states: Complex) -> Real:

@@ -84,11 +84,12 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
     """Draw the leading displacement of a `mode` in solids. Writes `path`."""
-    squares = np.nansum(mode.shape**2, axis=1)
-    leading = int(np.argmax(squares))
-    name = (f"along {mesh.measure.symbol}", "along z", "along the third direction")[leading]
-    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}, of the largest",
-                        window=_window(mesh.points, mesh.measure),
+    leading = int(np.argmax(np.nansum(mode.shape**2, axis=1)))
+    name = ("to the right", "upwards", "along the third direction")[leading]
+    # On the other side, cos(m t) has the sign of (-1)^m, and a displacement away from the axis points to the left.
+    image = (-1 if mesh.measure.mirror < 0 else 1) * (-1) ** mode.order * (-1 if leading == 0 else 1)
+    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}, over its maximum",
+                        window=_window(mesh.points, mesh.measure), image=image,
                         title=f"{mode.frequency / 1e6:.4f} MHz, Q {mode.q:.3g}\n{mode.words}")
 
 
@@ -239,14 +240,19 @@ def phase_title(fields: Fields, phase: float) -> str:
 
 
 def _draw_signed(
-    mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
+    mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str,
+    image: int | None = None,
 ) -> Path:
-    """Draw regions with a value at all nodes, the others white. Colours are symmetric about zero."""
+    """Draw regions with a value at all nodes, the others white. Colours are symmetric about zero.
+
+    `image` is the sign of the values in the mirror image, by default that of scalar fields.
+    """
+    image = image or (-1 if window.measure.mirror < 0 else 1)
     largest = float(np.nanmax(np.abs(values)))
-    factor, shown_unit = prefixed(largest, unit)
+    factor, shown_unit = prefixed(largest, unit) if unit else (1.0, "")
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
     figure, axes, bar = _frame(window, title=title)
-    _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS, signed=True)
+    _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS, image=image)
     _outline(axes, mesh)
     label = f"{label} ({shown_unit})" if shown_unit else label
     _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=label)
@@ -324,10 +330,10 @@ def _nodal(mesh: NodalMesh, values: FloatArray, window: _Window) -> FloatArray:
 
 def _show(
     axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str],
-    signed: bool = False,
+    image: int = 1,
 ) -> None:
     """Draw `values` at :func:`_raster_points` and mirrored, NaN white. `colours` is the name of a map, or one colour
-    for every step between `limits`. `signed` values change sign beyond a plane of odd symmetry."""
+    for every step between `limits`. `image` is the sign of the values in the mirror image."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
@@ -335,7 +341,7 @@ def _show(
     seen = values.T[::-1]
     picture = right = coloured_dots(seen, shades, limits)
     if window.is_mirrored:
-        left = coloured_dots(-seen, shades, limits) if signed and window.measure.mirror < 0 else right
+        left = right if image > 0 else coloured_dots(-seen, shades, limits)
         picture = np.concatenate([left[:, ::-1], right], axis=1)
     # Dot for dot: another interpolation blurs them, and doubles the time of a picture.
     axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)

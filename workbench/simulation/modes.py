@@ -7,6 +7,7 @@ electrode drives the modes of order 0 alone; those of higher orders are seen whe
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from geometry.names import CAVITY, parent_place
 from materials.registry import Registry
 from workbench.acoustics.fields import section_nodes
 from workbench.acoustics.nodal import NodalMesh
+from workbench.fem.capacitance import clamped_capacitance
 from workbench.fem.energy import energy_shares
 from workbench.fem.modes import LEAST_Q, Eigenmodes, eigenmodes
 from workbench.fem.operators import FullOperators, assemble
@@ -39,8 +41,8 @@ Complex = NDArray[np.complex128]
 #: Least amplitude beside a zero, as a share of the largest: less is the shape of another mode.
 SEEN = 0.05
 
-#: Frequencies across the band at which the charge without its modes is computed. Doubled, coupling factors stay to 1 %.
-NODES = 9
+#: Least coupling factor of a mode that the electrodes drive: of less, a peak of Q 1000 is 0.1 % of the admittance.
+LEAST_COUPLING = 1e-3
 
 #: Distance from the highest point of a region, as a share of its height, within which a node is on its upper face.
 AT_FACE = 1e-6
@@ -55,14 +57,14 @@ class ChipMode(Brief):
 
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
     channel, infinite for none. ``capacitance`` (F) is that of its branch in the equivalent circuit, and ``k_eff`` its
-    effective coupling factor without the other modes of the band; both are 0 for a mode that the electrodes do not
-    drive. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
+    effective coupling factor beside the clamped capacitance; both are 0 for a mode of another order or wavelength.
+    ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
     ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
     N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of
     it; NaN in fluids.
     """
 
-    order: float
+    order: int
     wavelength: float
     frequency: float
     q: float
@@ -84,10 +86,15 @@ class ChipMode(Brief):
         leading = [f"{100.0 * share:.0f} % in the {plain_words(region)}" for region, share in self.energy.items()
                    if share >= LEAST_SHARE][:NAMED]
         zeros = f"{self.crossings} zero{'' if self.crossings == 1 else 's'} across the {next(iter(self.energy))}"
-        around = "" if math.isfinite(self.wavelength) else f"order {self.order:g}, "
-        along = f"wavelength {1e3 * self.wavelength:.3g} mm, " if math.isfinite(self.wavelength) else ""
-        coupling = f", k_eff {self.k_eff:.3f}" if self.k_eff > 0.0 else ", not driven by the electrodes"
-        return f"{along or around}{zeros}, {', '.join(leading)}{coupling}"
+        is_along = math.isfinite(self.wavelength)
+        along = f"wavelength {1e3 * self.wavelength:.3g} mm" if is_along else f"order {self.order}"
+        coupling = f"k_eff {self.k_eff:.3f}" if self.is_driven else "not driven by the electrodes"
+        return ", ".join((along, zeros, *leading, coupling))
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether the electrodes drive the mode: its coupling is above :data:`LEAST_COUPLING`."""
+        return self.k_eff > LEAST_COUPLING
 
     def __str__(self) -> str:
         return f"{self.frequency / 1e6:.6f} MHz, Q {self.q:.4g}: {self.words}"
@@ -110,14 +117,11 @@ class ChipModes(Shown):
     def near(self, frequency: float) -> ChipMode | None:
         """The mode of a peak at a `frequency` (Hz).
 
-        It is the driven mode of largest coupling within a half width. Without any, it is the nearest driven mode, or
-        None if no mode is driven.
+        It is the driven mode of largest coupling whose width f / Q reaches to the frequency, or None.
         """
-        driven = [mode for mode in self.modes if mode.k_eff > 0.0]
-        close = [mode for mode in driven if abs(mode.frequency - frequency) <= 0.5 * mode.frequency / mode.q]
-        if close:
-            return max(close, key=lambda mode: mode.k_eff)
-        return min(driven, key=lambda mode: abs(mode.frequency - frequency), default=None)
+        close = [mode for mode in self.modes if mode.is_driven
+                 and abs(mode.frequency - frequency) <= mode.frequency / mode.q]
+        return max(close, key=lambda mode: mode.k_eff, default=None)
 
     def summary(self) -> Summary:
         """The modes, one a row."""
@@ -155,17 +159,19 @@ def modes(
     NotConverged, ModesNotConverged : the model is singular in the band, or a mode still moves after the last round.
     """
     is_straight = isinstance(chip.measure, Straight)
-    numbers = _checked(orders, wavelengths, is_straight, least_q)
+    values = _checked(orders, wavelengths, is_straight, least_q)
     device = fill(chip, state, registry_of(chip, registry))
     span = band_of(chip, band)
+    if not 0.0 < span[0] < span[1] < math.inf:
+        raise InputError("modes", "band", span, "two rising frequencies (Hz)")
     posed = build(device, band=span, accuracy=accuracy)
     found: list[ChipMode] = []
-    for k, number in enumerate(numbers):
-        progress("modes", k / len(numbers))
+    for k, number in enumerate(values):
+        progress("modes", k / len(values))
         is_first = not is_straight and number == 1.0
         terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
         system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
-        found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight, span)
+        found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  section_nodes(posed.mesh)[0])
@@ -175,23 +181,28 @@ def _checked(
     orders: Sequence[int], wavelengths: Sequence[float], is_straight: bool, least_q: float
 ) -> tuple[float, ...]:
     """The orders, or wave numbers (1/m), to solve."""
+    for name, given in (("orders", orders), ("wavelengths", wavelengths)):
+        if isinstance(given, str) or not isinstance(given, Sequence):
+            raise InputError("modes", name, given, "a sequence of numbers, such as (0, 1, 2)")
     for order in orders:
-        if isinstance(order, bool) or order != int(order) or order < 0:
+        if isinstance(order, bool) or not isinstance(order, numbers.Real) or order != int(order) or order < 0:
             raise InputError("modes", "orders", order, "whole numbers of waves around the axis, 0 or more")
+    if not orders and not wavelengths:
+        raise InputError("modes", "orders", orders, "an order, or a wavelength along a straight chip")
     if is_straight and any(orders):
         raise InputError("modes", "orders", max(orders), "wavelengths along a straight chip, which has no axis")
     if wavelengths and not is_straight:
         raise InputError("modes", "wavelengths", wavelengths[0], "orders around the axis of a round chip")
     for length in wavelengths:
-        if not 0.0 < length < math.inf:
+        if not isinstance(length, numbers.Real) or not 0.0 < length < math.inf:
             raise InputError("modes", "wavelengths", length, "lengths above zero (m)")
-    if not 0.5 <= least_q < math.inf:
+    if not isinstance(least_q, numbers.Real) or not 0.5 <= least_q < math.inf:
         raise InputError("modes", "least_q", least_q, "a quality factor of a half or more")
     return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
 
 
 def _described(
-    posed: Problem, system: System, found: Eigenmodes, number: float, is_straight: bool, band: tuple[float, float]
+    posed: Problem, system: System, found: Eigenmodes, number: float, is_straight: bool
 ) -> list[ChipMode]:
     """The modes of one order with their energies, losses and couplings."""
     if not found.omega.size:
@@ -200,7 +211,7 @@ def _described(
     coefficients = operators.coefficients(real, system.values)
     energy = energy_shares(operators, found.states, coefficients)
     loss = _loss_shares(operators, found.states, coefficients)
-    capacitances, couplings = _couplings(system, found, band) if number == 0.0 else np.zeros((2, real.size))
+    capacitances, couplings = _couplings(system, found) if number == 0.0 else np.zeros((2, real.size))
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
     nodal, dofs = section_nodes(operators.mesh)
     result = []
@@ -208,7 +219,7 @@ def _described(
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
         fields = _nodal(operators, posed, found.states[:, k], nodal, dofs)
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
-        result.append(ChipMode(0.0 if is_straight else number, wavelength, float(frequency), float(q),
+        result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
                            float(capacitances[k]), float(couplings[k]), own, lost,
                            _crossings(fields, nodal, next(iter(own))), _shape(fields)))
     return result
@@ -230,26 +241,20 @@ def _loss_shares(operators: FullOperators, states: Complex, coefficients: Comple
             for place, each in lost.items() if each.any()}
 
 
-def _couplings(system: System, found: Eigenmodes, band: tuple[float, float]) -> tuple[Real, Real]:
+def _couplings(system: System, found: Eigenmodes) -> tuple[Real, Real]:
     """Capacitances C_n (F) and effective coupling factors of modes, (n,) each.
 
-    k^2 = C_n / (C_b + C_n), where C_b is the capacitance at the mode without the modes of the band.
-
-    The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
+    k^2 = C_n / (C_0 + C_n) with the clamped capacitance C_0 (`workbench.fem.capacitance`). The charge at 1 V has the
+    poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
     """
     operators, omega = found.operators, found.omega
     electrode = np.zeros((operators.size, omega.size), dtype=complex)
     electrode[-1] = 1.0
     forms = operators.quadratic(electrode, found.states)
     drives = (operators.coefficients(omega.real, system.values) * forms).sum(axis=1)
-    capacitances = (drives / omega) ** 2
-
-    # The modes outside of the band make the rest of the charge, which is smooth over it.
-    nodes = np.pi * np.linspace(2.0 * band[0], 2.0 * band[1], NODES)
-    poles = (capacitances * omega**2 / (omega**2 - nodes[:, None] ** 2)).sum(axis=1)
-    rest = (system.solutions(nodes / (2.0 * np.pi)).charge - poles).real
-    background, own = np.interp(omega.real, nodes, rest), capacitances.real
-    return own, np.sqrt(np.clip(np.where(background > 0.0, own / (background + own), 0.0), 0.0, 1.0))
+    own = np.maximum(((drives / omega) ** 2).real, 0.0)
+    clamped = clamped_capacitance(operators, system.values, float(np.median(found.frequency)))
+    return own, np.sqrt(own / (clamped + own))
 
 
 def _nodal(
