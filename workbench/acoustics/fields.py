@@ -69,14 +69,8 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
     values = problem.values
     impedance = complex(solution.impedance[0])
     voltage = complex(drive.amplitude(np.array([impedance]))[0])
-    padded = np.append(solution.states[:, 0] * voltage, 0.0)
+    nodal = nodal_components(operators, solution.states[:, 0] * voltage, mesh, dofs)
     count = len(mesh.points)
-    nodal = {c: np.full(count, np.nan + 0j) for c in ("u_r", "u_z", "phi", "p")}
-    for component, region in {pair for term in problem.terms for pair in term.unknowns}:
-        nodes = mesh.nodes_of([region])
-        nodal[component][nodes] = padded[operators.numbering[component][dofs[nodes]]]
-        if component in operators.shares:
-            nodal[component][nodes] *= operators.shares[component][dofs[nodes]]
     displacement = np.stack([nodal["u_r"], nodal["u_z"]], axis=1)
     velocity = -1j * omega * displacement
     stress = np.full((count, 4), np.nan + 0j)
@@ -111,6 +105,23 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
         words += f" ({2.0 * abs(voltage):.3g} Vpp at the electrodes)"
     return Fields(mesh, frequency, voltage, current, power, displacement, nodal["phi"], nodal["p"], velocity, stress,
                   energy, words)
+
+
+def nodal_components(
+    operators: FullOperators, state: Complex, mesh: NodalMesh, dofs: NDArray[np.int64]
+) -> dict[str, Complex]:
+    """The components of a `state` (size,) at the nodes (N,), or NaN.
+
+    `mesh` and `dofs` (N,) are those of :func:`section_nodes`. A component is NaN in regions without it.
+    """
+    padded = np.append(state, 0.0)
+    nodal = {component: np.full(len(dofs), np.nan + 0j) for component in operators.numbering}
+    for component, region in {pair for term in operators.terms for pair in term.unknowns}:
+        nodes = mesh.nodes_of([region])
+        nodal[component][nodes] = padded[operators.numbering[component][dofs[nodes]]]
+        if component in operators.shares:
+            nodal[component][nodes] *= operators.shares[component][dofs[nodes]]
+    return nodal
 
 
 def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:

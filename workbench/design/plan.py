@@ -310,6 +310,6 @@ def _shares(count: int, sampling: Sampling) -> Real:
 
     if sampling.method == LATIN_HYPERCUBE:
         return np.asarray(qmc.LatinHypercube(count, seed=sampling.seed).random(sampling.points))
-    # A whole number of powers of two keeps its balance; what is left of it is the beginning of the same sequence.
+    # A sequence is balanced if its length is a power of two. A part of it is its beginning.
     power = math.ceil(math.log2(sampling.points))
     return np.asarray(qmc.Sobol(count, seed=sampling.seed).random_base2(power)[: sampling.points])

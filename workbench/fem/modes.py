@@ -294,9 +294,8 @@ class _Projected:
             if not any(abs(mode[0] / omega - 1.0) < SAME and abs(state @ slope @ other) > abs(mode[0])
                        for omega, other in found):
                 found.append((mode[0], state))
-        states = [state for _, state in found] or [np.zeros((0, len(self.matrices[0])), dtype=complex)]
-        return (np.array([omega for omega, _ in found], dtype=complex),
-                np.stack(states, axis=1) if found else states[0].T)
+        states = np.array([state for _, state in found], dtype=complex).reshape(len(found), self.matrices.shape[1])
+        return np.array([omega for omega, _ in found], dtype=complex), states.T
 
 
 def _quality(omega: NDArray[np.complexfloating] | complex) -> Real:

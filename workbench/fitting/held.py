@@ -129,7 +129,7 @@ def held_moves(
         covariance: (p, p) of the data and the priors.
     """
     is_length = np.array([p.is_dimension for p in held], dtype=bool)
-    # Recordings may hold different values of one name: each sensitivity is that to what is added to its own.
+    # Recordings may have different values of one name: a sensitivity is to an offset from each value.
     others = [replace(p, offset=True) for p in held if not p.is_dimension]
     lengths = [p for p in held if p.is_dimension]
     result = np.zeros((data.vector.size, len(held)))

@@ -24,8 +24,8 @@ DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0
 HANDBOOK = 0.2
 
 #: The loss a fit starts from where none is known, and how far it may lie off, relative to the real part. A ceramic
-#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2. The permittivities of a soft one at constant strain lose
-#: three times what the sheet states of them at constant stress.
+#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2. The permittivities of a soft one at constant strain have
+#: three times the loss that the sheet states at constant stress.
 CERAMIC_LOSS = 1e-3
 CERAMIC_LOSS_REACH = 5e-2
 PERMITTIVITY_LOSS_REACH = 0.2

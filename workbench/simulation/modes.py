@@ -18,7 +18,7 @@ from geometry.chip import Chip
 from geometry.measure import Straight
 from geometry.names import CAVITY, parent_place
 from materials.registry import Registry
-from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.fields import nodal_components, section_nodes
 from workbench.acoustics.nodal import NodalMesh
 from workbench.fem.capacitance import clamped_capacitance
 from workbench.fem.energy import energy_shares
@@ -29,7 +29,7 @@ from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import plain_words
-from workbench.model.problem import Problem, build, fill, registry_of
+from workbench.model.problem import build, fill, registry_of
 from workbench.physics.orders import ORDER, terms_of_order
 from workbench.results.brief import Brief
 from workbench.results.notebook import Shown, Summary
@@ -165,16 +165,17 @@ def modes(
     if not 0.0 < span[0] < span[1] < math.inf:
         raise InputError("modes", "band", span, "two rising frequencies (Hz)")
     posed = build(device, band=span, accuracy=accuracy)
+    nodal, dofs = section_nodes(posed.mesh)
     found: list[ChipMode] = []
     for k, number in enumerate(values):
         progress("modes", k / len(values))
         is_first = not is_straight and number == 1.0
         terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
         system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
-        found += _described(posed, system, eigenmodes(system, span, least_q=least_q), number, is_straight)
+        found += _described(system, eigenmodes(system, span, least_q=least_q), number, is_straight, nodal, dofs)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
-                 section_nodes(posed.mesh)[0])
+                 nodal)
 
 
 def _checked(
@@ -202,7 +203,7 @@ def _checked(
 
 
 def _described(
-    posed: Problem, system: System, found: Eigenmodes, number: float, is_straight: bool
+    system: System, found: Eigenmodes, number: float, is_straight: bool, nodal: NodalMesh, dofs: NDArray[np.int64]
 ) -> list[ChipMode]:
     """The modes of one order with their energies, losses and couplings."""
     if not found.omega.size:
@@ -213,11 +214,10 @@ def _described(
     loss = _loss_shares(operators, found.states, coefficients)
     capacitances, couplings = _couplings(system, found) if number == 0.0 else np.zeros((2, real.size))
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
-    nodal, dofs = section_nodes(operators.mesh)
     result = []
     for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
-        fields = _nodal(operators, posed, found.states[:, k], nodal, dofs)
+        fields = nodal_components(operators, found.states[:, k], nodal, dofs)
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
                            float(capacitances[k]), float(couplings[k]), own, lost,
@@ -257,26 +257,11 @@ def _couplings(system: System, found: Eigenmodes) -> tuple[Real, Real]:
     return own, np.sqrt(own / (clamped + own))
 
 
-def _nodal(
-    operators: FullOperators, posed: Problem, state: Complex, nodal: NodalMesh, dofs: NDArray[np.int64]
-) -> dict[str, Complex]:
-    """The components of a state at the nodes (N,), or NaN."""
-    padded = np.append(state, 0.0)
-    result = {}
-    for component, rows in operators.numbering.items():
-        values = np.full(len(dofs), np.nan + 0j)
-        for region in {region for term in posed.terms for each, region in term.unknowns
-                       if each == ("u_r" if component == "u_s" else component)}:
-            nodes = nodal.nodes_of([region])
-            values[nodes] = padded[rows[dofs[nodes]]] * operators.shares.get(component, np.ones(rows.size))[dofs[nodes]]
-        result[component] = values
-    return result
-
-
 def _shape(fields: Mapping[str, Complex]) -> Real:
     """Displacement (3, N) at the phase of its maximum, over this maximum."""
-    count = len(fields["u_r"])
-    moved = np.stack([fields.get(name, np.zeros(count)) for name in ("u_r", "u_z", "u_s")])
+    moved = np.stack([fields[name] for name in ("u_r", "u_z", "u_s")])
+    # Modes of order 0 do not move along the third direction.
+    moved[2, np.isnan(moved[2]) & ~np.isnan(moved[0])] = 0.0
     largest = moved.ravel()[np.nanargmax(np.abs(moved))]
     return np.asarray((moved / largest).real)
 
