@@ -23,6 +23,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "chip": "what the whole is called, and the band it is meant for",
         "layers": "the layers from bottom to top, each under `[[layers]]`",
         "cavity": "the ports of the cavity, and whether it is an open well",
+        "features": "parts beside the axis of a round chip, each under `[[features]]`",
         "states": "the states a chip is used in, each under `[states.NAME]`; without any there is one, `default`",
     },
     "`[chip]`": {
@@ -147,6 +148,17 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "through": "points of a spline that leads here from the point before",
         "arc": "a point of a circular arc that leads here",
     },
+    "`[[features]]`, of a round chip": {
+        "kind": "`mass` (solder, glue) or `spring` (a wire, a point support)",
+        "layer": "region of the layer; `transducer` if not given",
+        "face": "its plane face, `top` (if not given) or `bottom`; nothing else touches it there",
+        "distance": "of its centre from the axis",
+        "angle": "its place around the axis; 0 if not given",
+        "diameter": "of the round patch that it covers and moves as a whole",
+        "mass": "of a mass",
+        "stiffness": "of a spring to a fixed point, equal in all directions",
+        "loss": "of a spring: the imaginary part of the stiffness, as a share; 0 if not given",
+    },
     "`ports`, of the cavity": {
         "diameter": "of the channels from the cavity to the outside; only the solid model has them",
         "height": "of their axes above the floor of the cavity; half-way up its tallest layer if not given",
@@ -180,6 +192,7 @@ READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "dimensio
 TAKES: Mapping[str, str] = {
     **dict.fromkeys(("geometry", "symmetry"), "text"),
     "length": f"text with a unit: {', '.join(dict.fromkeys(UNITS['length']))}",
+    "kind": "text", "loss": "a number", "layer": "text", "face": "text", "features": "a list of tables",
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
     "band": "a list of two frequencies", "operating_point": "text", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(

@@ -15,6 +15,7 @@ from typing import Any
 from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text, read_well
 from geometry.dimension import Dimension
+from geometry.features import Feature, check_features, read_features
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.operating_point import check_operating_point, read_operating_point
@@ -44,8 +45,8 @@ class Chip:
     file, ``source`` is the origin of the description and ``file`` the name in error messages. ``unusual`` lists names
     whose values are intended although they look like a slip (`geometry.plausible`). ``measure`` is that of the section:
     about an axis, or straight, where radii are half widths. A cavity that ``is_open`` is a well with a free surface.
-    ``operating_point`` is the drive frequency (Hz) or a word for it (`geometry.operating_point`). ``material_folders``
-    contain the user's own materials.
+    ``operating_point`` is the drive frequency (Hz) or a word for it (`geometry.operating_point`). ``features`` are
+    parts beside the axis of a round chip. ``material_folders`` contain the user's own materials.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
@@ -64,6 +65,7 @@ class Chip:
     measure: Measure = ABOUT_AXIS
     is_open: bool = False
     operating_point: float | str | None = None
+    features: tuple[Feature, ...] = ()
     material_folders: tuple[Path, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +81,7 @@ class Chip:
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file, self.measure)
         check_operating_point(self.operating_point, self.band, self.file)
+        check_features(self.features, self.layers, self.measure, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
                                   measure=self.measure, is_open=self.is_open)
 
@@ -270,7 +273,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
     Raises:
         InputError: the content does not describe a chip.
     """
-    root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
+    root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states", "features"))
     head = root.table("chip").only(
         ("name", "description", "source", "band", "unusual", "geometry", "length", "symmetry",
          "operating_point"))
@@ -293,4 +296,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
         is_open=is_open,
         unusual=unusual,
         operating_point=read_operating_point(head),
+        features=read_features(root),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
+from geometry.features import feature_keys
 from geometry.measure import Straight
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
@@ -60,6 +61,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
         cavity["ports"] = _ports(chip.ports)
     if cavity:
         parts.append(toml_table("[cavity]", cavity))
+    parts += [toml_table("[[features]]", feature_keys(feature)) for feature in chip.features]
     parts += [toml_table(toml_heading("states", state.name), _state(state)) for state in chip.states]
     return "\n".join(parts)
 

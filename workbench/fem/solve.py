@@ -343,14 +343,7 @@ class System:
         states[:free, 0], states[-1, 0] = x, 1.0
         if count > 1:
             change = self.change(frequency, frequency * (1.0 + step))
-            directions = np.empty((free, count - 1), dtype=complex, order="F")
-            for k in range(1, count):
-                image, before = change.times(states[:, k - 1])[:free], directions[:, : k - 1]
-                found = factor.solve_scaled(factor.scale * image)
-                for _ in range(2):
-                    found = found - before @ (before.conj().T @ found)
-                directions[:, k - 1] = found / np.linalg.norm(found)
-                states[:free, k] = factor.scale * directions[:, k - 1]
+            states[:free, 1:count] = krylov(factor, change, states[:, 0], count - 1)
         if tangents:
             changes = self._changes(frequency, states[:, 0], tangents, along)[:free]
             states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
@@ -365,6 +358,23 @@ class System:
             for shape, constants in by_shape.items():
                 slopes[:, column] += shape(omega, self.values)[0] * constants
         return self.operators.images(state, np.asarray(slopes @ moves, dtype=complex))
+
+
+def krylov(factor: Factor, change: SplitMatrix, start: Complex, count: int) -> Complex:
+    """Vectors (size - 1, count) of the Krylov space of A_0^-1 `change`, without its first.
+
+    A_0 is the factorised matrix, `start` (size,) the first vector. The others are orthonormal in the scaled unknowns.
+    """
+    free = start.size - 1
+    directions = np.empty((free, count), dtype=complex, order="F")
+    vector = start
+    for k in range(count):
+        found, before = factor.solve_scaled(factor.scale * change.times(vector)[:free]), directions[:, :k]
+        for _ in range(2):
+            found = found - before @ (before.conj().T @ found)
+        directions[:, k] = found / np.linalg.norm(found)
+        vector = np.append(factor.scale * directions[:, k], 0.0)
+    return np.asarray(factor.scale[:, None] * directions)
 
 
 def factorise(triangle: sparse.csc_array, frequency: float, factorisation: Factorisation | None = None) -> Factor:

@@ -19,6 +19,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "power": {"W": 1.0, "mW": 1e-3},
     "resistance": {"ohm": 1.0, "Ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "mass": {"kg": 1.0, "g": 1e-3, "mg": 1e-6},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "speed": {"m/s": 1.0, "mm/us": 1e3},
     "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "uPa s": 1e-6},
@@ -62,7 +63,7 @@ SPARED = 6
 _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 
 #: The unit of a dimension in messages, if it is not the first one.
-EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
+EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz", "mass": "mg"}
 
 #: Dimensions whose numbers may stand without a unit.
 BARE = ("dimensionless", "permittivity")

@@ -402,10 +402,12 @@ def build(
     skins: Mapping[str, float] | None = None,
     radii: Sequence[float] = (),
     levels: Sequence[float] = (),
+    with_features: bool = False,
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz). The default is the chip's band.
 
-    Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. `accuracy` is the relative
+    It is that of the round chip: a warning says that features of the chip file are left out, unless the caller adds
+    them (`with_features`). Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. `accuracy` is the relative
     accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in `geometry.mesh_size.MeshSize`.
 
     Raises:
@@ -420,6 +422,9 @@ def build(
                radii=radii, levels=levels)
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii,
                               levels=levels)
+    if device.chip.features and not with_features:
+        warnings.warn(LeftOutWarning(f"{device.chip.file}: {len(device.chip.features)} features are left out: only the "
+                                     "spectrum of `simulate` has them"), stacklevel=2)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)

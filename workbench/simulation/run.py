@@ -45,6 +45,7 @@ from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
 from workbench.simulation.fixed_point import warmed
+from workbench.simulation.features import part_of, spectrum_with
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
@@ -237,10 +238,14 @@ def simulate(
     at, drive, lap = at if at is None or isinstance(at, str) else float(at), wired(drive, chip), Laps()
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
+    if chip.features and full:
+        raise InputError("simulate", "full", full, "False for a chip with features: the orders of its fields are coupled "
+                         "by reduced models")
     frequencies = frequency_grid(band_of(chip, band), points)
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
-    problem = build(device, band=span, accuracy=accuracy)
+    radii = {radius for feature in chip.features for radius in part_of(feature).patch.radii}
+    problem = build(device, band=span, accuracy=accuracy, radii=sorted(radii), with_features=True)
     lap("mesh")
     system = System(assemble(problem.mesh, problem.terms), problem.values)
     lap("assembly")
@@ -252,6 +257,10 @@ def simulate(
         energy = energy_spectrum_of(found.model, found.solution, problem.values, chip) if device.is_wet else None
         of_mesh = _mesh_error(found.model, found.frequency, problem, accuracy, progress)
         lap("error of the mesh")
+    more: tuple[str, ...] = ()
+    if chip.features:
+        found, more = spectrum_with(chip, problem, found, progress)
+        lap("features")
     on_spectrum(spectrum := _spectrum_of(found, device, of_mesh))
     merit, reason = measured_figures(spectrum, plate_of(chip, device.materials))
     operating = operating_point(at, chip.operating_point, merit, 0.5 * sum(span), energy, drive, source="simulate")
@@ -266,7 +275,7 @@ def simulate(
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
         seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
         warm=shot.warm, operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
-        findings=(*findings_of(found, relative_error, device, left_out, spectrum, merit), *shot.findings))
+        findings=(*findings_of(found, relative_error, device, left_out, spectrum, merit), *more, *shot.findings))
 
 
 def energy_spectrum(

@@ -1,0 +1,131 @@
+"""The response of fields to loads over a band, by projection on Krylov vectors of a few factorisations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.fem.dense import solve_dense
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.solve import System, krylov, one_thread
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Krylov vectors of each load from a factorisation, and the step of frequency of the change that makes them.
+DEPTH, STEP = 12, 0.01
+
+#: Part of a vector outside the basis, relative to its own, that is left out: a response is off by its square.
+DEPENDENT = 1e-6
+
+#: Most factorisations for one order, and the least before a response counts as converged.
+MOST, LEAST = 12, 2
+
+
+class ResponseNotConverged(RuntimeError):
+    """A response is not accurate after :data:`MOST` factorisations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Fields of a model under unit loads at zero voltage, over a band.
+
+    ``compliance`` (n, k, k) are the works l_i^T A^-1 l_j of the load i on the fields of the load j. The fields are the
+    real ``basis`` (size - 1, r) times ``coordinates`` (k, r, n). ``error`` is the largest relative error of the
+    compliance at the last factorised frequency, before its vectors were added.
+    """
+
+    compliance: Complex
+    basis: Real
+    coordinates: Complex
+    error: float
+
+    def fields(self, index: int) -> Complex:
+        """The fields (size - 1, k) at one frequency."""
+        return np.asarray(self.basis @ self.coordinates[:, :, index].T)
+
+
+def response(system: System, loads: Real, frequencies: Real, tolerance: float) -> Response:
+    """The response to `loads` (size, k) at frequencies (n,) in Hz, to a relative `tolerance`.
+
+    Frequencies are factorised where the response changed most, until it was right there beforehand.
+
+    Raises
+    ------
+    NotConverged : the model is singular at one of these frequencies.
+    ResponseNotConverged : the error is above the tolerance after the last factorisation.
+    """
+    with one_thread():
+        return _response(system, loads[:-1], frequencies, tolerance)
+
+
+def _response(system: System, loads: Real, frequencies: Real, tolerance: float) -> Response:
+    factors = system.factors(frequencies)
+    # The basis is orthonormal in the scaled unknowns of the first factorisation.
+    basis, scale = np.zeros((len(loads), 0)), np.ones((len(loads), 1))
+    change = np.ones(frequencies.size)
+    found, error, done = None, np.inf, list[int]()
+    while len(done) < MOST:
+        at = _next(frequencies, change, done)
+        done.append(at)
+        factor = system.factored(float(frequencies[at]))[1]
+        states = np.stack([factor.solve(load.astype(complex))[0] for load in loads.T], axis=1)
+        exact = loads.T @ states
+        if found is not None:
+            error = float(np.abs(found.compliance[at] - exact).max() / np.abs(exact).max())
+        vectors = [states]
+        moved = system.change(float(frequencies[at]), float(frequencies[at]) * (1.0 + STEP))
+        vectors += [krylov(factor, moved, np.append(state, 0.0), DEPTH - 1) for state in states.T]
+        if found is None:
+            scale = factor.scale[:, None]
+        basis = np.hstack([basis, _outside(np.hstack(vectors) / scale, basis)])
+        before, found = found, _projected(system, loads, scale * basis, factors, error)
+        if before is not None:
+            size = np.abs(found.compliance).max(axis=(1, 2))
+            change = np.abs(found.compliance - before.compliance).max(axis=(1, 2)) / size
+        if len(done) >= LEAST and error <= tolerance:
+            return found
+    raise ResponseNotConverged(
+        f"the response to a load is off by {error:.1e} (relative) at {frequencies[done[-1]]:.6g} Hz after {MOST} "
+        f"factorisations, above {tolerance:.0e}; narrow the band")
+
+
+def _next(frequencies: Real, change: Real, done: list[int]) -> int:
+    """The index of the next frequency: the middle, then where the response changed, away from those done."""
+    if not done:
+        return frequencies.size // 2
+    apart = np.abs(frequencies[:, None] - frequencies[done]).min(axis=1)
+    return int(np.argmax(apart * change))
+
+
+def _outside(vectors: Complex, basis: Real) -> Real:
+    """Orthonormal real directions of complex vectors outside a basis."""
+    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    parts = np.hstack([vectors.real, vectors.imag])
+    for _ in range(2):
+        parts = parts - basis @ (basis.T @ parts)
+    columns, sizes, _ = np.linalg.svd(parts, full_matrices=False)
+    return np.asarray(columns[:, sizes > DEPENDENT])
+
+
+def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> Response:
+    """The response on a basis (size - 1, r)."""
+    operators = system.operators
+    whole = np.vstack([basis, np.zeros((1, basis.shape[1]))])
+    reduced = ReducedOperators(operators.integrals, operators.coefficients, operators.project(whole), operators.forms)
+    groups = operators.coefficients.groups(np.ones(1), system.values)
+    matrices = reduced.combinations(np.array([constants for _, constants in groups]))
+    inner = basis.T @ loads
+    coordinates = np.stack([_solved(factors, matrices, load) for load in inner.T])
+    return Response(np.einsum("ri,jrn->nij", inner, coordinates), basis, coordinates, error)
+
+
+def _solved(factors: Complex, matrices: Complex, load: Real) -> Complex:
+    """Coordinates (r, n) under a load (r,) without dependence on frequency."""
+    count, rank = len(matrices), load.size
+    bordered = np.zeros((count + 1, rank + 1, rank + 1), dtype=complex)
+    bordered[:count, :rank, :rank] = matrices
+    bordered[count, :rank, rank] = bordered[count, rank, :rank] = -load
+    return solve_dense(np.vstack([factors, np.ones((1, factors.shape[1]))]), bordered).states[:-1]

@@ -1,0 +1,182 @@
+"""Parts at a place beside the axis of a round chip, which couple the orders of its fields.
+
+A rigid part on a small patch adds the dynamic stiffness d (-w^2 m of a mass m) times the square of the patch's mean
+displacement l^T x. The chip without it has one system A_m for each order m, and only order 0 is driven. With the
+compliance G, the sum over all orders of l^T A_m^-1 l, and the mean displacement y = l^T x_0 of the driven chip, the
+charge changes by
+
+    Q - Q_0 = -y^T (1 + D G)^-1 D y .
+
+Parts at several angles couple through cos and sin of m times their differences. The sum over
+high orders is that of an elastic half-space, fitted to the last ones (`workbench.fem.half_space`). Orders are added
+until this total stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.features import Feature
+from workbench.fem.half_space import FITTED, HalfSpace, fitted
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.patch import ALONG, AWAY, UP, NoFreeFace, Patch, patch_forms
+from workbench.fem.solve import System
+from workbench.files.errors import InputError
+from workbench.jobs.progress import Progress, no_progress
+from workbench.model.problem import Problem
+from workbench.physics.orders import ORDER, terms_of_order
+from workbench.reduced.response import response
+from workbench.simulation.solved_spectrum import SolvedSpectrum
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Most orders.
+MOST_ORDERS = 200
+
+
+class OrdersNotConverged(RuntimeError):
+    """The sum over orders is not converged after :data:`MOST_ORDERS`."""
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """A rigid part on a ``patch`` at an ``angle`` (rad), of ``mass`` (kg) and ``stiffness`` (N/m) to a fixed point.
+
+    The stiffness is complex with a loss, e^{-i w t}.
+    """
+
+    patch: Patch
+    angle: float = 0.0
+    mass: float = 0.0
+    stiffness: complex = 0.0
+
+    def dynamic_stiffness(self, frequencies: Real) -> Complex:
+        """Force over displacement (n,) in N/m at frequencies (n,) in Hz."""
+        return np.asarray(self.stiffness - (2.0 * np.pi * frequencies) ** 2 * self.mass)
+
+
+def part_of(feature: Feature) -> RigidPart:
+    """The rigid part of a chip's feature."""
+    patch = Patch(feature.region, feature.face == "top", feature.distance, 0.5 * feature.diameter)
+    return RigidPart(patch, feature.angle, feature.mass, feature.stiffness * (1.0 - 1j * feature.loss))
+
+
+def spectrum_with(
+    chip: Chip, posed: Problem, found: SolvedSpectrum, progress: Progress
+) -> tuple[SolvedSpectrum, tuple[str, ...]]:
+    """The spectrum of a reduced model with the features of the chip, and findings on them.
+
+    Raises
+    ------
+    InputError : a feature is not on a free plane face.
+    NotConverged, ResponseNotConverged, OrdersNotConverged : see :func:`coupled`.
+    """
+    assert found.model is not None
+    assert found.solution is not None
+    parts = [part_of(feature) for feature in chip.features]
+    try:
+        driven = [patch_forms(found.model.full, part.patch, 0).T @ (found.model.basis @ found.solution.states)
+                  for part in parts]
+    except NoFreeFace as error:
+        (index,) = (i for i, part in enumerate(parts) if part.patch is error.patch)
+        raise InputError(chip.file, f"features[{index}].distance", str(chip.features[index]),
+                         "a patch on a plane face that nothing else touches") from None
+    change = coupled(posed, parts, found.frequency, driven, progress=progress)
+    before, charge = found.impedance, found.solution.charge
+    impedance = before * charge / (charge + change.charge)
+    largest = 100.0 * float(np.abs(np.log(impedance / before)).max())
+    listed = "; ".join(map(str, chip.features))
+    return replace(found, impedance=impedance), (
+        f"{listed}: ln Z changes by up to {largest:.3g} % ({change.orders} orders, the last ones moved this by "
+        f"{100.0 * change.moved:.1g} %)", "fields, energies, traps and heat are those of the chip without its features")
+
+
+@dataclass(frozen=True, eq=False)
+class Coupled:
+    """The change of the charge (n,) in C at 1 V by rigid parts, and the number of ``orders`` that it needed.
+
+    ``moved`` is the part of the largest change by which the total moved in the last orders, ``error`` the largest
+    relative error of a compliance.
+    """
+
+    charge: Complex
+    orders: int
+    moved: float
+    error: float
+
+
+def coupled(
+    posed: Problem, parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], *,
+    tolerance: float = 1e-3, progress: Progress = no_progress,
+) -> Coupled:
+    """The change of the charge by rigid `parts`.
+
+    Parameters
+    ----------
+    posed : the round chip.
+    frequencies : (n,) Hz.
+    driven : mean displacements (3, n) in m at 1 V of the patch of each part, without the parts.
+    tolerance : of the charge's change.
+
+    Raises
+    ------
+    NotConverged, ResponseNotConverged : a solve of an order fails.
+    OrdersNotConverged : too many orders matter.
+    """
+    count = len(parts)
+    directions = (AWAY, UP, ALONG) if count > 1 else (AWAY, UP)
+    size = len(directions)
+    displacement = np.vstack([each[list(directions)] for each in driven])
+    stiffness = np.repeat(np.array([part.dynamic_stiffness(frequencies) for part in parts]), size, axis=0)
+    compliance = np.zeros((frequencies.size, count * size, count * size), dtype=complex)
+    angle = np.repeat([part.angle for part in parts], size)
+    is_along = np.tile(np.array(directions) == ALONG, count)
+    space = HalfSpace([part.patch for part in parts], np.array([part.angle for part in parts]))
+    above, error, totals = space.total, 0.0, list[Complex]()
+    last, spaces = list[Complex](), list[Real]()
+    operators: FullOperators | None = None
+    for order in range(MOST_ORDERS):
+        if order <= 2:
+            operators = assemble(posed.mesh, terms_of_order(posed.terms, is_first=order == 1) if order else posed.terms)
+        assert operators is not None
+        system = System(operators, {**posed.values, ORDER: float(order)})
+        forms = np.hstack([patch_forms(operators, part.patch, order)[:, list(directions)] for part in parts])
+        acting = forms.any(axis=0)
+        if acting.any():
+            found = response(system, forms[:, acting], frequencies, tolerance)
+            error, own = max(error, found.error), np.zeros_like(compliance)
+            own[:, *np.ix_(acting, acting)] = found.compliance
+            turn = order * (angle[:, None] - angle)
+            compliance += own * np.where(is_along[:, None] == is_along, np.cos(turn),
+                                         np.where(is_along, np.sin(turn), -np.sin(turn)))
+            last = [*last[1 - FITTED:], own[:, range(len(angle)), range(len(angle))]]
+            spaces = [*spaces[1 - FITTED:], np.repeat(np.diagonal(space.order(order), axis1=1, axis2=2), size, axis=1)]
+            above = above - space.turned(order)
+        elif order:
+            # A patch about the axis moves with orders 0 and 1 alone.
+            return Coupled(_charge(displacement, stiffness, compliance), order, 0.0, error)
+        progress("orders of the features", 1.0 - 1.0 / (1.0 + order / 20.0))
+        if order < FITTED:
+            continue
+        constants = fitted(np.array(last), np.array(spaces))
+        pairs = 0.5 * (constants[:, :, :, None] + constants[:, :, None])
+        rest = np.einsum("pnij,pij->nij", pairs, np.kron(above, np.eye(size)))
+        totals.append(_charge(displacement, stiffness, compliance + rest))
+        moved = float(np.abs(totals[-1] - totals[max(0, len(totals) - 1 - FITTED):]).max() / np.abs(totals[-1]).max())
+        if len(totals) > FITTED and moved <= tolerance:
+            return Coupled(totals[-1], order + 1, moved, error)
+    raise OrdersNotConverged(f"the total of {MOST_ORDERS} orders still moves by {moved:.1e}")
+
+
+def _charge(displacement: Complex, stiffness: Complex, compliance: Complex) -> Complex:
+    """The change of the charge (n,)."""
+    y, d = displacement.T, stiffness.T
+    coupling = np.eye(y.shape[1]) + d[:, :, None] * compliance
+    return -np.einsum("ni,ni->n", y, np.linalg.solve(coupling, (d * y)[:, :, None])[:, :, 0])
+
