@@ -28,9 +28,10 @@ PARCEL = 50
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Figures at ``points`` (n, inputs): ``values`` (n, figures), NaN where there is none.
+    """Figures at ``points`` (n, inputs).
 
-    ``missing`` counts, by figure, why there was none; ``error`` is the largest estimated relative error of Z.
+    ``values`` (n, figures) are NaN for figures that do not exist. ``missing`` counts the reasons, by figure. ``error``
+    is the largest estimated relative error of Z.
     """
 
     figures: tuple[str, ...]
@@ -48,7 +49,10 @@ def evaluate(
     evaluator: Evaluator, uncertainty: Uncertainty, points: Real, *, workers: Workers | None = None,
     progress: Progress = no_progress,
 ) -> Outcomes:
-    """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`, by `workers` or by this process."""
+    """The figures at `points` (n, inputs), by `workers` or this process.
+
+    The columns of `points` are the inputs of `uncertainty`.
+    """
     labels, workers = tuple(evaluator.figures), workers or Workers()
     workers.share(itself, evaluator)
     found: list[Evaluation | None] = [None] * len(points)
@@ -68,7 +72,10 @@ def evaluate(
 
 
 def parcels(rows: Indices, points: Real, names: Sequence[str]) -> Iterator[tuple[Indices, Task[list[Evaluation]]]]:
-    """Tasks of a shared evaluator, each with its `rows`: the figures at their `points` (n, numbers called `names`)."""
+    """Tasks of a shared evaluator, each with its `rows`.
+
+    A task gives the figures at its `points` (n, numbers), whose columns are `names`.
+    """
     for at in np.split(np.arange(len(rows)), range(PARCEL, len(rows), PARCEL)):
         yield rows[at], partial(_evaluated, names=tuple(names), rows=rows[at], points=points[at])
 
