@@ -37,7 +37,7 @@ from workbench.model.problem import fill
 Real = NDArray[np.float64]
 
 _KEYS = ("from", "to", "points", "values", "tolerance", "materials")
-#: Keys that no others of a range go with, in words.
+#: Keys that exclude the other keys of a range, in words.
 _RIVALS = {"values": "values, or a range", "tolerance": "a tolerance, or from and to"}
 _EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for the material of a region, '
             '{ materials = [...] }')
@@ -105,7 +105,7 @@ def _number_axis(
     written: str, entry: FileTable, chip: Chip, common: Mapping[str, Sequence[Number]], others: Collection[str]
 ) -> VariedNumber:
     owners = {ParameterName.parse(name).owner for name in {*common, *others}}
-    # ``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name.
+    # ``pla.density`` means ``pla/acevedo_2026.density`` if that is the only material of that name.
     full = full_names(written, (owner for owner in owners if "/" in owner))
     name = full[0] if len(full) == 1 else written
     if name in others:

@@ -43,24 +43,23 @@ from workbench.reduced.ranges import RangeModel, Ranges, range_keys
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Points of the ranges that the full model is first solved at, for each parameter and at least, and points by which the
-#: basis is checked in a round.
+#: Points of the first full solves, per parameter and at least; and points that check the basis in each round.
 TAKEN, LEAST, CHECKED = 3, 10, 4
 #: Most rounds of further points.
 ROUNDS = 8
-#: Points of the ranges that the rough spectrum is made for, for each parameter and at least.
+#: Points at which the rough spectrum is made, per parameter and at least.
 SWEPT, FEWEST = 5, 16
-#: Relative error of |Z| that is left to the rough spectrum: two resonances whose depths differ less may be confused.
+#: Relative error of |Z| of the rough spectrum: two resonances whose depths differ less may be confused.
 ROUGH = 0.03
 #: Part of the level below which a peak of the energy is too low to be the largest one: a tenth of its energy.
 DEEP = 0.5 * float(np.log(10.0))
 #: Points of the rough spectrum for the half-power width of the narrowest resonance met.
 ACROSS = 3
-#: A basis that is not as good as asked for keeps directions smaller by this.
+#: Factor on the smallest direction that a basis keeps, for each attempt at a smaller error.
 FINER = 0.5
-#: The states' first-order change by a parameter is taken over this part of its range: from there on other points count.
+#: Part of a parameter's range for the states' first-order change: beyond it, other points contribute.
 REACH = 0.25
-#: The pressure is first order in what a basis leaves out, Z is second order: so many times the tolerance of Z is left.
+#: Tolerance of the pressure over that of Z: the pressure is first order in the error of the basis, Z second order.
 OF_PRESSURE = 5.0
 
 
@@ -227,7 +226,7 @@ def _sampled(
     values = placed(made.problem.values, dict(zip(made.ranges, map(float, point), strict=True)))
     system = ReducedSystem(made.compact.operators, values)
     sweep, model = system.sweep(made.frequency), Responding(system, values, sound)
-    # The impedance's resonance counts where nothing is followed, too.
+    # The impedance's resonance counts even if no resonance is followed.
     level = {each: each.sampled(model, sweep) for each in responses or (Impedance(),)}
     lowest = [int(np.argmin(each)) if (index := response.deepest(each)) is None else index
               for response, each in level.items()]

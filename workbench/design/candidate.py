@@ -120,7 +120,7 @@ def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers)
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
-            # A hundredth of the scale in the unit of the bound; of two ends the text says which one is meant.
+            # A hundredth of the scale in the unit of the bound; of two ends the text names the active one.
             figure = None if bound.of_lengths else figure_named(bound.figure)
             factor, unit = (1e-6, "um") if figure is None else (figure.factor, figure.shown)
             which = f" ({'lower' if bound.above else 'upper'} end)" if "within" in bound.text else ""

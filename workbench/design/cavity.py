@@ -42,11 +42,11 @@ from workbench.model.particles import Particle, compressibility, viscous_scatter
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Degree in s and in t beyond half of the phase k R, or k H, across the cavity: from there on the coefficients of a
-#: wave fall faster than geometrically (Jacobi-Anger); ten leave 1e-7.
+#: Degree in s and in t beyond half of the phase k R, or k H, across the cavity: beyond it the coefficients of a wave
+#: fall faster than geometrically (Jacobi-Anger). With ten the residual is 1e-7.
 BEYOND = 10
 
-#: The fields that are squares of the pressure's, in this order.
+#: Indices of the quadratic fields of the pressure.
 POTENTIAL, SQUARE, ENERGY = range(3)
 
 
@@ -54,7 +54,7 @@ POTENTIAL, SQUARE, ENERGY = range(3)
 OF_FLUID = ("density", "sound_speed", "shear_viscosity")
 
 
-#: The scalars that squares of the pressure depend on besides, by name: ``frequency`` Hz, ``width`` (of a round cavity
+#: The scalars that these fields depend on too, by name: ``frequency`` Hz, ``width`` (of a round cavity
 #: its radius) and ``height`` m, and :data:`OF_FLUID` where known, in kg/m^3, m/s and Pa s.
 Surroundings = Mapping[str, Dual]
 
@@ -290,7 +290,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     for k, each in enumerate(changes):
         length = np.linalg.norm(each)
         if length > 0.0:
-            # Of a quadratic form half the difference of its values on both sides is the derivative, exactly.
+            # Half the central difference is the exact derivative of a quadratic form.
             step = (size / length) * each
             both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
             gradient[k] = (0.5 * length / size) * both

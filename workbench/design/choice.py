@@ -21,10 +21,10 @@ from workbench.design.search import Attempt, Optimum, front, optima, search_all
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
 
-#: Called with a chip that is not confirmed and its point on the model, as each is found.
+#: Called with each chip that is found but not confirmed, and its point on the model.
 Keep = Callable[[Chip, ProgrammePoint], object]
 
-#: Distinct optima of a choice from which a robust one is looked for.
+#: Distinct nominal optima of a choice from which robust descents start.
 RUNNERS_UP = 3
 
 
@@ -81,7 +81,7 @@ class ChoiceSearch:
         attempts: list[Attempt] = []
         for models in range(1, goal.search.moves + 2):
             modelling = modelled(goal, self.selection, about, half_widths, self.solver, self.say, self.scenarios)
-            # The search is on the nominal chip, but for a front and for tolerances.
+            # The search is on the nominal chip, except for a front and for tolerances.
             nominal = modelling.programme
             programme = replace(nominal, scenarios=self.scenarios)
             if not goal.unknowns:

@@ -23,31 +23,31 @@ Real = NDArray[np.float64]
 #: Change of the objective (natural logarithm of the figure) below which a descent has ended.
 CONVERGED = 1e-6
 
-#: Derivative of the objective over the whole range of an unknown that a stationary point may be left with. Doubled,
+#: Largest residual derivative of the objective, over the whole range of an unknown, at a stationary point. Doubled,
 #: ends would differ by twice as much in a flat valley.
 STATIONARY = 1e-3
 
 #: A margin (in scales), or a distance to the end of a range (in ranges), below which a bound is active.
 ACTIVE = 1e-4
 
-#: Where a descent gets stuck, as where the resonance changes to another one, it goes on within a box around the best
-#: point, whose half-width (in ranges) shrinks by this factor from the whole range down to the last one.
+#: A descent that gets stuck, as when the resonance changes to another one, continues within a box around the best
+#: point. The half-width of the box (in ranges) shrinks by the first number, from the whole range down to the second.
 SHRINKING, SMALLEST = 0.25, 0.02
 
-#: Times that it goes on without finding anything better.
+#: Most such rounds in a row without a better point.
 STALLED = 2
 
 #: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
-#: Objective of points that break a bound, less their violation: the logarithm of a figure is far below.
+#: Offset of the objective of infeasible points, to which their violation adds: logarithms of figures are far below.
 BROKEN = 1e3
 
-#: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
-#: objective are rounded to the nearest step at first.
+#: Most combinations of rounding up and down that are tried; with more stepped lengths, those with the least effect on
+#: the objective are rounded to the nearest step at first.
 CORNERS = 16
 
-#: Evaluations without anything better after which a round ends: a line search takes ten at most.
+#: Evaluations without a better point after which a round ends: a line search takes ten at most.
 PATIENCE = 12
 
 
@@ -165,7 +165,7 @@ def _follow(
         point = clipped(x)
         if point.exists:
             return point.objective, point.slope
-        # No figures: worse than all that is known, so that the line search comes back.
+        # Without figures a point is worse than all others, so that the line search turns back.
         worst = max((each.objective for each in points if each.exists), default=0.0)
         return worst + PENALTY, np.zeros(len(x))
 
@@ -213,7 +213,7 @@ def round_to_grid(
     leverage = {each: abs(float(slope)) * each.step / extent for each, slope, extent in slopes if each.step is not None}
     if not leverage:
         return programme, found
-    # The nearest step, then the other one of the two beside the length.
+    # The nearest step, then the one on the other side of the length.
     choices = {each: (nearest := each.round(lengths[each.name]), *(
         value for value in each.beside(lengths[each.name])
         if value != nearest and abs(value - lengths[each.name]) < (each.step or 0.0))) for each in leverage}

@@ -20,8 +20,8 @@ from workbench.model.drive import Drive, VoltageDrive
 
 Real = NDArray[np.float64]
 
-#: Figures that are the same at every drive, and those that are the same at every voltage: the peak of the energy, which
-#: the drive follows, is elsewhere under a constant power or behind a generator.
+#: Figures that are the same at every drive, and those that are the same at every voltage. The latter depend on the peak
+#: of the energy, which moves under a constant power or behind a generator.
 UNDRIVEN = ("f0", "z_min", "q")
 OF_VOLTAGE = ("trap_height", "trap_offset", "trap_radius", "peak_frequency", "peak_q")
 

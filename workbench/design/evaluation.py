@@ -204,7 +204,7 @@ def responses(figures: Collection[str], *operations: Operation) -> tuple[Resonan
     return tuple(dict.fromkeys(found))
 
 
-#: A rough model and its spectrum over the band, made where a resonance is looked for.
+#: Makes a rough model and its spectrum over the band, to locate resonances.
 Sweep = Callable[[], tuple[Responding, Solution]]
 
 

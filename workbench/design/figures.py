@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 from workbench.files.errors import InputError, choose
 
-#: Units of changes where those of the figure itself are too large, and their factors to SI.
+#: Units for changes of a figure if its own unit is too large, and their factors to SI.
 OF_CHANGES = {"MHz": ("kHz", 1e3)}
 
-#: Head of the name of the share of the power that is lost in a region; the region follows.
+#: Prefix of the figure "share of the power lost in a region"; the region follows.
 LOSS_SHARE = "loss."
 
 
@@ -68,7 +68,7 @@ def with_parts(names: Iterable[str]) -> tuple[str, ...]:
     """The figures and those that they are quotients of, each once."""
     return tuple(dict.fromkeys(each for name in names for each in (*QUOTIENTS.get(name, ()), name)))
 
-#: Figures by name; ``loss.<region>`` besides, for every region of a chip.
+#: Figures by name. Every region of a chip has a further one, ``loss.<region>``.
 FIGURES: Mapping[str, Figure] = {each.name: each for each in _ALL}
 
 

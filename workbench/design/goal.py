@@ -56,15 +56,14 @@ from workbench.model.drive import Drive, read_drive
 from workbench.model.numbers import Law
 from workbench.model.problem import fill
 
-#: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
-#: 95 % of the chips.
+#: The objective "largest common factor of all tolerances with which 95 % of the chips satisfy every bound of a figure".
 TOLERANCE = "tolerance"
 
-#: Figures of either sign, which can be kept to but not be best at.
+#: Figures of either sign, which can have bounds but not be objectives.
 SIGNED = ("trap_offset", "trap_radius")
 
 #: Most combinations of stock lengths and materials that are searched one by one, each on a model of its own. Twice as
-#: many take twice the time; beyond, stock lengths are searched on one model that covers them all.
+#: many take twice the time. With more, stock lengths need one model that covers them all.
 ENUMERATED = 12
 
 _EXAMPLE = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'

@@ -37,11 +37,11 @@ from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numb
 from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits, placed
 from workbench.model.problem import FilledChip, fill
 
-#: Of a fluid, what the model holds as a number of its own; its losses follow from others.
+#: The parameters of a fluid in the model; its losses follow from others.
 FLUID_NUMBERS = ("density", "sound_speed")
 
 _STATEMENT = re.compile(r"\s*(?P<name>[^=\s]+)\s*=\s*(?P<amount>.*?)\s*")
-#: An amount, and the word behind its unit: what follows a bare number is a unit.
+#: An amount, and the word after its unit: a word after a bare number is a unit.
 _AMOUNT = re.compile(r"(?P<amount>.*?)(?:(?<=[^\d\s])\s+(?P<word>[A-Za-z]{5,}))?")
 _WORDS = (*get_args(Law), "standard")
 

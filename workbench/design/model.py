@@ -67,9 +67,9 @@ from workbench.results.spectrum import Spectrum
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Relative error of Z of the range model that says where resonances are.
+#: Relative error of Z of the range model, which locates resonances.
 SWEEP = 0.01
-#: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
+#: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come from full solves.
 TOLERANCE = 1e-5
 #: Number of the layout of a stored model; raise it where the layout changes.
 FORMAT = 2

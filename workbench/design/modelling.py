@@ -33,22 +33,22 @@ from workbench.reduced.ranges import NotCovered
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
-#: Called with what is done within one row, and the share of it that is done.
+#: Called with the present task within one row, and the share that is done.
 Say = Callable[[str, float], None]
-#: The lowest and highest length (m) by name that a model is made for, and half the extent of it.
+#: The lowest and highest length (m) of a model, by name; and half the extent.
 Box = Mapping[str, tuple[float, float]]
 HalfWidths = Mapping[str, float]
 
 #: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
 SOLVES = 250
 
-#: A box may be halved so often before a model of it is given up.
+#: Most times that a box is halved before its model is given up.
 HALVED = 4
 
-#: Distance (share of the box's width) from a side of its box within which an optimum lies on it.
+#: Distance (share of the box's width) within which an optimum counts as on a side of its box.
 ON_SIDE = 1e-3
 
-#: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
+#: Frequencies of a plotted spectrum, and its relative error, which is invisible in a plot.
 DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 

@@ -23,13 +23,13 @@ from workbench.fem.dual import Dual
 
 Real = NDArray[np.float64]
 
-#: A margin (in scales) that still counts as kept: a hundredth of the 1 % that a full solve confirms, and far above what
-#: a search, or the rounding of lengths to nanometres, leaves of an active bound (some 1e-6).
+#: Largest violation (in scales) of a bound that counts as satisfied: a hundredth of the 1 % that a full solve confirms,
+#: and far above the residual of a search, or of rounding lengths to nanometres, at an active bound (some 1e-6).
 KEPT = 1e-4
 
-#: Standard deviations that 95 % of a normal law are below: with them every bound holds for 95 % of the chips.
+#: Standard deviations of the one-sided 95 % quantile of a normal law.
 ONE_SIDED = 1.645
-#: The smallest common factor of tolerances that counts as one.
+#: The smallest common factor of tolerances: smaller ones count as this one.
 NO_TOLERANCE = 1e-6
 
 
@@ -201,7 +201,7 @@ class NonlinearProgramme:
         if self.scenarios is not None and self.sampled:
             offsets += self.scenarios.samples
         moved = ({name: known.get(name, 0.0) + offset for name, offset in each.items()} for each in offsets)
-        # Tolerances are judged by slopes.
+        # Tolerances need gradients.
         return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
 
     def point(self, x: Real, evaluations: Sequence[Evaluation]) -> ProgrammePoint:
@@ -215,7 +215,7 @@ class NonlinearProgramme:
                                   np.full((m, n), math.nan), nominal, missing)
         units = dict(zip((each.name for each in self.variables), np.diag(self.extent), strict=True))
         known = {name: Dual(value, units.get(name, np.zeros(n))) for name, value in {**self.fixed, **lengths}.items()}
-        # Numbers to be small, of every chip that is judged: the loss, and margins with the other sign.
+        # Quantities to minimise, for every chip: the loss, and the negative margins.
         small = [[self._loss(each), *(bound.margin(known if bound.of_lengths else {
             bound.figure: self._figure(each, bound.figure)}) * -1.0 for bound in self.bounds)] for each in judged]
         values = np.array([[each.value for each in row] for row in small]).T

@@ -21,8 +21,8 @@ from workbench.jobs.workers import Task, Workers, itself
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Points that a worker does at a time, about a second's work, which a kill loses at most for each worker. Half as many
-#: would double the share of the time that goes into sending models, some 2 %.
+#: Points that a worker evaluates at a time, about a second's work: a kill loses at most this for each worker. Half as
+#: many would double the share of the time for sending models, some 2 %.
 PARCEL = 50
 
 
@@ -85,7 +85,7 @@ def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, poi
     with one_thread():
         for row, point in zip(rows, points, strict=True):
             try:
-                # By place: of radii that coincide the model has another name.
+                # By position: radii that coincide have another name in the model.
                 found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
             except Exception as error:
                 if is_shortage(error):

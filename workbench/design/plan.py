@@ -166,7 +166,7 @@ class Study:
             discretisation(self.accuracy)
         except InputError as error:
             raise head.error("accuracy", error.expected) from None
-        # So that a mistake is answered where the study is made, not where its points are first asked for.
+        # Sample now, so that a mistake raises here and not at the first use of the points.
         _ = self.sample
 
     @cached_property

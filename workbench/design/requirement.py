@@ -111,7 +111,7 @@ def parse_requirement(
         return Requirement(text, figure, drive, low=low, high=high)
     centred = _CENTRED.fullmatch(what)
     written = what if centred is None else centred["margin"]
-    # A figure in per cent has its margin in per cent.
+    # The margin of a figure in per cent is absolute.
     relative = written.rstrip().endswith("%") and figure.shown != "%"
     margin = number(written, "dimensionless" if relative else figure.dimension)
     centre = None if centred is None else number(centred["centre"])
@@ -197,11 +197,11 @@ def parse_bounds(
     """
     found = _LENGTHS.fullmatch(text)
     words = re.findall(r"[\w.]+", found["sum"]) if found else []
-    # A sum is meant to be one of lengths if it names one, or adds up.
+    # It is a sum of lengths if it names a length, or has several terms.
     if found and (len(words) > 1 or lengths.keys() & words):
         weights = _weights(found["sum"], lengths, source=source, field=field)
         limit = parse_quantity(found["limit"], "length", source=source, field=f'{field} "{text}"')
-        # A clearance of zero is given in millimetres.
+        # A limit of zero has the scale of a millimetre.
         return (Bound(weights, limit, found["sign"] == ">=", abs(limit) or 1e-3, text, True),)
     required = parse_requirement(text, regions, source=source, field=field)
     if required.drive is not None and required.drive != drive:

@@ -34,9 +34,9 @@ Complex = NDArray[np.complex128]
 HALF = 0.5 * math.log(2.0)
 #: Relative change of a frequency below which Newton's method has converged: a millihertz of a megahertz.
 CONVERGED = 1e-9
-#: Difference of two levels that rounding makes.
+#: Difference of two levels due to rounding.
 ROUNDING = 1e-12
-#: Most steps of it; it falls back on bisection, which gains a bit each.
+#: Most steps of Newton's method; it falls back on bisection, which gains one bit a step.
 STEPS = 60
 
 
@@ -229,7 +229,7 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         if not low < further < high:
             further = 0.5 * (middle + (high if high - middle > middle - low else low))
         there = level(further)
-        # To rounding, a flatter place is a lower one.
+        # Within rounding, a flatter place counts as lower.
         if there.value < here.value or (there.value <= here.value + ROUNDING and abs(there.slope) < abs(here.slope)):
             low, high = (middle, high) if further > middle else (low, middle)
             middle = further

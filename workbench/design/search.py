@@ -25,7 +25,7 @@ from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
 
-#: Points closer than this in every unknown lead to the same end as a rule: one of them is enough to descend from.
+#: Points closer than this in every unknown usually lead to the same end: only one of them starts a descent.
 BESIDE = 0.1
 
 
@@ -67,7 +67,7 @@ def attempt(
     free = [each.name not in stock for each in programme.variables]
     programme = programme.holding(stock)
     size = len(programme.variables)
-    # A power of two, as Sobol points are even in; what is beyond is not looked at.
+    # Sobol points are even in powers of two; surplus points are not evaluated.
     drawn = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number])).random_base2(
         math.ceil(math.log2(search.looked_at)))[: search.looked_at] if size else ()
     looked_at = sorted((programme(x, gradient=False) for x in drawn), key=lambda each: each.rank)

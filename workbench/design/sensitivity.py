@@ -31,7 +31,7 @@ from workbench.model.numbers import Number
 
 Real = NDArray[np.float64]
 
-#: Change of a number whose uncertainty nobody states, relative: the unit of its influence.
+#: Relative change of a number without a stated uncertainty: the unit of its influence.
 SHARE = 0.01
 
 #: Confidence of the intervals of Sobol indices.
@@ -146,20 +146,20 @@ def sobol(
     size, asked, seen = len(uncertainty.inputs), tuple(evaluator.figures), list[Real]()
 
     def outcome(points: Real) -> Real:
-        # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
+        # One row an input; scipy requests A, B, and A with the columns of B, all at once.
         before, whole = sum(map(len, seen)), count * (2 + size)
         seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=lambda _text, share: progress(
             "Sobol indices", (before + share * points.shape[1]) / whole)).values)
         return seen[-1].T
 
-    # An index that is the same in every resample has no interval, which is what the warning says.
+    # An index that is the same in every resample has no interval: scipy warns of it.
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = sobol_indices(func=outcome, n=count, dists=[_distribution(each) for each in uncertainty.inputs],
                               rng=np.random.default_rng(seed))
         spread = found.bootstrap(confidence_level=CONFIDENCE)
     values = np.concatenate(seen)
-    # Of these scipy says 0.
+    # For these scipy gives 0.
     unknown = ~np.isfinite(values).all(axis=0) | (np.ptp(values, axis=0) == 0.0)
 
     def rows(indices: object) -> Real:

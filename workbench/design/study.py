@@ -30,7 +30,7 @@ from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, by_part, no_progress
 from workbench.jobs.workers import Workers, begin_workers, check_jobs
 
-#: Tasks given to each worker: one waits while one is done.
+#: Tasks given to each worker: one waits while one runs.
 AHEAD = 2
 
 
@@ -92,7 +92,7 @@ def _points_of(
     if left.size:
         show("model", 0.0)
         model = models.model(plan, part, kept.model(part), lambda _text, share: show("model", share))
-        # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
+        # Once for all workers and this process: another memory layout of the arrays gives other last bits.
         workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
         finished = len(part.rows) - left.size
         show("points", finished / len(part.rows))

@@ -203,7 +203,7 @@ def _read_begun(begun: Path) -> dict[str, str]:
 
 
 def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
-    # The program names these settings, so another name is another version's.
+    # The program names these settings, so other names come from another version.
     if {key for key in stored if key.startswith("study.")} != {key for key in requested if key.startswith("study.")}:
         raise InputError(study.file, "folder", str(path), "a study of this version; the one in there was begun by an "
                          "older version, and cannot go on: choose another folder, or begin anew (--overwrite)")

@@ -31,7 +31,7 @@ STATE, FREQUENCY, ERROR, MISSING = "state", "frequency", "error", "missing"
 
 _WORDS = {FREQUENCY: "frequency driven at", ERROR: "estimated relative error of Z there"}
 
-#: Quantiles that a statistic states besides the median.
+#: Quantiles of a statistic besides the median.
 LOW, HIGH = 0.05, 0.95
 
 

@@ -50,10 +50,10 @@ from workbench.results.notebook import Shown, Summary
 
 Real = NDArray[np.float64]
 
-#: Samples unless told otherwise: the interval of a yield is then at most 2.2 % to either side.
+#: Default number of samples: the interval of a yield is then at most 2.2 % to either side.
 SAMPLES = 2000
 
-#: Figures that are shown whether or not they are required.
+#: Figures that are always evaluated.
 ALWAYS = ("f0", "z_min", "q")
 
 
@@ -201,7 +201,7 @@ def tolerance(
     asked = driven_figures(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
     check_tolerance_request(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
-    # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
+    # The numbers of a fit may lie far from those of chip file and registry: one model of both is needlessly large.
     there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(drive, at, thermal_resistance or {}).of(device)
     solved = partial(full_evaluation, there, device.state.name, registry=with_means, band=band, accuracy=accuracy)

@@ -32,11 +32,11 @@ from workbench.model.particles import GRAVITY, viscous_scattering
 
 Real = NDArray[np.float64]
 
-#: Shares of width and height below which a step of Newton's method is the last one, and most steps of it.
+#: Size (in shares of width and height) of the last step of Newton's method, and most steps.
 SETTLED, STEPS = 1e-8, 60
-#: A curvature of less than this share of the other one, by shares of width and height, is none: rounding leaves 1e-7.
+#: A curvature below this share of the other one (by shares of width and height) counts as zero: rounding gives 1e-7.
 FLAT = 1e-5
-#: Share of the width by which a place leaves the axis where the potential has its maximum on it.
+#: Share of the width by which a place leaves the axis if the potential has its maximum there.
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
@@ -168,7 +168,7 @@ def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: flo
     if not (back.value > 0.0).all():
         raise NoTrap(f"a particle a quarter wavelength {side} the deepest trap does not get there")
     if axis == 1:
-        # The weight is carried by a wall, or by the sound between there and a quarter wavelength further.
+        # A wall supports the weight, or the sound within the next quarter wavelength.
         sense = -math.copysign(1.0, weight.value)
         further = np.clip(base.value + sense * rise.value * np.linspace(0.0, 1.0, RASTER_POINTS), 0.0, 1.0)
         force = _force(trap, axis, Dual(further, np.zeros((len(base.gradient), further.size)))).value
@@ -274,7 +274,7 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         gradient = np.array([across[1] @ potential @ up[0], across[0] @ potential @ up[1]])
         hessian = _hessian(potential, across, up)
         held = ((place <= 0.0) & (gradient > 0.0)) | ((place >= 1.0) & (gradient < 0.0))
-        # On the axis there is no slope along the radius: the curvature tells whether it is a minimum there.
+        # The slope along the radius is zero on the axis: the curvature decides whether it is a minimum.
         held[0] |= about_axis and place[0] == 0.0 and hessian[0, 0] >= 0.0
         free = ~held
         if about_axis and place[0] == 0.0 and free[0]:
@@ -289,7 +289,7 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         if np.abs(step).max() < SETTLED:
             if at.size and curvatures[0] < -least:
                 break
-            # Where the potential is flat, any place is as good, and the trap stays.
+            # If the potential is flat, all places are equal, and the trap stays.
             return place, free & (np.diag(hessian) > FLAT * np.abs(hessian).max())
         for halvings in range(30):
             further = np.clip(place + 0.5**halvings * step, 0.0, 1.0)

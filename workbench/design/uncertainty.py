@@ -25,10 +25,10 @@ from workbench.model.numbers import Number, ParameterName, Stated, placed
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: A draw of which fewer than this share lies where the chip can be is refused: its law is not what was meant.
+#: Smallest share of admissible draws: with fewer, the stated law is a mistake.
 LEAST_ACCEPTED = 0.01
 
-#: Lossless rounding: what the smallest eigenvalue of a dissipation matrix may lack, relative to the stiffness.
+#: Rounding of a lossless material: largest negative eigenvalue of a dissipation matrix, relative to the stiffness.
 ARITHMETIC = 1e-12
 
 

@@ -20,10 +20,10 @@ from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
 
-#: Tail of the name of a region's material as a variable.
+#: Suffix of a region's material as a variable.
 MATERIAL = ".material"
 
-#: To what lengths are rounded at the end (m): finer than any process, coarser than the noise of arithmetic.
+#: Step (m) of rounded lengths: finer than any process, coarser than rounding errors.
 GRAIN = 1e-9
 
 

@@ -211,9 +211,9 @@ def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: 
     """
     each = uncertainty.inputs[k]
     weights = halved_weights(each, many[:, k])
-    # The tails cut off from the law are missing from the mean of the weights.
+    # The truncated tails of the law are missing from the mean of the weights.
     size = float(weights.mean())
-    # Less the yield itself, which changes no mean and is known where all samples pass.
+    # Subtracting the yield changes no mean, and gives an exact zero if all samples pass.
     gains = (weights / size - 1.0) * (met.many - met.many.mean())
     off = (halved_weights(each, points[:, k]) / size - 1.0) * met.off
     error = math.sqrt(float(gains.var()) / gains.size + float(off.var()) / off.size)
